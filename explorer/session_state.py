@@ -64,6 +64,7 @@ class SessionState:
         exploded: True while the rings are lifted apart.
         map: True to show the gallery as a map in place of the compared pair.
         city: True to show the 3-D city on the map, where there is one, in place of tiles.
+        cameras: True to show the cameras of a flight's photos on the map.
         find: filter of the list of queries.
         dark: True for the dark theme.
         plain: True for plain words, see `lpn.drawing.words`.
@@ -105,6 +106,7 @@ class SessionState:
     exploded: bool = False
     map: bool = False
     city: bool = True
+    cameras: bool = True
     find: str = ""
     dark: bool = True
     plain: bool = False
@@ -191,6 +193,7 @@ _BEYOND_FIRST_SCREEN = (
     "exploded",
     "map",
     "city",
+    "cameras",
 )
 
 # A pure change of the state; None leaves the state as it is.

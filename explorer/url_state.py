@@ -89,6 +89,7 @@ class UrlState:
             Parameter("region", lambda s: ranges(s.region) or None, self._read_region),
             parameters.switch("map"),
             parameters.switch("city"),
+            parameters.switch("cameras"),
             parameters.switch("why"),
             Parameter("reason", _write_why_tab, _read_why_tab),
             Parameter("beside", self._write_beside, self._read_beside),

@@ -106,7 +106,7 @@ class ClientViews:
         )
         self.panels.navigation.order = self.lab.order
         self.panels.query.compare_models = self.explain_window.compare_models
-        self.stage_controls = StageControls(workspace, self.panels.navigation, change)
+        self.stage_controls = StageControls(workspace, self.panels.navigation, change, self._look)
         self.glossary = Glossary(client.gui, lambda: state().plain)
         own = self.panels.query.own
         self.first_screen = FirstScreen(
@@ -143,14 +143,14 @@ class ClientViews:
         if workspace.has_flight:
             commands.append(
                 (
-                    "Look through the photo's camera on the map, then hide the photo",
+                    "Look through the photo's camera on the map, then hide and show the photo",
                     "Z",
                     lambda: self.stage.look_through(),
                 )
             )
         commands.append(("First screen", None, lambda: self.first_screen.act("start")))
         shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close)
-        self._make_stage = partial(Stage, client, workspace, on_select, model, viewport)
+        self._make_stage = partial(Stage, client, workspace, on_select, model, viewport, self.bridge.set_photo)
         self._stage: Stage | None = None
         self._building = Lock()
 
@@ -161,6 +161,13 @@ class ClientViews:
             if self._stage is None:
                 self._stage = self._make_stage()
             return self._stage
+
+    def _look(self, through: bool) -> None:
+        """Look through the photo's camera, or take note that the view has been moved away from it."""
+        if through:
+            self.stage.look_through()
+        else:
+            self.stage.look_away()
 
     def fit_camera(self) -> None:
         """Fit the stage to the page's window, whose camera has changed."""

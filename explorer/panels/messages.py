@@ -51,6 +51,14 @@ class FlipLook(StageMessage, tag="stage-flip"):
     look: Literal["rings", "exploded", "map"]
 
 
+class LookThrough(StageMessage, tag="stage-through"):
+    """Look at the map through the camera of the photo."""
+
+
+class LookAway(StageMessage, tag="stage-away"):
+    """A person has moved the view that looked through a photo's camera."""
+
+
 class ShowHeat(StageMessage, tag="stage-heat"):
     kind: Literal["off", "activation", "evidence"]
 

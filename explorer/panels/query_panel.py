@@ -100,6 +100,7 @@ class QueryPanel:
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places, apply=session_state.show_map)
             self._city = controls.checkbox("Relief" if workspace.has_flight else "City", "city", visible=False)
+            self._cameras = controls.checkbox("Cameras of the flight", "cameras", visible=False)
             has_cells = not workspace.without_cells
             controls.checkbox("Heatmap", "heat", visible=has_cells)
             controls.dropdown("Heat type", "heat_kind", _HEAT_KINDS, visible=has_cells, hint=pages.HEAT_NOTE)
@@ -113,10 +114,13 @@ class QueryPanel:
                 gui.add_html(pages.note(workspace.without_cells, "lpn-without-cells"))
 
     def update(self, state: SessionState) -> None:
-        """Show the checkbox only if the state has a city or a relief to show."""
-        visible = city_available(self._workspace, state)
-        if self._city.visible != visible:
-            self._city.visible = visible
+        """Show the checkboxes only if the state has a city or a relief to show, or the map of a flight."""
+        for checkbox, visible in (
+            (self._city, city_available(self._workspace, state)),
+            (self._cameras, state.map and self._workspace.has_flight),
+        ):
+            if checkbox.visible != visible:
+                checkbox.visible = visible
 
     def show(self, analysis: StateAnalysis) -> None:
         """Show the list of pictures around the state's query, and the user's own."""

@@ -72,7 +72,7 @@ def _changes(
         ),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("Failure laboratory: all queries", "B", session_state.flip_lab),
-        *([("Flight over its map", "W", session_state.flip_flight)] if workspace.has_flight else []),
+        *(_of_flights() if workspace.has_flight else []),
         ("3-D city on the map on or off", "C", lambda state: _flip_city(workspace, state)),
         ("Light or dark theme", "O", session_state.flip_dark),
         ("Plain words or the field's terms", None, session_state.flip_words),
@@ -105,6 +105,17 @@ def _changes(
             (f"Shift up by {_SHIFT_STEP} pixels", None, _shift(workspace, 0, -_SHIFT_STEP)),
         ]
     return changes
+
+
+def _of_flights() -> list[tuple[str, str | None, StateChange]]:
+    return [
+        ("Flight over its map", "W", session_state.flip_flight),
+        (
+            "On the map: cameras of the flight on or off",
+            "D",
+            lambda state: replace(state, cameras=not state.cameras) if state.map else None,
+        ),
+    ]
 
 
 def _register(gui: viser.GuiApi, label: str, key: str | None, callback: Callable[[Any], None]) -> None:

@@ -85,10 +85,17 @@ class StageControls:
 
     Args:
         change: updates the browser's state with a function.
+        look: looks through the photo's camera for True, and takes note for False that the view has been moved away.
     """
 
-    def __init__(self, workspace: Workspace, navigation: Navigation, change: Callable[[StateChange], None]) -> None:
-        self._workspace, self._change = workspace, change
+    def __init__(
+        self,
+        workspace: Workspace,
+        navigation: Navigation,
+        change: Callable[[StateChange], None],
+        look: Callable[[bool], None] = lambda _: None,
+    ) -> None:
+        self._workspace, self._change, self._look = workspace, change, look
         self._steps: dict[str, StateChange] = {
             "previous": navigation.previous,
             "next": navigation.next,
@@ -139,6 +146,10 @@ class StageControls:
                 self._change(self._steps[step])
             case messages.FlipLook(look):
                 self._change(lambda state: self._flip(state, look))
+            case messages.LookThrough():
+                self._look(True)
+            case messages.LookAway():
+                self._look(False)
             case messages.ShowHeat(kind):
                 self._change(lambda state: _heat(state, kind))
             case messages.SetOpacity(opacity):

@@ -12,6 +12,7 @@ import viser
 
 from explorer.session_state import SessionState
 from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, Viewpoint, oblique_view
+from explorer.stage.flight_lines import FlightLines
 from explorer.stage.image_planes import Plane, Rotation, query_title, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
@@ -40,10 +41,8 @@ _THIN, _THICK = 3.0, 7.0
 _TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
 _MAX_CAMERA_DISTANCE = 5000.0
-# Size of the query's camera while the view looks through it, in stage units.
-_NEAR = 0.1
-# Longer side of the photo in the query's camera, in pixels.
-_PHOTO = 512
+# Longer side in pixels of the photo in the query's camera, and of the one that lies over the view through it.
+_PHOTO, _LOOKED_AT = 512, 1280
 # Two ends in stage units, (3,) each, and a colour.
 _Segment = tuple[AnyArray, AnyArray, theme.Colour]
 # Rotation from glTF (y is up) to the stage (z is up).
@@ -87,8 +86,9 @@ class GalleryMap:
         self._workspace = workspace
         self.eye: Eye | None = None
         self._framed = False
+        # The ranked tiles that lie on the map, unless `bare` hides them.
+        self._seen = [False] * slots
         self._photo: tuple[Path | OwnPicture, UInt8Array] | None = None
-        self._camera_scale = 0.5
         self._analysis: StateAnalysis | None = None
         self._task = ""
         self._scale, self._middle = 1.0, np.zeros(2)
@@ -108,6 +108,7 @@ class GalleryMap:
             )
             for name, thickness in (("lines", _THIN), ("frame", _THICK))
         )
+        self._flight = FlightLines(scene)
         self._here = scene.add_label("/map/here", "", anchor="bottom-center")
         self._tiles = [Plane(scene, f"/map/tile{slot}", 0.3, 0.3, _point(0, 0, 0), "png") for slot in range(slots)]
         for slot, tile in enumerate(self._tiles):
@@ -139,7 +140,8 @@ class GalleryMap:
         self._show_tiles(analysis, places, city, 0.03 if top is None else top, pixels)
         self._show_lines(analysis, places, camera, _LINE_HEIGHT if top is None else top)
         self._lines.thickness = 5.0 if city else _THIN
-        self._camera_scale = self._camera.scale = 0.5 * viewpoint.scale
+        self._camera.scale = 0.5 * viewpoint.scale
+        self._show_flight(analysis, places, city)
         self._caption.show(self._draw_caption(analysis, lettering.sign))
         palette = analysis.state.palette
         self._camera.color = palette.text
@@ -148,33 +150,43 @@ class GalleryMap:
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
         return viewpoint
 
-    def draw_near(self) -> None:
-        """Bring the photo so near to the query's camera that nothing of the map stands between them.
-
-        Lines are hidden: one begins at the camera, and would lie across the whole view.
-        """
-        self._camera.visible, self._camera.scale, self._lines.visible = True, _NEAR, False
-        self._frame.visible = self._here.visible = False
-
-    def flip_photo(self) -> None:
-        """Hide the photo of the query's camera, so that the map lies bare, or show it again."""
-        self._camera.visible = not self._camera.visible
+    def bare(self) -> None:
+        """Hide all that would lie between the query's camera and the ground: that camera, tiles, lines, and other cameras."""
+        for tile in self._tiles:
+            tile.handle.visible = False
+        self._camera.visible = self._lines.visible = self._frame.visible = self._here.visible = False
+        self._flight.hide()
 
     def show_photo(self) -> None:
-        """Show the query's camera again in its usual size, if its pose is known."""
+        """Show again what `bare` hides, if the pose of the query's camera is known."""
         if self.eye is not None:
-            self._camera.visible, self._camera.scale, self._lines.visible = True, self._camera_scale, True
+            for tile, visible in zip(self._tiles, self._seen, strict=True):
+                tile.handle.visible = visible
+            self._camera.visible = self._lines.visible = True
             self._frame.visible = self._here.visible = self._framed
+            if self._analysis is not None and (places := self._analysis.task.geometry) is not None:
+                self._show_flight(self._analysis, places, self._city is not None and self._city.visible)
+
+    def view_of(self, eye: Eye) -> dict[str, object]:
+        """Return the photo for a view through the query's camera, as JSON takes it: `source`, a data URI, and `aspect`."""
+        assert self._analysis is not None
+        own, located = self._analysis.state.upload, self._workspace.located(self._analysis)
+        assert located is not None
+        picture = images.load_picture(located.frame.file) if own is None else own.picture
+        shown = located.frame.undistorted(images.shrink(picture, _LOOKED_AT))
+        return {"source": overlays.data_uri(shown), "aspect": eye.aspect}
 
     def ground(self, places: GalleryGeometry) -> dict[str, object]:
         """Return what the page needs to measure on the ground, as JSON takes it.
 
-        These are the `middle` of the positions' metres in stage units, (2,), the `metres` of a stage unit, and for latitude and
-        longitude the `degrees` of that middle and of a metre; a rendered place, which is no real one, has none.
+        These are `through`, True if the view can look through the photo's camera; the `middle` of the positions' metres in stage
+        units, (2,); the `metres` of a stage unit; and for latitude and longitude the `degrees` of that middle and of a metre; a
+        rendered place, which is no real one, has none.
         """
         origin = places.origin
         steps = geo.metres_per_degree(origin.latitude)
         return {
+            "through": self.eye is not None,
             "middle": self._to_stage(np.zeros(2), 0.0)[:2].tolist(),
             "metres": 1 / self._scale,
             "degrees": None
@@ -271,6 +283,7 @@ class GalleryMap:
                 and bool(np.isfinite(places.ground[match.index]).all())
                 and (not alone or match.index == analysis.chosen.index)
             )
+            self._seen[slot] = plane.handle.visible
             if match is None or not plane.handle.visible:
                 continue
             colour = theme.verdict_colour(match.true)
@@ -316,6 +329,22 @@ class GalleryMap:
         self._camera.aspect = 1.0
         self._camera.image = overlays.square(analysis.query.picture, 128)
         return at
+
+    def _show_flight(self, analysis: StateAnalysis, places: GalleryGeometry, city: bool) -> None:
+        """Show the cameras of the other photos of a flight, and the ground that they show."""
+        workspace, state = self._workspace, analysis.state
+        flight, basemap = workspace.flight, workspace.basemap
+        if flight is None or basemap is None or not state.cameras:
+            return self._flight.hide()
+        base = 0.0 if workspace.city is None else workspace.city.base
+
+        def to_stage(points: Float64Array) -> Float64Array:
+            ground = (self._from_map(points[:, :2], places) - self._middle) * self._scale
+            return np.asarray(np.column_stack([ground, (points[:, 2] - base) * self._scale]) + MAP_CENTRE, np.float64)
+
+        chosen = None if state.upload else state.query
+        relief = city and basemap.elevation is not None
+        return self._flight.show(flight.frames, chosen, basemap, base, relief, to_stage)
 
     def _from_map(self, points: FloatingArray, places: GalleryGeometry) -> Float64Array:
         """Convert metres in the map's frame, (K, 2), to those that the stage counts, (K, 2)."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Sequence
-from threading import RLock
+from threading import RLock, Thread
 
 import numpy as np
 import viser
@@ -37,6 +38,18 @@ _CENTRED = 1e-6
 _FRAME = 6
 # Shifts of an exploded picture towards the other one and away from the camera, relative to its width.
 _INWARD, _BACK = 0.05, 0.35
+
+# Steps in which the view flies from one photo's camera to another one's, and the seconds that it takes.
+_GLIDE, _GLIDE_SECONDS = 10, 0.4
+
+
+def _between(one: Eye, other: Eye, share: float) -> Eye:
+    """Return a camera on the way from one to another."""
+    first, second, third, across, aspect = (
+        (1 - share) * np.asarray(a) + share * np.asarray(b) for a, b in zip(one, other, strict=True)
+    )
+    forward, up = (vector / max(float(np.linalg.norm(vector)), 1e-9) for vector in (second, third))
+    return Eye(first, forward, up, float(across), float(aspect))
 
 
 class StagePicture:
@@ -134,6 +147,8 @@ class Stage:
     Args:
         on_select: called with the shown state and the gallery position of a clicked tile.
         viewport: the size of the stage, which the sizes of texts follow.
+        on_photo: called with the photo that lies over the view through its camera, see `GalleryMap.view_of`, with `flips`, the
+            times that it was hidden or shown since; None takes it away.
 
     Attributes:
         layout: where the pictures are.
@@ -147,8 +162,10 @@ class Stage:
         on_select: Callable[[SessionState, int], None],
         model: QueuedModel | None,
         viewport: Viewport,
+        on_photo: Callable[[dict[str, object] | None], None] = lambda _: None,
     ) -> None:
         self._client, self._workspace, self._viewport = client, workspace, viewport
+        self._on_photo, self._photo, self._flips = on_photo, dict[str, object](), 0
         self._n = workspace.contract.n_parts
         scene = client.scene
         scene.configure_default_lights(cast_shadow=False)
@@ -216,22 +233,50 @@ class Stage:
         """Look at the map through the camera of the query's photo, if its pose is known; the second time, flip its photo."""
         if self._viewpoint is not None and self._map is not None and self._map.eye is not None:
             if self._looking is self._map.eye:
-                self._map.flip_photo()
+                self._flips += 1
+                self._on_photo({**self._photo, "flips": self._flips})
             else:
                 self._look_through(self._map.eye)
 
-    def _look_through(self, eye: Eye) -> None:
-        """Put the view's camera where a photo's camera was, so that the whole photo fits into it."""
+    def look_away(self) -> None:
+        """Show the query's camera on the map again: the view through it has been moved."""
         with self._framing, self._client.atomic():
+            if self._looking is not None and self._map is not None:
+                self._looking = None
+                self._on_photo(None)
+                self._map.show_photo()
+
+    def _look_through(self, eye: Eye) -> None:
+        """Put the view's camera where a photo's camera was, so that the whole photo fits into it, and lay it over the view.
+
+        From the camera of one photo to that of another the view flies.
+        """
+        gallery_map = self._map
+        assert gallery_map is not None
+        with self._framing:
+            gallery_map.bare()
+            before, self._looking = self._looking, eye
+            if before is not None and not np.allclose(before.position, eye.position):
+                self._on_photo(None)
+                for step in range(1, _GLIDE):
+                    self._stand(_between(before, eye, step / _GLIDE))
+                    self._client.flush()
+                    time.sleep(_GLIDE_SECONDS / _GLIDE)
+            if gallery_map.eye is not eye:  # another photo has come meanwhile
+                return
+            self._stand(eye)
+            self._photo = gallery_map.view_of(eye)
+            self._on_photo({**self._photo, "flips": self._flips})
+
+    def _stand(self, eye: Eye) -> None:
+        """Put the view's camera where a camera stands."""
+        with self._client.atomic():
             camera = self._client.camera
             camera.fov = 2 * math.atan(eye.across / min(self._aspect or eye.aspect, eye.aspect))
             camera.up_direction = eye.up
             camera.position = eye.position + 1.0
             camera.position = eye.position
             camera.look_at = eye.position + eye.forward
-            self._looking = eye
-            if self._map is not None:
-                self._map.draw_near()
 
     def _point_camera(self) -> None:
         """Point the camera at the pair and the ranked tiles, or at the map."""
@@ -242,7 +287,9 @@ class Stage:
         width = HEIGHT * self.layout.stage[0] / self.layout.stage[1]
         distance = max(HEIGHT / 2 / tangent, width / 2 / (tangent * self._aspect))
         position, target = np.array([0.0, 0.0, distance]), np.zeros(3)
-        self._looking = None
+        if self._looking is not None:
+            self._looking = None
+            self._on_photo(None)
         if viewpoint is not None and self._map is not None:
             self._map.show_photo()
             self._map.put_sign(viewpoint, self._aspect)
@@ -276,8 +323,13 @@ class Stage:
         self.ground = ground
         with self._framing:
             # A turn around the pulled rings ends with them.
-            if viewpoint != self._viewpoint or (self._exploded and not state.exploded):
-                self._viewpoint = viewpoint
+            before, self._viewpoint = self._viewpoint, viewpoint
+            if self._looking is not None and viewpoint is not None and self._map is not None:
+                self._map.bare()
+                if self._map.eye is not None:  # one that flies along goes on to the next photo whose pose is known
+                    # The page draws nothing of the flight before all else of the analysis is sent.
+                    Thread(target=self._look_through, args=(self._map.eye,), name="look", daemon=True).start()
+            elif viewpoint != before or (self._exploded and not state.exploded):
                 self._point_camera()
             self._exploded = state.exploded
         if viewpoint is not None:

@@ -46,6 +46,7 @@ _SCRIPT = ";".join(
         "map_marks.js",
         "pan_zoom.js",
         "stage_map.js",
+        "stage_photo.js",
         "lab_map.js",
         "homography.js",
         "flight.js",
@@ -86,7 +87,7 @@ class PageBridge:
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._ground, self._call, self._tab, self._stage = (Html(gui) for _ in range(5))
+        self._address, self._ground, self._call, self._tab, self._stage, self._photo = (Html(gui) for _ in range(6))
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
         """Replace the values of `keys` in the page's address by a query string without "?"."""
@@ -95,6 +96,10 @@ class PageBridge:
     def set_ground(self, ground: Mapping[str, object] | None) -> None:
         """Tell the page where the ground of the stage's map lies, see `GalleryMap.ground`; None without a map."""
         self._ground.show(run(call("stageMap", ground)))
+
+    def set_photo(self, photo: Mapping[str, object] | None) -> None:
+        """Lay a photo over the view through its camera, see `Stage.look_through`; None takes it away."""
+        self._photo.show(run(call("stagePhoto", photo)))
 
     def set_stage(self, html: str) -> None:
         """Show the controls over the stage's pictures; none for an empty text."""

@@ -9,7 +9,7 @@ interface Box { left: number; top: number; right: number; bottom: number }
 interface Place { selectors: string[]; box: number[] | null }
 interface Step { caption: string; notes: string; points_at: string; shows: string }
 interface Story { name: string; steps: Step[] }
-interface Ground { middle: Point; metres: number; degrees: Point[] | null }
+interface Ground { through: boolean; middle: Point; metres: number; degrees: Point[] | null }
 
 // What a map shows: the middle in its plane, and pixels per unit.
 interface View { x: number; y: number; scale: number }
@@ -138,6 +138,8 @@ interface Lpn {
   first(html: string, free: boolean, unasked: boolean): void;
   hideTip(): void;
   stageMap(ground: Ground | null): void;
+  stopFlying(): void;
+  stagePhoto: { (photo: { source: string; aspect: number; flips: number } | null): void; on(): boolean };
 
   // Maps and their drawing.
   panZoom(element: HTMLElement, options: PanZoomOptions): PanZoom;

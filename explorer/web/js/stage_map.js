@@ -18,11 +18,36 @@
   box.innerHTML =
     '<div class="read"></div><div class="how"><span class="for-mouse">Drag to move, right button or arrow keys to turn, wheel to zoom</span><span class="for-touch">One finger moves, two turn and zoom</span></div>' +
     '<button type="button" title="Back to the pair (M or Escape)">✕ Close the map<span class="for-mouse">&nbsp;(M)</span></button><button type="button" title="Point the camera at the answer again">⟲ Reset view</button>' +
+    '<div class="through"><button type="button" title="Look through the camera of the photo, and compare it with the map (Z)">◉ Look through<span class="for-mouse">&nbsp;(Z)</span></button><button type="button" aria-pressed="false" title="Look through one photo\'s camera after the other">▶ Fly along</button></div>' +
     '<canvas role="img" aria-label="Scale and north"></canvas>';
   const canvas = box.querySelector("canvas"), read = box.querySelector(".read");
-  const [close, whole] = box.querySelectorAll("button");
+  const [close, whole, through, fly] = box.querySelectorAll("button");
   close.onclick = () => lpn.send("map-close");
   whole.onclick = () => lpn.straighten();
+  through.onclick = () => lpn.send("stage-through");
+
+  // Fly from photo to photo: each is looked through for a while once it has come.
+  const LOOK = 2000, WAIT = 20000;
+  let flying = 0, flown = "", since = 0;
+  const flyOn = () => {
+    const name = document.getElementById("lpn-status")?.dataset.name || "", now = performance.now();
+    if (name !== flown) [flown, since] = [name, now];
+    else if (now - since > LOOK) {
+      lpn.send("stage-step", "next");
+      since = now + WAIT;
+    }
+  };
+  const flyAlong = (on) => {
+    clearInterval(flying);
+    flying = on ? lpn.every(200, flyOn) : 0;
+    fly.textContent = on ? "❚❚ Stop" : "▶ Fly along";
+    fly.setAttribute("aria-pressed", String(on));
+    since = performance.now();
+  };
+  fly.onclick = () => {
+    if (!flying && !lpn.stagePhoto.on()) lpn.send("stage-through");
+    flyAlong(!flying);
+  };
 
   // The point of the ground under a place on the screen, in metres east and north; null above the horizon.
   const ground = (camera, [left, top], size) => {
@@ -98,12 +123,16 @@
 
   // `given`: the middle of the ground in the stage's units, metres of a unit, and for latitude and longitude the degrees of the
   // middle and of a metre, null of a rendered place; null without a map.
+  // The view that flies has been moved by hand.
+  lpn.stopFlying = () => flyAlong(false);
   lpn.stageMap = (given) => {
     place = given;
+    box.querySelector(".through").hidden = !given?.through && !flying;
     clearInterval(following);
     for (const kind of ["pointermove", "pointerdown"]) window[given ? "addEventListener" : "removeEventListener"](kind, point, { capture: true, passive: true });
     if (!given) {
       steer(false);
+      flyAlong(false);
       box.classList.remove("used");
       return box.remove();
     }

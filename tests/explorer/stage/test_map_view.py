@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_record
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.opening import open_model
@@ -111,14 +112,14 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
         scene.click(None)
         upright = scene.camera.fov
         ground = shown.ground(task.geometry)
-        usual = scene.camera.scale
-        shown.draw_near()
-        assert scene.camera.scale < usual
+        photo = shown.view_of(looked[0])
+        assert str(photo["source"]).startswith("data:image/jpeg")
+        assert photo["aspect"] == pytest.approx(4 / 3)
+        shown.bare()
         assert not scene.lines.visible
-        shown.flip_photo()
         assert not scene.camera.visible
         shown.show_photo()
-        assert (scene.camera.visible, scene.camera.scale, scene.lines.visible) == (True, usual, True)
+        assert (scene.camera.visible, scene.lines.visible) == (True, True)
         shown.show(analyse(SessionState(TASK, 4, map=True), 6), Lettering(24, 100.0))
         assert shown.eye is None
     finally:
@@ -170,3 +171,39 @@ def test_the_ground_of_an_own_picture_that_is_registered_is_framed_and_its_camer
         assert scene.camera.image.shape == (300, 400, 3)
         assert line[0, 2] == pytest.approx(150.0, rel=0.01)
     assert sum(tile.visible for tile in scene.tiles) == (1 if plain else 6)
+
+
+def test_the_other_cameras_of_a_flight_and_the_ground_of_their_photos_are_lines_of_one_mesh(
+    workspace: Workspace,
+) -> None:
+    task = workspace.tasks[TASK]
+    assert task.geometry is not None
+    pose = CameraPose(30.0, 40.0, 150.0, 100.0, 90.0, -60.0, 0.0, 70.0, "told", True, 50, np.eye(6).ravel().tolist())
+    homography = [0.5, 0, 30.0 - 0.25 * 399, 0, -0.5, 40.0 + 0.25 * 299, 0, 0, 1]
+    frame = Frame("a", task.queries[4].path, 400, 300)
+    answer = StageRecord("accepted", "", 30.0, 40.0, True, homography=homography, pose=pose)
+    located = LocatedFrame(frame, None, {"registration": answer})
+    refused = LocatedFrame(frame, None, {"registration": replace_record(answer, state="refused")})
+    basemap = SimpleNamespace(
+        frame=LocalFrame(task.geometry.origin.latitude, task.geometry.origin.longitude), elevation=None
+    )
+    workspace.flight = SimpleNamespace(frames=[located] * 3 + [refused] * 2)  # type: ignore[assignment]
+    workspace.basemap = basemap  # type: ignore[assignment]
+    scene = Scene()
+    try:
+        shown = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
+        state = SessionState(TASK, 4, map=True)
+        analysis = StateAnalyser(workspace).analyse(state, 6)
+        shown.show(analysis, Lettering(24, 100.0))
+        # Of both other cameras that are registered 8 edges, and the ground in 4 sides of 6 pieces.
+        assert scene.flight.visible
+        assert scene.flight.points.shape == (2 * (8 + 24), 2, 3)
+        assert scene.flight.colors.shape == scene.flight.points.shape
+        shown.bare()
+        assert not any([scene.flight.visible, scene.camera.visible, *(tile.visible for tile in scene.tiles)])
+        shown.show_photo()
+        assert all([scene.flight.visible, scene.camera.visible, *(tile.visible for tile in scene.tiles)])
+        shown.show(replace(analysis, state=replace(state, cameras=False)), Lettering(24, 100.0))
+        assert not scene.flight.visible
+    finally:
+        workspace.flight = workspace.basemap = None
