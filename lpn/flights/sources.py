@@ -99,7 +99,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     Raises:
         DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log or the camera's file is
             damaged, or the camera's pictures have other proportions than all frames.
-        InputError: as `flight_of_samples`.
+        InputError: as `flight_of_samples`, or if an option is about videos or subtitles, and the files are photos.
         OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
@@ -123,6 +123,10 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
         photos = inputs.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
             raise DataError(_no_pictures(inputs))
+        if given := [one for one in _of_other_files(options) if one != "--camera"]:
+            raise InputError(
+                f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
+            )
         flight = flight_of_photos(photos, name, list(read.values()))
     flight = _completed(flight, options)
     if camera is not None:

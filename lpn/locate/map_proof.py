@@ -18,6 +18,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.flights import ground_width
 from lpn.locate.located import LocatedFrame
+from lpn.maps.map import metres_off
 
 # Share of the views that fit a map of another place by chance, and the log odds that exceed it.
 _CHANCE, _EVIDENCE = 0.2, 4.0
@@ -81,9 +82,7 @@ def _tag_on_map(located: LocatedFrame, usual: float, bounds: tuple[float, float,
     """Return whether a frame's tag lies on the map, or no farther off it than its picture is wide, else than `usual` metres."""
     if located.tag is None:
         return False
-    width = _width(located) or usual
-    off = np.maximum(np.array(bounds[:2]) - located.tag, located.tag - np.array(bounds[2:]))
-    return bool((off <= width).all())
+    return metres_off(bounds, located.tag) <= (_width(located) or usual)
 
 
 def _width(located: LocatedFrame) -> float | None:

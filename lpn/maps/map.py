@@ -106,8 +106,7 @@ class Map:
 
     def metres_off(self, point: FloatingArray) -> float:
         """Return how many metres a point of the frame, (2,), lies from the nearest point of the bounds; 0 inside."""
-        low, high = np.array(self.bounds[:2]), np.array(self.bounds[2:])
-        return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
+        return metres_off(self.bounds, point)
 
     @property
     def sides(self) -> tuple[float, float]:
@@ -350,6 +349,12 @@ class Map:
             valid |= new
             if valid.all():
                 return
+
+
+def metres_off(bounds: Bounds, point: FloatingArray) -> float:
+    """Return how many metres a point, (2,), lies from the nearest point of a box; 0 inside."""
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
 
 
 def _frame_of(sheets: Sequence[Sheet]) -> LocalFrame:

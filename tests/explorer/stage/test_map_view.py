@@ -31,6 +31,7 @@ TASK = "drone-to-satellite"
 
 class Scene:
     lines: SimpleNamespace
+    flight: SimpleNamespace
     frame: SimpleNamespace
     click: Any
 

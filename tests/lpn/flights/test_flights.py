@@ -148,6 +148,14 @@ def test_two_videos_of_one_name_and_bad_options_are_refused(tmp_path: Path) -> N
         FlightOptions(pitch=100.0)
 
 
+def test_options_of_videos_are_refused_beside_photos(tmp_path: Path) -> None:
+    photo = write_photo(tmp_path / "a.jpg")
+    for options, name in ((FlightOptions(every=2.0), "--every"), (FlightOptions(every_metres=5.0), "--every-metres")):
+        with pytest.raises(InputError, match=f"so {name} would not be used"):
+            make_flight([photo], tmp_path / "out", options)
+    assert not (tmp_path / "out").exists()
+
+
 def test_without_the_extra_video_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from lpn.flights import sources
 
