@@ -18,6 +18,7 @@ from lpn.analysis.near_duplicates import shows_places
 from lpn.core.arrays import Int64Array
 from lpn.core.numbers import distance
 from lpn.drawing import verdicts, words
+from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import Belief, beliefs, disagreements
 from lpn.maps.named_window import WindowCut
 
@@ -25,6 +26,8 @@ from lpn.maps.named_window import WindowCut
 _MOST_KINDS = 5
 # A photo's middle that lies this share of the answer's width beyond its edge, or less, is near it.
 _NEAR = 0.25
+# Widths on the ground by this factor apart are of different scales; the windows of a pyramid are often this factor apart.
+_SCALE = math.sqrt(2)
 # A wrong answer is close if at least this share of the right ones lead by more than its positive lacks.
 _CLOSE = 0.9
 _UNEXPLAINED = "Nothing that was measured tells why. “Why?” shows the places that speak for either picture."
@@ -160,13 +163,30 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kind
         beyond = max(map(abs, offset)) - window.size / 2
         if 0 <= beyond < _NEAR * window.size:
             reasons.append(f"A near miss: the photo's middle lies {distance(beyond)} beyond the edge of this answer.")
-    reasons += _look_alike(analysis)
+    reasons += _scale(analysis, workspace) + _look_alike(analysis)
     reasons += [
         f"It is of a kind that fails more often: {_name(kind)}."
         for kind in kinds[:_MOST_KINDS]
         if kind.rate.holds(kind.column)[analysis.state.query]
     ]
     return reasons + _close(analysis, workspace)
+
+
+def _scale(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
+    """Say if a photo that is laid over the map shows ground of another width than the answer."""
+    task, located = analysis.task, workspace.located(analysis)
+    query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
+    registered = None if located is None else located.stages.get("registration")
+    if registered is None or not registered.accepted or registered.width is None:
+        return []
+    if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut):
+        return []
+    side, size = query.share * registered.width, tile.window.size
+    if max(side / size, size / side) < _SCALE:
+        return []
+    return [
+        f"The scales differ: the photo's square shows {side:.0f} m of ground from side to side, this answer {size:.0f} m."
+    ]
 
 
 def _look_alike(analysis: StateAnalysis) -> list[str]:

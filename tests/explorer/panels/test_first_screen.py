@@ -545,6 +545,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ranking = workspace.rankings[TASK].result
     assert ranking is not None
     right = [bool(first == 0) for first in ranking.ranking.first]
+    flight_names = workspace.tasks[TASK].query_names
     assert (
         "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30, 4 of them in doubt. "
         "Nobody measured where they really are. Of 68 photos of other places, none was placed on this map." in said
@@ -557,6 +558,12 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
     assert "? Placed by its details, ± 6.1 m on earth , but the map beside its middle disagrees." in unfit
     assert "Places beside its middle lie 6 m from where the map has them, and 3 m are allowed." in unfit
+    with speaking(workspace.vocabulary(True)):
+        fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
+        of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
+    assert "By their look alone, the first answer is wrong for 5 of 30 pictures (17 %)." in of_wrong
+    assert "and chose one that lies 50 m to the south-west; the right one came 2nd." in of_wrong
+    assert "the photo's square shows 45 m of ground from side to side, this answer 26 m." in of_wrong
     # The first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]
