@@ -36,7 +36,7 @@ class AnswerPanel:
         self._last: pages.ShownAnalysis | None = None
         self._preparing: BackgroundJob[None] | None = None
         self._status = Html(gui, pages.status(None))
-        why = gui.add_button("Why this tile?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
+        why = gui.add_button("Why this answer?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
         why.on_click(lambda _: change(session_state.flip_why))
         gui.add_html(pages.main_button(uuid_of(why)))
         with gui.add_folder("Matches"):

@@ -28,7 +28,7 @@ def story(workspace: Workspace) -> Story:
     rings = workspace.parts_word == "rings"
     whole = "rings" if rings else "parts"
     evidence = (
-        " Why this tile?, below it, shows place by place what speaks for it, which adds up. Its tab Heatmaps shows where the "
+        " Why this answer?, below it, shows place by place what speaks for it, which adds up. Its tab Heatmaps shows where the "
         "model reacts."
     )
     decided = "which part decided" if workspace.has_parts else "by how much"
@@ -68,7 +68,7 @@ def story(workspace: Workspace) -> Story:
             "",
         ),
         "verdict": (
-            "Why this tile?",
+            "Why this answer?",
             f"This says if the answer is right, and {decided}.{evidence if live and cells else ''}",
             "",
             "Y opens it" if live and cells else "",

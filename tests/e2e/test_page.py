@@ -335,7 +335,7 @@ def test_a_phone_held_upright_whose_page_nothing_scrolls(
     explorer.stage(lambda picture: np.flatnonzero((picture > 90).any(axis=(0, 2)))[0] >= 2)
     explorer.rows.nth(1).tap()
     expect(explorer.rows.nth(1)).to_have_class(re.compile("chosen"))
-    explorer.page.get_by_role("button", name="Why this tile?").tap()
+    explorer.page.get_by_role("button", name="Why this answer?").tap()
     expect(explorer.page.locator("#lpn-why .said")).to_be_in_viewport(ratio=0.95)
     expect(explorer.page.get_by_text("Tap a cell to see")).to_be_visible()
     expect(explorer.page.get_by_text("Move over a cell to see")).to_be_hidden()

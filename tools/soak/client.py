@@ -268,7 +268,7 @@ class SoakClient:
     def _why(self) -> None:
         """Open or close the explain window; sometimes start a sweep there."""
         self._begin("opened or closed Why")
-        self._driver.press("Why this tile?")
+        self._driver.press("Why this answer?")
         self._settle("why", replace(self._state, why=not self._state.why))
         if self._state.why and isinstance(self._driver, WebSocketDriver) and self._rng.random() < 0.5:
             self._driver.tell("sweep", self._rng.choice(["rotation", "shift", "zoom"]))
