@@ -149,7 +149,7 @@ class SessionState:
 
     @property
     def screen(self) -> tuple[bool, ...]:
-        """What the page shows: the first screen, and each of the windows."""
+        """The first screen and each of the windows; True for each that the page shows."""
         return self.first_screen, self.why, self.lab, self.flight, self.map
 
     @property

@@ -34,7 +34,7 @@ _MAX_LENGTH = 20_000
 _MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
-# What parameters say in the summary of an address; most have more values than one.
+# The words of parameters in the summary of an address; most have more values than one.
 _SUMMARY = {
     "scoring": "ranked anew",
     "weights": "weighted parts",

@@ -35,7 +35,7 @@ def story(workspace: Workspace) -> Story:
     does = [*([f"takes the {whole} apart"] if workspace.has_parts else []), *(["shows the map"] if mapped else [])]
     row = f"The row above the pictures {' and '.join(does)}. " if does else ""
     keys = [f"{key} {do}" for key, do in zip("XM" if workspace.has_parts else "M", does, strict=False)]
-    # Of each place: a title, what everybody sees, what stands beside it on a large screen alone, and keys.
+    # Each place has a title, what everybody sees, what stands beside it on a large screen alone, and keys.
     cards: dict[Focus, tuple[str, str, str, str]] = {
         "query": (
             "A picture goes in",

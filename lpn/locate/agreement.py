@@ -31,7 +31,7 @@ _LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
 _SHOWN, _CONTRAST = 0.98, 2.0
 # Fewer places of a photo tell nothing of the rest.
 _FEW_PLACES = 3
-# A place that is so far off, as a share of the reach of the search, may have others beyond.
+# A place that lies so near the border of what was searched, as a share of it, may have others beyond.
 _BORDER = 0.9
 
 
@@ -80,8 +80,8 @@ class MapAgreement(msgspec.Struct, frozen=True):
 
     @property
     def may_be_larger(self) -> bool:
-        """Whether the farthest place lies so far off that others may lie beyond what was searched."""
-        return bool(self.rows) and float(self.metres.max()) >= _BORDER * self.reach
+        """True if the farthest place lies so near the border of what was searched that others may lie beyond."""
+        return bool(self.rows) and float(np.abs(self.offsets[self.metres.argmax()]).max()) >= _BORDER * self.reach
 
 
 def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, size: tuple[int, int]) -> MapAgreement:

@@ -85,7 +85,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
 
     @property
     def on_earth(self) -> bool:
-        """Whether the radius holds the error of the map's place on earth, as the map tells it."""
+        """True if the radius holds the error of the map's place on earth, as the map tells it."""
         return self.place_error > 0
 
     @property

@@ -1,4 +1,4 @@
-"""What is known about the place of a map beyond its georeference: its name, the day of its pictures, and their author."""
+"""The place of a map beyond its georeference: its name, the day of its pictures, and their author."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.models.backbones import ResNet
 from lpn.models.timm_networks import TimmMap
 
-# What QDFL adds of the adapter beside a hidden layer.
+# The share of the adapter that QDFL adds beside a hidden layer.
 _SHARE = 0.2
 # An adapter's hidden layer has the channels divided by this, as QDFL's has.
 _NARROWER = 2

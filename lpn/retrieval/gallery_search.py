@@ -110,7 +110,7 @@ class Ranking:
 
     @property
     def similarities(self) -> Float32Array:
-        """What the part weights sum up to the scores, (G, n): the cosines, under CSLS less its terms."""
+        """The terms that the part weights sum up to the scores, (G, n): the cosines, under CSLS less its terms."""
         return self.cosines if self.csls is None else self.cosines - self.csls.query - self.csls.tiles
 
     def match(self, position: int) -> Match:
@@ -135,7 +135,7 @@ class Ranking:
         )
 
     def csls_of(self, index: int) -> tuple[Float32Array, Float32Array] | None:
-        """What CSLS subtracts from each part's cosine for the query and for a gallery picture, (n,) each; None without CSLS."""
+        """The terms that CSLS takes off each part's cosine for the query and for a gallery picture, (n,) each; None without."""
         return None if self.csls is None else (self.csls.query, self.csls.tiles[index])
 
     def _contributions(self, index: int) -> Float32Array:

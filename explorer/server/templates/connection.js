@@ -57,7 +57,7 @@
     if (title !== "Viser") replaceState.call(this, state, title, ...rest);
   };
 
-  // What a plain request for the websocket's address is answered with, and by which server.
+  // The answer to a plain request for the websocket's address, and the server that gives it.
   const ask = async (one) => {
     try {
       const answer = await fetch(one.replace(/^ws/, "http"), { method: "HEAD", redirect: "manual", cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });

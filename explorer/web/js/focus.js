@@ -8,7 +8,7 @@
   const { SELECTORS } = lpn.viser;
   const DIALOG = `${SELECTORS.dialog}, ${SELECTORS.palette}`;
   const WHY = "#lpn-why, #lpn-heatmaps, #lpn-counterfactual, #lpn-profile, #lpn-region, #lpn-model-comparison";
-  // What shows that a window is open, and what of it takes the focus.
+  // The element that shows that a window is open, and the one in it that takes the focus.
   const WINDOWS = [
     ["#lpn-first", "#lpn-first [data-act=why]"],
     ["#lpn-told", "#lpn-told .next"],
@@ -20,7 +20,7 @@
     [WHY, WHY.split(", ").map((tab) => tab + " [tabindex='0']").join(", ")],
     ["#lpn-stories", "#lpn-stories .acts [tabindex='0']"],
   ];
-  // What keeps the focus when a window opens: a person may go on with its keys.
+  // Elements that keep the focus when a window opens: a person may go on with its keys.
   const KEEPS = "input, textarea, select, [contenteditable]:not([contenteditable=false]), [role=slider], [role=tab]";
   const focused = new Map(); // what had the focus when a window was first seen, by window
   const openers = new Map(); // what had the focus when a window was opened, by window

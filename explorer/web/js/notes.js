@@ -3,7 +3,7 @@
 (() => {
   const lpn = window.lpn;
   if (lpn.note) return;
-  // What this page has saved since the server filled the boxes; viser may put the same boxes into the page again.
+  // The notes that this page has saved since the server filled the boxes; viser may put the same boxes into the page again.
   const saved = new Map();
 
   const key = (path) => "lpn-note " + lpn.title + " " + path;

@@ -12,9 +12,9 @@
   let ready = false;
   let begun = false; // a session of the server has begun, and has not answered yet
 
-  // What a person does is a step of the browser's history, which Back undoes. A drag, which changes one thing many times, is one
+  // Each action of a person is a step of the browser's history, which Back undoes. A drag, which changes one thing many times, is one
   // step; what changes by itself, such as the frame of a flight that plays, is none. A change of these is always a step.
-  const STEPS = ["show", "task", "query", "screen", "why"];
+  const STEPS = ["show", "task", "query", "screen", "why", "fails"];
   // Back keeps these as they are.
   const KEPT = ["theme", "words"];
   let acts = 0; // what the person has done so far

@@ -29,7 +29,7 @@
   // viser calls its page after itself. Screen readers are told the verdict, whose element is replaced whenever it changes.
   const live = element("lpn-live", document.body);
   live.setAttribute("role", "status");
-  // What can be unfolded stays as it was left, also when its element is replaced.
+  // A part that can be unfolded stays as it was left, also when its element is replaced.
   const OPEN = "lpn-open";
   const unfolded = new Set((lpn.stored("local", OPEN) || "").split(" "));
   const reopen = () => {

@@ -95,7 +95,7 @@
     sendCamera: () => window.__viserMutable?.sendCamera?.(),
     // The quaternion (w, x, y, z) from the server's axes to those of the page; nothing before viser has it.
     axes: () => window.__viserSceneTree?.getState()[""]?.wxyz,
-    // Whether viser shades its panels; null while they are not in the page.
+    // True if viser shades its panels; null while they are not in the page.
     shaded: () => {
       const shade = document.querySelector("#lpn-header, #lpn-status")?.closest(SELECTORS.shade);
       return shade ? parseFloat(shade.style.opacity) < 1 : null;
