@@ -111,7 +111,7 @@ def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] 
         return f"T{wrong}"
     mended = sum(verdicts_of_all[row].sign is True for row in listed.tolist())
     all_of_them = f"all {mended:,}" if mended == len(listed) else f"{mended:,} of these {len(listed):,}"
-    return f"By their look alone, t{wrong} By their details, {all_of_them} are placed all the same."
+    return f"By their look alone, t{wrong} Laid over the map by their details, {all_of_them} are placed all the same."
 
 
 def _sentence(analysis: StateAnalysis) -> str:

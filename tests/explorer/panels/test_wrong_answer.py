@@ -85,6 +85,7 @@ def test_kinds_that_fail_more_often_are_named(workspace: Workspace, monkeypatch:
         monkeypatch.setattr(workspace, "outcomes", lambda _, columns=columns: (outcomes, columns))
         shown = text(page(workspace, state))
         assert said in shown
+        assert 'class="reason"' not in page(workspace, state), "a reason takes focus and sight"
         assert ("It is of a kind that fails more often: pictures whose height" in shown) == (heights is low)
 
 
