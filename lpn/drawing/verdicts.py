@@ -106,8 +106,10 @@ def describe_lead_place(
         most = "most, alike," if several else "most"
         text = f"{capitalised(which)} {verb} {most} for {names[0]} ({percent} % of what speaks for it)"
     position = describe_position(place.cells, query_view)
+    central = all("centre" in part_names[part] for part in place.parts)
+    if central:  # the middle of the picture is no side of it
+        whose = f"this {say('part')}"
     if position == "all around":
-        central = all("centre" in part_names[part] for part in place.parts)
         position = "all around the middle" if place.cells.any() and not central else ""
     elif query_view == "satellite":
         position = f"above all in the {position} of {whose}"
