@@ -173,20 +173,20 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kind
 
 
 def _scale(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
-    """Say if a photo that is laid over the map shows ground of another width than the answer."""
-    task, located = analysis.task, workspace.located(analysis)
+    """Say if a photo that is laid over the map shows ground of another width than the answer, and that than the right one."""
+    task, located, positive = analysis.task, workspace.located(analysis), analysis.positive
     query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
+    right = None if positive is None or positive.beyond else task.gallery[positive.index].cut
     registered = None if located is None else located.stages.get("registration")
     if registered is None or not registered.accepted or registered.width is None:
         return []
-    if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut):
+    if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(right, WindowCut):
         return []
     side, size = query.share * registered.width, tile.window.size
-    if max(side / size, size / side) < _SCALE:
+    if max(side / size, size / side) < _SCALE or round(size) == round(right.window.size):
         return []
-    return [
-        f"The scales differ: the photo's square shows {side:.0f} m of ground from side to side, this answer {size:.0f} m."
-    ]
+    others = f"this answer {size:.0f} m and the right one {right.window.size:.0f} m"
+    return [f"The scales differ: the photo's square shows {side:.0f} m of ground from side to side, {others}."]
 
 
 def _look_alike(analysis: StateAnalysis) -> list[str]:

@@ -563,7 +563,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
     assert "By their look alone, the first answer is wrong for 5 of 30 pictures (17 %)." in of_wrong
     assert "and chose one that lies 50 m to the south-west; the right one came 2nd." in of_wrong
-    assert "the photo's square shows 45 m of ground from side to side, this answer 26 m." in of_wrong
+    assert (
+        "the photo's square shows 45 m of ground from side to side, this answer 26 m and the right one 100 m."
+        in of_wrong
+    )
     # The first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]
