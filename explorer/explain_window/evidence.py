@@ -38,7 +38,13 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     pair = analysis.pair_evidence
     if pair is None or pair.correspondences is None:
         reason = analysis.task.without_picture(analysis.chosen.index)
-        return render("explain/evidence", evidence=None, without_cells=workspace.without_cells, reason=reason)
+        return render(
+            "explain/evidence",
+            evidence=None,
+            without_cells=workspace.without_cells,
+            network=workspace.model is not None,
+            reason=reason,
+        )
     evidence, part = pair.evidence, analysis.state.heat_part
     views = (analysis.task.query_view, analysis.task.gallery_view)
     cells = evidence.cell_maps(part)

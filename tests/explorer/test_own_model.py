@@ -197,6 +197,7 @@ def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Wo
     why = "Parts gives 4 parts for a picture and no cells (parts only: the model gives no cells)"
     for page in (evidence.page, activation.page, region.page):
         assert why in page(analysis, without_cells)
+    assert "lpn explain --covering" in evidence.page(analysis, without_cells)
     assert "heatmap" not in pages.keys(without_cells)
     # The ranking needs no cells.
     np.testing.assert_allclose(analysis.ranking.cosines, analysed(regions).ranking.cosines, atol=1e-5)
