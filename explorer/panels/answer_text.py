@@ -89,7 +89,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         if (of_map := _on_map(analysis, workspace)) is not None:
             right, headline, sentence = of_map
             return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
-        elsewhere, far = _elsewhere(analysis), _far(analysis, workspace)
+        elsewhere, far = _elsewhere(analysis, workspace), _far(analysis, workspace)
         place = (
             f"{elsewhere}, so no answer can be right" if elsewhere else _beside_tag(analysis, workspace, "this tile")
         )
@@ -117,7 +117,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     if analysis.ranking.relevant is None:
         if (of_map := _on_map(analysis, workspace)) is not None:
             return of_map
-        elsewhere, text = _elsewhere(analysis), f"This is the most similar of {pictures}."
+        elsewhere, text = _elsewhere(analysis, workspace), f"This is the most similar of {pictures}."
         if elsewhere:
             return (
                 None,
@@ -166,7 +166,7 @@ def flight_verdict(
         return look, None
     verdict = belief(located, disagreements([located]))
     if verdict.stage != "registration":
-        return look, (verdict.sign, verdict.headline, "Its details fit nowhere for sure.")
+        return look, (verdict.sign, verdict.headline, "Its details fit nowhere well enough.")
     return look, (verdict.sign, verdict.headline, _beside_look(analysis, look[0]))
 
 
@@ -207,7 +207,7 @@ def _on_map(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
     if not _compared(analysis):
         return None
     text = f"This is the most similar of {analysis.task.tiles:,} {pictures_of(analysis.task)}."
-    beside = _elsewhere(analysis) or _beside_tag(analysis, workspace, "this one")
+    beside = _elsewhere(analysis, workspace) or _beside_tag(analysis, workspace, "this one")
     return None, "Being compared with the map", f"{text} {beside}." if beside else text
 
 
@@ -241,12 +241,12 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
     against, headline = "", "On this map"
     if against_tag:
-        against = ", more than the errors of both allow, so one of the two is wrong"
+        against = ", more than the errors of both allow, so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not sign:
         against, headline = (
-            ". Beside its middle the map does not fit it",
-            "On this map, but it does not fit beside its middle",
+            ". Away from its middle it does not fit the map",
+            "On this map, but away from its middle it does not fit",
         )
     off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
     look = " Its look alone agrees."
@@ -297,12 +297,18 @@ def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
     tag = own.located.tag
     if own.answer.accepted:
         against = any("tag" in (one.one, one.other) for one in disagreements([own.located]))
-        return "Ask for the original file: both a GPS tag and a picture can be altered." if against else ""
+        return (
+            "Compare the GPS tags of other photos of its flight: tags can be late or off. Ask for the original file, as both a "
+            "GPS tag and a picture can be altered, too."
+            if against
+            else ""
+        )
     if tag is None:
         return "Ask for the original file, whose GPS tag tells where to look, or for a photo that looks straight down."
     if basemap.metres_off(tag) > max(basemap.sides):
         return (
-            "It takes a map of the place of its GPS tag. If it is said to be of this place, ask for the original file."
+            "To check the place of its GPS tag, a map of that place is needed. If the picture is said to be of this place, "
+            "ask for the original file."
         )
     return "Ask for the original file, or for a photo of the same place that looks straight down and shows more of the ground."
 
@@ -397,9 +403,11 @@ def _tag_error(workspace: Workspace) -> float:
     return max(SIGMAS * TAG_RADIUS, 0.0 if audit is None else audit.largest)
 
 
-def _elsewhere(analysis: StateAnalysis) -> str:
+def _elsewhere(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say that no tile is near the GPS tag of the user's own picture; "" if one is, or without a tag."""
     nearest = _far_tag(analysis)
+    if nearest is not None and shows_rendered(workspace.root):
+        return "These are of a rendered place, and your picture's GPS tag is of a real one"
     return "" if nearest is None else f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them"
 
 
@@ -446,7 +454,7 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
             else ""
         )
         return " ".join(filter(None, (tried, _of_map(analysis, workspace))))
-    if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis)):
+    if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis, workspace)):
         return ""
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
         return ""
@@ -503,9 +511,11 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
 
 def doubts(workspace: Workspace) -> str:
     """Say which photos of a flight that their details place are in doubt, and how many; "" without any."""
-    by_tag, by_map = map(len, _doubted(workspace))
+    of_tag, of_map = _doubted(workspace)
+    by_tag, by_map = len(of_tag), len(of_map - of_tag)
+    further = " more" if by_tag else ""
     kinds = [f"whose GPS tag lies elsewhere ({by_tag} here)"] if by_tag else []
-    kinds += [f"that does not fit the map beside its middle ({by_map} here)"] if by_map else []
+    kinds += [f"that does not fit the map away from its middle ({by_map}{further} here)"] if by_map else []
     return f"In doubt is a photo {', or one '.join(kinds)}." if kinds else ""
 
 

@@ -17,7 +17,7 @@ from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.navigation import Navigation
-from explorer.panels.radius_text import with_radius
+from explorer.panels.radius_text import radius_is_no_limit, with_radius
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.coordinates import MapCoordinate
@@ -36,7 +36,7 @@ from lpn.drawing import captions, overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
-from lpn.locate.belief import belief, disagreements
+from lpn.locate.belief import belief, disagreements, doubt_clause
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.retrieval import heading_is_certain
@@ -250,6 +250,7 @@ def page(
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
         next_step=answer_text.next_step(analysis, workspace),
         trust=answer_text.trust(analysis, workspace),
+        no_limit=radius_is_no_limit(registered, workspace),
         bring=_BRING,
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
@@ -372,8 +373,10 @@ def _because(
     photo = "your picture" if analysis.state.upload else "the photo"
     known = f"{_details(details, photo) or 'They fit this map'}: they place it."
     if not details.accepted:
-        known = "They fit nowhere on this map for sure."
-    return [("By its details", [known]), (f"By its look{', which errs' if wrong else ''}", sentences)]
+        known = "They fit nowhere on this map well enough to place it."
+    contradictions = [] if located is None else disagreements([located])
+    doubts = [f"But {doubt_clause(one)}." for one in contradictions if one.one == "registration"]
+    return [("By its details", [known, *doubts]), (f"By its look{', which errs' if wrong else ''}", sentences)]
 
 
 def _off_map(share: float) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from markupsafe import Markup
 
 from explorer.web.terms import explained
@@ -25,13 +27,26 @@ def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> 
     return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
 
 
+def radius_is_no_limit(answer: StageRecord | None, workspace: Workspace) -> str:
+    """Say in a sentence how often the radius of an accepted answer should hold, and if a check confirms it; "" without one."""
+    if answer is None or answer.radius is None or not answer.accepted:
+        return ""
+    first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
+    check = _calibration(workspace)
+    unconfirmed = check is not None and check[3] < _CONFIRMED
+    return (
+        f"± {answer.radius:.1f} m is no limit: it should hold for {first:.0f} of 100 photos, and twice as much for {second:.0f}"
+        f"{', which the check of this flight does not confirm' if unconfirmed else ''}."
+    )
+
+
 def _meaning(answer: StageRecord, workspace: Workspace) -> str:
     assert answer.radius is not None
     radius = answer.radius
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     sentences = [
-        f"± {radius:.1f} m is 1 sigma along each axis, east and north. If the errors are as estimated, {first:.0f} of 100 places "
-        f"lie within {radius:.1f} m of the true one, and {second:.0f} within {2 * radius:.1f} m."
+        f"± {radius:.1f} m is no limit. If the errors are as estimated, {first:.0f} of 100 places lie within {radius:.1f} m of "
+        f"the true one, and {second:.0f} within {2 * radius:.1f} m: it is 1 sigma along each axis, east and north."
     ]
     basemap = workspace.basemap
     if basemap is not None and answer.on_earth:
@@ -46,17 +61,23 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
 
 def _check(workspace: Workspace) -> str:
     """Return how many of the flight's places lie within 1, 2, and 3 radii of their GPS tags; "" where none has both."""
-    summary = None if workspace.flight is None else workspace.flight.summaries().get("registration")
-    if summary is None or not summary.calibration:
+    calibration = _calibration(workspace)
+    if calibration is None:
         return ""
     shares, right = (
-        f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (summary.calibration, RIGHT_CALIBRATION)
+        f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (calibration, RIGHT_CALIBRATION)
     )
     whose = "places" if workspace.flight is None or workspace.flight.rendered else "GPS tags"
-    text = f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {whose}; {right} are right."
-    if summary.calibration[3] >= _CONFIRMED:
+    text = f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {whose}, where {right} should."
+    if calibration[3] >= _CONFIRMED:
         return text
     return (
         f"{text} So the check does not confirm the radius: tags that are late or wrong would do the same, and so would a radius "
         "that is too small."
     )
+
+
+def _calibration(workspace: Workspace) -> Mapping[int, float] | None:
+    """Return the percentages of a flight's registrations within 1, 2, and 3 radii of their tags; None where none has both."""
+    summary = None if workspace.flight is None else workspace.flight.summaries().get("registration")
+    return None if summary is None else summary.calibration or None

@@ -109,9 +109,11 @@ def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] 
     wrong = f"he first answer is wrong for {len(listed):,} of {graded:,} pictures ({100 * len(listed) / graded:.0f} %)."
     if verdicts_of_all is None:
         return f"T{wrong}"
-    mended = sum(verdicts_of_all[row].sign is True for row in listed.tolist())
-    all_of_them = f"all {mended:,}" if mended == len(listed) else f"{mended:,} of these {len(listed):,}"
-    return f"By their look alone, t{wrong} Laid over the map by their details, {all_of_them} are placed all the same."
+    placed = [one for one in map(verdicts_of_all.__getitem__, listed.tolist()) if one.stage == "registration"]
+    all_of_them = f"all {len(placed):,}" if len(placed) == len(listed) else f"{len(placed):,} of these {len(listed):,}"
+    doubted = sum(one.sign is None for one in placed)
+    doubt = f", {doubted:,} of them in doubt" if doubted else ""
+    return f"By their look alone, t{wrong} Laid over the map by their details, {all_of_them} are placed all the same{doubt}."
 
 
 def _sentence(analysis: StateAnalysis) -> str:

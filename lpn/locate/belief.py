@@ -19,7 +19,7 @@ _TILT = 15.0
 # The answers that may contradict a registration, in words.
 _AGAINST = {
     "tag": "its GPS tag disagrees",
-    "map": "the map beside its middle disagrees",
+    "map": "away from its middle it does not fit the map",
     "sequence": "its neighbours disagree",
 }
 
@@ -207,6 +207,11 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         return Belief(None, guess, guess, refused or retrieval.sentence, "retrieval")
     why = _first_refusal(registration, sequence, retrieval) or "No stage has an answer."
     return Belief(False, "Not located", "Not located", why)
+
+
+def doubt_clause(one: Disagreement) -> str:
+    """Return a contradiction of a registration as a clause with its metres, such as "its GPS tag disagrees: 39 m, and ..."."""
+    return f"{_AGAINST[one.other]}: {one.metres:.0f} m, and {one.allowed:.0f} m are allowed"
 
 
 def on_what(answer: StageRecord) -> str:

@@ -312,7 +312,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             None,
             "On this map by its details, elsewhere by its GPS tag",
             "km from there, more than the errors of both",
-            "Ask for the original file: both a GPS tag and a picture can be altered.",
+            "Compare the GPS tags of other photos of its flight: tags can be late or off.",
         ),
         (
             refused,
@@ -322,7 +322,14 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             "merely the most similar",
             "or for a photo of the same place that looks straight down",
         ),
-        (refused, 2e6, False, "Not on this map", "and its GPS tag lies 2,000 km from the map", "It takes a map of"),
+        (
+            refused,
+            2e6,
+            False,
+            "Not on this map",
+            "and its GPS tag lies 2,000 km from the map",
+            "To check the place of its GPS tag",
+        ),
         (refused, 300.0, None, "Probably not on this map", "off the map's border", "Ask for the original file"),
     ):
         assert shown_before.registered is not None

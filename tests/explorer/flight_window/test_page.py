@@ -163,7 +163,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     view = view_of(compared(flight, 0, 4.0, 8.2, 3.2))
     assert view.beliefs[0].sign is None
     card = page.card(view, 0, "x/", agreement=view.flight.frames[0].stages["registration"].agreement)
-    assert "? Placed by its details, ± 1.0 m on this map, but the map beside its middle disagrees" in card
+    assert "? Placed by its details, ± 1.0 m on this map, but away from its middle it does not fit the map" in card
     assert "lie 4.0 m from where the map has them in the median, and 3.0 m are allowed" in card
     lists = page.lists(view)
     assert lists["audit"].count("Places beside its middle lie 4.0 m") == 1

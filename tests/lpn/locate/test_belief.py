@@ -104,7 +104,7 @@ def test_places_beside_the_middle_that_lie_elsewhere_on_the_map_contradict_the_r
         verdict = belief(one, disagreements([one]))
         return verdict.sign, verdict.summary
 
-    doubted = None, "Placed by its details, but the map beside its middle disagrees"
+    doubted = None, "Placed by its details, but away from its middle it does not fit the map"
     assert judged(8.9, 8.9, 15.0) == (True, "Placed by its details")
     assert judged(9.1, 9.1, 9.2) == doubted
     assert judged(15.0, 15.0) == (True, "Placed by its details"), "two places tell too little"
