@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from explorer.flight_window import flight_text, page
 from explorer.flight_window.pictures import encoded, ground, middle_square
+from explorer.flight_window.service import FlightView
 from explorer.panels import answer_text
 from explorer.panels.radius_text import with_radius
 from explorer.web.coordinates import MapCoordinate
@@ -42,6 +45,11 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
     plain = picture.picture if located is None else located.frame.undistorted(picture.picture)
     height, width = picture.picture.shape[:2]
     corners = None if located is None or answer is None else outline(located)
+    agreement = None if answer is None else answer.agreement
+    fit, pins = "", []
+    if located is not None and answer is not None and agreement is not None and answer.homography is not None:
+        fit = flight_text.agreement(FlightView.of(replace(flight, frames=[located]), {}, ""), 0, agreement)
+        pins = page.offsets(np.array(answer.homography).reshape(3, 3), located, agreement)
     job = analysis.own_photo
     sign, headline, sentence = answer_text.plain_verdict(analysis, workspace)
     card = render(
@@ -56,6 +64,9 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
         next_step=answer_text.next_step(analysis, workspace),
         comparing="" if job is None else answer_text.comparing(job),
         at=None if place is None else describe_offset(*place) if flight.rendered else MapCoordinate.on(basemap, place),
+        drone="" if located is None else flight_text.drone(flight, located),
+        agreement=fit,
+        pins=pins,
         camera=answer is not None and answer.camera,
         placed=place is not None,
         tag=tag,
@@ -73,7 +84,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
         },
         "card": card,
         "homography": None if answer is None else answer.homography,
-        "offsets": [],
+        "offsets": pins,
         "corrected": False,
         "size": [width, height],
         "saves": 0,

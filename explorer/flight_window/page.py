@@ -224,14 +224,14 @@ def chosen(
         "frame": frame,
         "card": card(view, frame, address, retrieval_right, agreement),
         "homography": None if laid is None else laid.ravel().tolist(),
-        "offsets": [] if laid is None or agreement is None else _offsets(laid, located, agreement),
+        "offsets": [] if laid is None or agreement is None else offsets(laid, located, agreement),
         "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],
         "saves": saves,
     }
 
 
-def _offsets(laid: Float64Array, located: LocatedFrame, agreement: MapAgreement) -> list[list[float]]:
+def offsets(laid: Float64Array, located: LocatedFrame, agreement: MapAgreement) -> list[list[float]]:
     """Return where a laid photo has its compared places, and from there to where the map has them: metres east and north."""
     pixels = agreement.places * (located.frame.width, located.frame.height) - 0.5
     return _rounded(np.hstack([apply_homography(laid, pixels), agreement.offsets]))

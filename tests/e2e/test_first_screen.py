@@ -306,5 +306,5 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     fresh.get_by_label("Close the flight").click()
 
     send(DEMO_FLIGHT[1] / "LPN_0086.webp")
-    expect(sentence).to_contain_text("Its details fit nowhere on this map")
+    expect(sentence).to_contain_text("Its details fit nowhere on this map", timeout=3000 * PATIENCE)
     expect(captions).to_have_count(2)
