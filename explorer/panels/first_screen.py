@@ -340,9 +340,11 @@ def _because(
     details = None if located is None else located.stages.get("registration")
     if analysis.registered is not None and not analysis.registered.answer.accepted:
         sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
-    wrong = not lead.of_answer
+    errs = not lead.of_answer
+    if located is not None and analysis.registered is not None:
+        errs = (answer_text.answer_off(analysis, located) or 0.0) > 0
     off_map = place_text.share_off_map(task.gallery[analysis.chosen.index])
-    if off_map > 0 and wrong:
+    if off_map > 0 and errs:
         sentences.append(_off_map(off_map))
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
@@ -366,7 +368,7 @@ def _because(
         )
         names = ahead[0], behind[0]
         sentences.append(verdicts.describe_lead_place(place, workspace.part_names, task.query_view, names, whose))
-    if off_map > 0 and not wrong:
+    if off_map > 0 and not errs:
         sentences.append(_off_map(off_map))
     if details is None:
         return [("", sentences)]
@@ -376,7 +378,7 @@ def _because(
         known = "They fit nowhere on this map well enough to place it."
     contradictions = [] if located is None else disagreements([located])
     doubts = [f"But {doubt_clause(one)}." for one in contradictions if one.one == "registration"]
-    return [("By its details", [known, *doubts]), (f"By its look{', which errs' if wrong else ''}", sentences)]
+    return [("By its details", [known, *doubts]), (f"By its look{', which errs' if errs else ''}", sentences)]
 
 
 def _off_map(share: float) -> str:

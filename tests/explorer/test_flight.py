@@ -288,6 +288,15 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert "On the map" in html
     assert html.count("data:image/jpeg") == 3
     assert "How far to trust it" not in html
+    explained = StateAnalyser(workspace).analyse(replace(analysis.state, why=True), 3)
+    explained = replace(explained, own_photo=analysis.own_photo)
+    for off, errs in ((-5.0, False), (5.0, True)):
+        with monkeypatch.context() as patch:
+            patch.setattr(answer_text, "answer_off", lambda *_, off=off: off)
+            reasons = first_screen.page(explained, workspace)
+        assert "details of your picture lie where the map has them: they place it." in reasons
+        assert ("<h2>By its look, which errs</h2>" in reasons) == errs
+        assert ("<h2>By its look</h2>" in reasons) != errs
     refused = shown(other)[0]
     assert workspace.flight is not None
     on_map = own_picture(analysis, workspace, workspace.flight)
@@ -372,7 +381,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert progress.follow(mine) is None
     assert analysis.registered is not None
     answer = weakref.ref(analysis.registered)
-    del analysis, job, of_day
+    del analysis, job, of_day, explained
     gc.collect()
     assert answer() is None, "nothing of the pictures is left when the page has closed"
 

@@ -558,8 +558,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
     assert "? Placed by its details, ± 6.1 m on earth , but away from its middle it does not fit the map." in unfit
     assert "Places beside its middle lie 6 m from where the map has them, and 3 m are allowed." in unfit
-    no_limit = "± 6.1 m is no limit: it should hold for 39 of 100 photos, and twice as much for 86, which the check of this flight"
-    assert f"{no_limit} does not confirm." in unfit
+    no_limit = (
+        "± 6.1 m is no limit: it should hold for 39 of 100 photos, and twice as much for 86, which the check of this"
+    )
+    assert f"{no_limit} flight does not confirm." in unfit
     reasons = text(first_screen.page(analyse(workspace, replace(state, query=bent, why=True)), workspace))
     assert "they place it. But away from its middle it does not fit the map: 6 m, and 3 m are allowed." in reasons
     with speaking(workspace.vocabulary(True)):
