@@ -126,6 +126,7 @@ interface Lpn {
   own: { go(number: number, total: number): Promise<void>; folder(): void; take(files: any[], beyond?: number): unknown };
   upload(): void;
   point(card: HTMLElement | null, name?: string): void;
+  leaveFirst(): void;
   screen(): "" | "first" | "all";
   prefersFirst(): boolean;
   opening(): void;

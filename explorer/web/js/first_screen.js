@@ -18,8 +18,11 @@
 
   const close = () => {
     document.getElementById("lpn-first")?.remove();
+    // A class, as `:has` on the root is looked at again with each change of the page.
+    document.documentElement.classList.remove("lpn-starts");
     document.querySelector(SELECTORS.app)?.removeAttribute("inert");
   };
+  lpn.leaveFirst = close;
 
   const STOPS = "a[href], button, summary, [tabindex]"; // of the keyboard
   const named = (/** @type {HTMLElement} */ one) => one.dataset.act || one.textContent.trim();
@@ -51,6 +54,7 @@
     // A phone's sheet begins at its top when it is next seen.
     if (!before) for (const panel of document.querySelectorAll(`${SELECTORS.sheet} ${SELECTORS.scrolled}`)) panel.scrollTop = 0;
     page.id = "lpn-first";
+    document.documentElement.classList.add("lpn-starts");
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
     const restoreFocus = keptFocus(page), restoreDetails = keptDetails(page);

@@ -84,12 +84,12 @@
   };
   // A flight that goes on, and that has no frame yet.
   flight.waits = (text) => {
-    document.getElementById("lpn-first")?.remove();
+    lpn.leaveFirst();
     flight.sentence(text);
   };
   // Each photo is laid over the map as it comes.
   flight.live = () => {
-    document.getElementById("lpn-first")?.remove();
+    lpn.leaveFirst();
     flight.goesOn = true;
     flight.photo.use("swipe");
     refresh();
