@@ -17,10 +17,11 @@ from playwright.sync_api import Browser, sync_playwright
 from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_MODEL, DEMO_QUERY
 from lpn.core.files import write_atomic
+from lpn.models.timm_networks import import_timm
 from tools.bench.page import ServerProcess
+from tools.fixtures import seeded
 from tools.fixtures.chromium import launch, returning
 from tools.fixtures.processes import free_port
-from tools.fixtures.published_models import golden
 
 # Panels as a new browser has them, and without viser's notice about software WebGL.
 _AS_OPENED = (
@@ -40,7 +41,7 @@ class Shot:
         keys: pressed one after the other.
         baseline: whether the baseline answers.
         beside: whether the baseline is offered for comparison.
-        fsra: whether an FSRA with seeded weights answers, and the demo's LPN is offered for comparison.
+        vit: whether a DINOv2 ViT-S/14 with seeded weights answers by its rings, and the demo's LPN is offered for comparison.
         tab: of the explain window, that is opened.
         choose: a selector of what is pressed then.
         wait: a selector of what is waited for.
@@ -53,7 +54,7 @@ class Shot:
     keys: str = ""
     baseline: bool = False
     beside: bool = False
-    fsra: bool = False
+    vit: bool = False
     tab: str | None = None
     choose: str | None = None
     wait: str | None = None
@@ -80,7 +81,7 @@ SHOTS = (
         wait="#lpn-profile[data-done='24']",
     ),
     Shot("story-constant.webp", "0381/02", "y", tab="Why"),
-    Shot("fsra-beside-lpn.webp", "0445/05", "y", fsra=True, tab="Two models", wait=_BOTH),
+    Shot("dinov2-beside-lpn.webp", "0445/05", "y", vit=True, tab="Two models", wait=_BOTH),
     Shot(
         "flight.webp",
         DEMO_QUERY,
@@ -114,17 +115,27 @@ def main() -> None:
 
 def _take(browser: Browser, shot: Shot, out: Path) -> None:
     with TemporaryDirectory() as folder:
-        model = DEMO_BASELINE if shot.baseline else DEMO_MODEL
-        if shot.fsra:
-            model = Path(folder) / "net_119.pth"
-            torch.save(golden("fsra_vits_b3").state, model)
-        beside = DEMO_MODEL if shot.fsra else DEMO_BASELINE if shot.beside else None
+        model = str(DEMO_BASELINE if shot.baseline else DEMO_MODEL)
+        if shot.vit:
+            model = _seeded_vit(Path(folder))
+        beside = DEMO_MODEL if shot.vit else DEMO_BASELINE if shot.beside else None
         command = [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())]
         command += ["--query", shot.query] if shot.query else []
-        command += [] if shot.address else ["--data", str(DEMO), "--model", str(model)]
+        command += [] if shot.address else ["--data", str(DEMO), "--model", model]
+        command += ["--pooling", "rings:4"] if shot.vit else []
         command += [] if beside is None else ["--beside", str(beside)]
         with ServerProcess(command, dict(os.environ)) as app:
             _open(browser, app.url, shot, out)
+
+
+def _seeded_vit(folder: Path) -> str:
+    """Write a DINOv2 ViT-S/14 of timm with seeded weights, for 126 x 126 pixels; return it as a value of --model."""
+    name = "vit_small_patch14_dinov2"
+    network = import_timm().create_model(name)
+    shapes = {entry: list(tensor.shape) for entry, tensor in network.state_dict().items()}
+    torch.save(seeded.entries(shapes), folder / "dinov2.pth")
+    (folder / "opts.yaml").write_text("h: 126\nw: 126\n")
+    return f"timm:{name}:{folder / 'dinov2.pth'}"
 
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
