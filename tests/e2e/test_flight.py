@@ -169,7 +169,7 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
 
 
 @pytest.mark.slow
-def test_the_map_is_zoomed_about_a_place_and_brought_home(window: FlightPage) -> None:
+def test_the_map_is_zoomed_about_a_place_and_playing_shows_every_frame_as_one_thing(window: FlightPage) -> None:
     place = (25.0, 15.0)  # away from all frames
     where, mouse = window.at(*place), window.page.mouse
 
@@ -196,12 +196,43 @@ def test_the_map_is_zoomed_about_a_place_and_brought_home(window: FlightPage) ->
     window.page.locator("[data-act=in]").dblclick()  # two presses of the button, and no double click on the map
     assert span() / whole == pytest.approx(1.5**2)
     expect(window.verdict_of_frame).to_have_attribute("data-frame", "0")
+    window.page.evaluate(
+        """() => {
+          window.seen = [];
+          new MutationObserver(() => {
+            const flight = document.getElementById("lpn-flight"), find = (what) => flight.querySelector(what);
+            const shown = [
+              Number(find(".verdict").dataset.frame) + 1, parseInt(find(".facts .dim").textContent),
+              parseInt(find(".now").textContent), Number(find(".time canvas").getAttribute("aria-valuenow")),
+            ];
+            requestAnimationFrame(() => requestAnimationFrame(() => window.seen.push([...new Set(shown)])));
+          }).observe(document.querySelector("#lpn-flight .now"), { childList: true, subtree: true });
+        }"""
+    )
+    window.page.get_by_label("frames a second").select_option("10")
+    window.timeline.focus()
+    window.page.keyboard.press("Space")
+    window.expect_frame(5)
+    expect(window.page.locator("[data-act=play]")).to_have_text("▶")
+    seen = window.page.evaluate("window.seen")
+    assert all(len(frames) == 1 for frames in seen), "card, facts, counter, and timeline show one frame"
+    assert list(dict.fromkeys(frames[0] for frames in seen)) in ([1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6])
 
 
 @pytest.mark.slow
-def test_axe_finds_nothing_serious_in_the_flight_window(window: FlightPage) -> None:
+def test_axe_finds_nothing_serious_in_the_flight_window_and_a_spot_lists_the_frames_that_show_it(
+    window: FlightPage,
+) -> None:
     expect(window.page.locator(".entry").first).to_be_visible()
     expect_accessible(window.page)
+    window.page.keyboard.down("Shift")
+    window.page.mouse.click(*window.at(25.0, 15.0))
+    window.page.keyboard.up("Shift")
+    listed = window.page.locator("#lpn-flight .listed")
+    # Pictures are 60 m wide, and 45 m high.
+    expect(listed).to_contain_text("3 of 6 frames show")
+    expect(listed.locator(".entry")).to_have_count(3)
+    assert [one.get_attribute("data-frame") for one in listed.locator(".entry").all()] == ["3", "4", "5"]
 
 
 @pytest.mark.slow
@@ -227,49 +258,7 @@ def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
 
 
 @pytest.mark.slow
-def test_playing_shows_every_frame_as_one_thing_and_ends_at_the_last(window: FlightPage) -> None:
-    window.page.evaluate(
-        """() => {
-          window.seen = [];
-          new MutationObserver(() => {
-            const flight = document.getElementById("lpn-flight"), find = (what) => flight.querySelector(what);
-            const shown = [
-              Number(find(".verdict").dataset.frame) + 1, parseInt(find(".facts .dim").textContent),
-              parseInt(find(".now").textContent), Number(find(".time canvas").getAttribute("aria-valuenow")),
-            ];
-            requestAnimationFrame(() => requestAnimationFrame(() => window.seen.push([...new Set(shown)])));
-          }).observe(document.querySelector("#lpn-flight .now"), { childList: true, subtree: true });
-        }"""
-    )
-    window.page.get_by_label("frames a second").select_option("10")
-    window.timeline.focus()
-    window.page.keyboard.press("Space")
-    window.expect_frame(5)
-    expect(window.page.locator("[data-act=play]")).to_have_text("▶")
-    seen = window.page.evaluate("window.seen")
-    assert all(len(frames) == 1 for frames in seen), "card, facts, counter, and timeline show one frame"
-    assert list(dict.fromkeys(frames[0] for frames in seen)) in ([1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6])
-
-
-@pytest.mark.slow
-def test_scores_are_painted_over_the_map_whole_or_by_a_part(window: FlightPage) -> None:
-    for track in window.page.locator("#lpn-flight [data-track]").all():
-        track.click()
-    plain = window.at_rest(window.map)
-    scores = window.page.locator("#lpn-flight .scores")
-    expect(scores).to_be_hidden()
-    window.page.locator("[data-part=all]").click()
-    expect(scores).to_contain_text("score")
-    whole = window.at_rest(window.map, lambda picture: (np.abs(picture - plain).max(axis=2) > 20).mean() > 0.3)
-    window.page.locator('#lpn-flight [data-part="0"]').click()
-    expect(scores).to_contain_text("cosine of 1 centre")
-    window.at_rest(window.map, lambda picture: (np.abs(picture - whole).max(axis=2) > 8).mean() > 0.05)
-    window.page.locator("[data-part=off]").click()
-    expect(scores).to_be_hidden()
-
-
-@pytest.mark.slow
-def test_a_registered_photo_is_swiped_over_the_place_that_it_shows(window: FlightPage) -> None:
+def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over_the_map(window: FlightPage) -> None:
     def red(x: float, y: float) -> bool:
         """Return whether the page is as red as the photos at a place of the map."""
         left, top = window.at(x, y)
@@ -299,6 +288,19 @@ def test_a_registered_photo_is_swiped_over_the_place_that_it_shows(window: Fligh
     window.eventually(check(False, True, False, False, False))
     window.page.locator("[data-photo=off]").click()
     window.eventually(check(False, False, False, False, False))
+    for track in window.page.locator("#lpn-flight [data-track]").all():
+        track.click()
+    plain = window.at_rest(window.map)
+    scores = window.page.locator("#lpn-flight .scores")
+    expect(scores).to_be_hidden()
+    window.page.locator("[data-part=all]").click()
+    expect(scores).to_contain_text("score")
+    whole = window.at_rest(window.map, lambda picture: (np.abs(picture - plain).max(axis=2) > 20).mean() > 0.3)
+    window.page.locator('#lpn-flight [data-part="0"]').click()
+    expect(scores).to_contain_text("cosine of 1 centre")
+    window.at_rest(window.map, lambda picture: (np.abs(picture - whole).max(axis=2) > 8).mean() > 0.05)
+    window.page.locator("[data-part=off]").click()
+    expect(scores).to_be_hidden()
 
 
 @pytest.mark.slow
@@ -366,18 +368,6 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
     expect(page.locator("#lpn-flight .about")).to_have_text("another")
     assert box(corner)["x"] == pytest.approx(folded, abs=2)
     assert read_corrections(file) == {}
-
-
-@pytest.mark.slow
-def test_a_spot_lists_the_frames_that_show_it(window: FlightPage) -> None:
-    window.page.keyboard.down("Shift")
-    window.page.mouse.click(*window.at(25.0, 15.0))
-    window.page.keyboard.up("Shift")
-    listed = window.page.locator("#lpn-flight .listed")
-    # Pictures are 60 m wide, and 45 m high.
-    expect(listed).to_contain_text("3 of 6 frames show")
-    expect(listed.locator(".entry")).to_have_count(3)
-    assert [one.get_attribute("data-frame") for one in listed.locator(".entry").all()] == ["3", "4", "5"]
 
 
 @pytest.mark.slow

@@ -224,10 +224,10 @@ def test_even_photos_of_caliterra_are_registered_on_a_map_of_the_odd_ones(
         pytest.skip("LPN_FLIGHTS names no folder of real flights")
     pytest.importorskip("orthomosaic")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    files = sorted((Path(os.environ["LPN_FLIGHTS"]) / "caliterra" / "photos").iterdir())
+    files = sorted((Path(os.environ["LPN_FLIGHTS"]) / "caliterra" / "photos").iterdir())[:30]
     assert main(["map", "--from-flight", *map(str, files[::2]), "--out", str(tmp_path / "map")]) == 0
     even = photos_of(files[1::2], "even")
-    chosen = replace(even, frames=even.frames[::6])
+    chosen = replace(even, frames=even.frames[2::4])
     located = locate(open_map(tmp_path / "map"), chosen, None, LocateOptions())
-    assert [frame.stages["registration"].accepted for frame in located.frames] == [True] * 5
+    assert [frame.stages["registration"].accepted for frame in located.frames] == [True] * 4
     assert max(frame.error("registration") or 99.0 for frame in located.frames) < 60
