@@ -46,6 +46,7 @@ def test_a_saved_result_is_explored_without_its_network(
     def shows(weights: tuple[float, ...]) -> None:
         labels = np.array([entry.label for entry in gallery])
         ranking = retrieval.rank(cosines, scoring.part_weights(4, weights), labels, query.label)
+        assert explorer.rows.count() >= 10
         for row, match in zip(explorer.rows.all(), ranking.top(10), strict=False):
             assert row.get_attribute("data-index") == str(match.index)
             assert gallery[match.index].name in row.inner_text()
@@ -54,11 +55,11 @@ def test_a_saved_result_is_explored_without_its_network(
 
     explorer.fill("Find name", "0011")
     explorer.expect_status("name", "0011")
-    shows((1, 1, 1, 1))
+    explorer.eventually(lambda: shows((1, 1, 1, 1)))
     answers = explorer.sequence()
     for key in ("j", "h"):
         explorer.key(key)
     explorer.tab("Parts")
     explorer.tick("Part 1 centre", False)
     expect(explorer.status).to_have_attribute("data-seq", str(answers + 1))  # the keys changed nothing
-    shows((0, 1, 1, 1))
+    explorer.eventually(lambda: shows((0, 1, 1, 1)))

@@ -26,7 +26,7 @@ def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
 
     client = SimpleNamespace(add_notification=add_notification, send_file_download=lambda *_, **__: sent.set())
     Reporter(client, None).make(work, "story", "Export")  # type: ignore[arg-type]
-    assert sent.wait(10)
+    assert sent.wait(60)
     assert (shown[0].title, shown[0].body, shown[0].loading) == (
         "The story is made",
         "The browser saves story.html.",

@@ -123,19 +123,19 @@ def test_a_worker_never_queues_stale_work() -> None:
     def work() -> None:
         value = newest[0]
         started.set()
-        release.wait(10)
+        release.wait(60)
         done.append(value)
         if value == 199:
             last.set()
 
     worker = Worker(work, lambda _: None)
     worker.wake()
-    assert started.wait(10)
+    assert started.wait(60)
     for value in range(200):
         newest[0] = value
         worker.wake()
     release.set()
-    assert last.wait(10)
+    assert last.wait(60)
     time.sleep(0.3)
     worker.stop()
     assert done == [0, 199]
@@ -157,7 +157,7 @@ def test_a_worker_survives_a_failure(error: Exception, traced: bool, caplog: pyt
 
     worker = Worker(work, failed)
     worker.wake()
-    assert answered.wait(10)
+    assert answered.wait(60)
     worker.stop()
     assert [str(e) for e in failures] == ["first"]
     assert [bool(record.exc_info) for record in caplog.records] == [traced]

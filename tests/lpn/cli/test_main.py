@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -10,13 +9,8 @@ import pytest
 from lpn.cli import main
 from lpn.descriptors import open_store
 from tools.fixtures import small_worlds
+from tools.fixtures.trainings import make_resnets_shallow
 from tools.fixtures.without_torch import run_without_torch
-
-
-def run(*arguments: object) -> subprocess.CompletedProcess[str]:
-    """The command as a person runs it."""
-    command = [sys.executable, "-m", "lpn", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=False)
 
 
 def without_torch(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -134,14 +128,17 @@ def test_mistakes_get_one_sentence(
 
 
 @pytest.mark.slow
-def test_train_takes_its_defaults_from_the_named_recipe(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_train_takes_its_defaults_from_the_named_recipe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    make_resnets_shallow(monkeypatch)
     root = small_worlds.make_dataset(tmp_path / "places", train=4, test=2)
     training = ["train", "--data", str(root), "--out", str(tmp_path / "run"), "--recipe", "small"]
     training += ["--size", "64", "--batch", "4", "--epochs", "1", "--n-parts", "2", "--from-scratch"]
     assert main.main(training) == 0
     assert '"backbone": "resnet18"' in capsys.readouterr().out.replace("\n", "")
-    done = run("export", "--model", tmp_path / "run" / "last.safetensors", "--out", tmp_path / "m.onnx")
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    exporting = ["export", "--model", str(tmp_path / "run" / "last.safetensors"), "--out", str(tmp_path / "m.onnx")]
+    assert main.main(exporting) == 0
+    assert capsys.readouterr().err == ""
     assert main.main(["evaluate", "--data", str(root), "--model", str(tmp_path / "m.onnx")]) == 0
     assert "n = 2, 64 x 64" in capsys.readouterr().out

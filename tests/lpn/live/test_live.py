@@ -481,7 +481,7 @@ def test_the_command_locates_what_a_vehicle_sends(
     monkeypatch.setattr(LiveSource, "start", lambda source: (start(source), started.set()))
 
     def fly() -> None:
-        started.wait(10)
+        started.wait(60)
         for i, frame in enumerate(flight.frames[:3]):
             vehicle.tell(frame)
             time.sleep(0.15)  # the telemetry of this frame is the nearest one

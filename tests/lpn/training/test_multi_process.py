@@ -15,7 +15,7 @@ from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import Recipe
 from tests.lpn.training.two_processes import INDEPENDENT, METRIC, RECIPE, trainer
 from tools.fixtures import layouts, small_worlds
-from tools.fixtures.trainings import losses
+from tools.fixtures.trainings import losses, make_resnets_shallow
 
 ROOT = Path(__file__).parents[3]
 
@@ -24,6 +24,12 @@ def torchrun(*arguments: object) -> subprocess.CompletedProcess[str]:
     """Two processes on this machine, as a person starts them."""
     command = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node", "2", *arguments]
     return subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False, timeout=300, cwd=ROOT)
+
+
+@pytest.fixture(autouse=True)
+def _shallow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Train networks of few layers here as the two processes do."""
+    make_resnets_shallow(monkeypatch)
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from lpn.datasets import open_dataset
 from lpn.training.multi_process import ProcessGroup, join
 from lpn.training.recipes import RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
-from tools.fixtures.trainings import QUICK
+from tools.fixtures.trainings import QUICK, make_resnets_shallow
 
 RECIPE = replace(QUICK, epochs=2, batch=8, optimizer="sgd", lr=0.01, dropout=0.0, ema=0.8)
 
@@ -83,4 +83,5 @@ def main(data: Path, out: Path) -> None:
 
 
 if __name__ == "__main__":
+    make_resnets_shallow(pytest.MonkeyPatch())
     main(Path(sys.argv[1]), Path(sys.argv[2]))
