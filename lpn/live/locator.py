@@ -405,7 +405,8 @@ class LiveLocator:
         if radius > ground.side:
             state = "refused"
             sentence = (
-                f"Its 1-sigma radius of {radius:.0f} m is larger than a piece of the map, {ground.side:.0f} m wide."
+                f"Its radius of {radius:.0f} m (1 sigma along each axis) is larger than a piece of the map, "
+                f"{ground.side:.0f} m wide."
             )
         elif point.nearby < CONFIDENCE:
             state = "refused"

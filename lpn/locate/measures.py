@@ -51,8 +51,8 @@ class ErrorSummary:
         if not self.calibration:
             return None
         return (
-            f"Errors of the {stage} within 1, 2, and 3 of its 1-sigma radii: {self.calibration_shares}; right radii, against an "
-            f"exact truth, have {_shares(RIGHT_CALIBRATION)}."
+            f"Errors of the {stage} within 1, 2, and 3 of its radii (1 sigma along each axis): {self.calibration_shares}; "
+            f"right radii, against an exact truth, have {_shares(RIGHT_CALIBRATION)}."
         )
 
 

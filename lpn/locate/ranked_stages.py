@@ -140,7 +140,8 @@ def enter_sequence(
         elif radius > side:
             state = "refused"
             sentence = (
-                f"Its 1-sigma radius of {radius:.0f} m is larger than a piece of the map, {side:.0f} m wide. {sentence}"
+                f"Its radius of {radius:.0f} m (1 sigma along each axis) is larger than a piece of the map, {side:.0f} m wide. "
+                f"{sentence}"
             )
         elif track.nearby[i] < CONFIDENCE:
             state = "refused"

@@ -221,7 +221,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             radius = ""
             for where, value in (("this map", point.radius), ("earth", point.radius_on_earth)):
                 if value is not None and math.isfinite(value):
-                    radius += f" The 1-sigma radius on {where} is {value:.1f} m."
+                    radius += f" The radius on {where} is {value:.1f} m (1 sigma along each axis)."
             description = html.escape(printable(_told(point) + _figures(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:

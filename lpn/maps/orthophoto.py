@@ -277,7 +277,7 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
     open_places = (
         "They are too few, or too nearly of one leg, to tell its error."
         if error is None
-        else f"By their scatter its places have an error of ± {error:.1f} m (1 sigma) along each axis."
+        else f"By their scatter its places have an error of ± {error:.1f} m (1 sigma along each axis)."
     )
     return (
         f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. "
