@@ -15,7 +15,7 @@ from lpn.locate.located import LocatedFrame
 from lpn.maps import Map
 
 # Pixels of a line; share of the flying height that is the depth of a camera's pyramid; and metres of borders above the ground.
-_THICKNESS, _DEPTH, _LIFT = 1.5, 0.12, 1.0
+_THICKNESS, _DEPTH, LIFT = 1.5, 0.12, 1.0
 
 
 class FlightLines:
@@ -87,6 +87,6 @@ def _pieces(
             aspect = located.frame.width / located.frame.height
             cameras.append(frustum(pose, aspect, depth) + np.array([0, 0, lift]))
         if (ground := outline(located)) is not None and ground.registered:
-            up = _LIFT + (0.0 if relief else base)
+            up = LIFT + (0.0 if relief else base)
             grounds.append(border(ground.corners, basemap.heights if relief else None) + np.array([0, 0, up]))
     return np.concatenate(cameras), np.concatenate(grounds)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,7 +13,7 @@ import viser
 
 from explorer.session_state import SessionState
 from explorer.stage.camera import MAP_CENTRE, SIDE, SIGN_CAPTION, SIGN_PICTURE, Viewpoint, oblique_view
-from explorer.stage.flight_lines import FlightLines
+from explorer.stage.flight_lines import LIFT, FlightLines
 from explorer.stage.image_planes import Plane, Rotation, query_title, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
@@ -28,6 +29,7 @@ from lpn.flights import Frame
 from lpn.flights.cameras import rotation
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.coverage import crossing, outline
+from lpn.locate.frustums import border
 from lpn.locate.located import LocatedFrame
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
@@ -37,6 +39,8 @@ _LINE_HEIGHT = 0.2
 _MIN_VIEW = 520.0
 # Width in pixels of other lines, and of the frame of a registered photo, which leads.
 _THIN, _THICK = 3.0, 7.0
+# Straight pieces of each side of that frame where it lies on a relief.
+_PIECES = 40
 # Half the width of the mark of a GPS tag, in stage units.
 _TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
@@ -138,7 +142,7 @@ class GalleryMap:
         model = self._workspace.city
         top = model.top * self._scale if city and model is not None else None
         self._show_tiles(analysis, places, city, 0.03 if top is None else top, pixels)
-        self._show_lines(analysis, places, camera, _LINE_HEIGHT if top is None else top)
+        self._show_lines(analysis, places, camera, city, _LINE_HEIGHT if top is None else top)
         self._lines.thickness = 5.0 if city else _THIN
         self._camera.scale = 0.5 * viewpoint.scale
         self._show_flight(analysis, places, city)
@@ -336,15 +340,20 @@ class GalleryMap:
         flight, basemap = workspace.flight, workspace.basemap
         if flight is None or basemap is None or not state.cameras:
             return self._flight.hide()
-        base = 0.0 if workspace.city is None else workspace.city.base
+        chosen, relief = None if state.upload else state.query, city and basemap.elevation is not None
+        to_stage = partial(self._from_altitudes, places)
+        return self._flight.show(flight.frames, chosen, basemap, self._base, relief, to_stage)
 
-        def to_stage(points: Float64Array) -> Float64Array:
-            ground = (self._from_map(points[:, :2], places) - self._middle) * self._scale
-            return np.asarray(np.column_stack([ground, (points[:, 2] - base) * self._scale]) + MAP_CENTRE, np.float64)
+    @property
+    def _base(self) -> float:
+        """The altitude in metres of the stage's ground."""
+        return 0.0 if self._workspace.city is None else self._workspace.city.base
 
-        chosen = None if state.upload else state.query
-        relief = city and basemap.elevation is not None
-        return self._flight.show(flight.frames, chosen, basemap, base, relief, to_stage)
+    def _from_altitudes(self, places: GalleryGeometry, points: Float64Array) -> Float64Array:
+        """Convert metres in the map's frame and of altitude, (N, 3), to stage units."""
+        ground = (self._from_map(points[:, :2], places) - self._middle) * self._scale
+        lifted = (points[:, 2] - self._base) * self._scale
+        return np.asarray(np.column_stack([ground, lifted]) + MAP_CENTRE, np.float64)
 
     def _from_map(self, points: FloatingArray, places: GalleryGeometry) -> Float64Array:
         """Convert metres in the map's frame, (K, 2), to those that the stage counts, (K, 2)."""
@@ -376,7 +385,7 @@ class GalleryMap:
         return at
 
     def _show_lines(
-        self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, lift: float
+        self, analysis: StateAnalysis, places: GalleryGeometry, camera: Float64Array | None, city: bool, lift: float
     ) -> None:
         """Draw a line to the compared tile, and frame the positive, and the ground of a photo that is registered.
 
@@ -399,6 +408,11 @@ class GalleryMap:
             points = self._from_map(np.vstack([ground.corners, crossing(ground.corners)]), places)
             *corners, middle = [self._to_stage(point, 0.0, lift) for point in points]
             frame = _outline(corners, theme.TRUE_COLOUR)
+            basemap = self._workspace.basemap
+            if city and basemap is not None and basemap.elevation is not None:  # it lies on the relief
+                draped = border(ground.corners, basemap.heights, _PIECES) + np.array([0, 0, LIFT])
+                ends = self._from_altitudes(places, draped.reshape(-1, 3)).reshape(-1, 2, 3)
+                frame = [(one, other, theme.TRUE_COLOUR) for one, other in ends]
             start = middle if camera is None else camera
             self._here.text = "your picture" if own is not None else f"{analysis.name}, by its details"
             self._here.position = max(corners, key=lambda corner: float(corner[1]))

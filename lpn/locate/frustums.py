@@ -11,7 +11,7 @@ from lpn.core.arrays import Float64Array
 from lpn.flights.cameras import rotation
 from lpn.locate.camera_pose import CameraPose
 
-# Straight pieces of each side of a photo's border, which follow the relief.
+# Straight pieces of each side of a photo's border.
 _PIECES = 6
 
 
@@ -31,17 +31,20 @@ def frustum(pose: CameraPose, aspect: float, depth: float) -> Float64Array:
     return np.array([(eye, corner) for corner in corners] + [(corners[i - 1], corners[i]) for i in range(4)])
 
 
-def border(corners: Float64Array, heights: Callable[[Float64Array], Float64Array] | None) -> Float64Array:
+def border(
+    corners: Float64Array, heights: Callable[[Float64Array], Float64Array] | None, pieces: int = _PIECES
+) -> Float64Array:
     """Return the border of the ground that a photo shows in straight pieces, (K, 2, 3) metres east, north, and of altitude.
 
     Args:
         corners: (4, 2) metres in the map's frame.
         heights: of places (N, 2), NaN where they are unknown; pieces without heights are left out. None is flat ground.
+        pieces: straight ones of each side.
     """
-    steps = np.arange(_PIECES)[:, None] / _PIECES
+    steps = np.arange(pieces)[:, None] / pieces
     sides = [corners[i] + steps * (corners[(i + 1) % 4] - corners[i]) for i in range(4)]
     places = np.concatenate([*sides, corners[:1]])
     up = np.zeros(len(places)) if heights is None else heights(places)
     points = np.column_stack([places, up])
-    pieces = np.stack([points[:-1], points[1:]], axis=1)
-    return np.asarray(pieces[np.isfinite(pieces).all(axis=(1, 2))], np.float64)
+    lines = np.stack([points[:-1], points[1:]], axis=1)
+    return np.asarray(lines[np.isfinite(lines).all(axis=(1, 2))], np.float64)

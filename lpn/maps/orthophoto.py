@@ -78,10 +78,7 @@ def build_from_photos(
         raise OutputError(
             f"{printable(str(out))} is there already; choose another folder for the map, or delete that one."
         )
-    try:
-        import orthomosaic
-    except ModuleNotFoundError as error:
-        raise missing_package(error) from error
+    _library()
     _gdal.rasterio()
     place = None if place is None else checked_place(place)
     _check_photos(photos, tags)
@@ -93,11 +90,11 @@ def build_from_photos(
         part.mkdir()
         file = part / f"{name}.tif"
         with _steps(len(photos), on_progress):
-            report = _orthophoto(orthomosaic, photos, file)
+            report = lay_photos(photos, file)
         file.with_name(f"{name}_report.json").unlink()
         on_progress(f"Making overviews of {printable(file.name)}.")
         _make_overviews(file)
-        middles, known = _middles_and_tags(report, photos, tags)
+        middles, known = middles_and_tags(report, photos, tags)
         own = place_error(middles, known)
         notes = [*_left_out(report), _limits(report["images_used"], middles, known, own)]
         write_own_map(file, part, notes, on_progress, heights, place, own).close()
@@ -137,8 +134,22 @@ def _heights(given: ElevationFile, tags: Float64Array) -> ElevationSource:
     return source
 
 
-def _orthophoto(library: Any, photos: Sequence[Path], file: Path) -> dict[str, Any]:
-    """Write the orthophoto, and return the library's report on it."""
+def _library() -> Any:
+    try:
+        import orthomosaic
+    except ModuleNotFoundError as error:
+        raise missing_package(error) from error
+    return orthomosaic
+
+
+def lay_photos(photos: Sequence[Path], file: Path) -> dict[str, Any]:
+    """Write an orthophoto, and return the library's report on it.
+
+    Raises:
+        DataError: if too few of the photos overlap, or have GPS tags that fit them.
+        MissingPackageError: without the library.
+    """
+    library = _library()
     few = (
         f"Too few of the {len(photos)} photos overlap for a map; expected {_LEAST} or more that look straight down, each sharing "
         "half of its ground with the next."
@@ -204,7 +215,7 @@ def _left_out(report: dict[str, Any]) -> list[str]:
     ]
 
 
-def _middles_and_tags(
+def middles_and_tags(
     report: dict[str, Any], photos: Sequence[Path], tags: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
     """Return the middles of the map's photos and their tags, (N, 2) each, in metres of its coordinate reference system."""
