@@ -210,8 +210,8 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
 
 
 def doubt_clause(one: Disagreement) -> str:
-    """Return a contradiction of a registration as a clause with its metres, such as "its GPS tag disagrees: 39 m, and ..."."""
-    return f"{_AGAINST[one.other]}: {one.metres:.0f} m, and {one.allowed:.0f} m are allowed"
+    """Return a contradiction of a registration as a clause with its metres, such as "its GPS tag disagrees: 39 m off, ..."."""
+    return f"{_AGAINST[one.other]}: {one.metres:.0f} m off, where {one.allowed:.0f} m are allowed"
 
 
 def on_what(answer: StageRecord) -> str:

@@ -563,7 +563,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     )
     assert f"{no_limit} flight does not confirm." in unfit
     reasons = text(first_screen.page(analyse(workspace, replace(state, query=bent, why=True)), workspace))
-    assert "they place it. But away from its middle it does not fit the map: 6 m, and 3 m are allowed." in reasons
+    assert "they place it. But away from its middle it does not fit the map: 6 m off, where 3 m are allowed." in reasons
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
