@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import date
 
 import viser
@@ -13,6 +13,7 @@ import viser
 from explorer import session_state, uploads
 from explorer.browse.feeds import Feeds
 from explorer.browse.messages import MOST, MOST_NAMED, BeginBatch, BrowseMessage, CloseOwn, PickOwn, SkipFile
+from explorer.compute.own_photos import OwnPhotoComparisons
 from explorer.server.picture_route import EncodedPicture
 from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
@@ -59,10 +60,16 @@ class _Held:
 
 @dataclass(frozen=True, eq=False)
 class HandedOver:
-    """One browser's own pictures on their way to its next session, and the position of the one that was opened last."""
+    """One browser's own pictures on their way to its next session.
+
+    Attributes:
+        opened: position of the one that was opened last.
+        comparisons: of the pictures with the maps of all places that the page has shown.
+    """
 
     pictures: list[_Held]
     opened: int
+    comparisons: OwnPhotoComparisons = field(default_factory=OwnPhotoComparisons)
 
 
 class HeldBytes:

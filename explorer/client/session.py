@@ -20,7 +20,7 @@ from explorer.client.services import WorkspaceServices
 from explorer.client.views import ClientViews
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
-from explorer.compute.own_photos import OwnPhotoProgress
+from explorer.compute.own_photos import OwnPhotoComparisons
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
@@ -93,7 +93,8 @@ class ClientSession:
             self.views.panels.query.take_over(own)
             self._worker = Worker(self._work, self.views.fail)
             self.views.viewport.watch(self._refit)
-            self._own_photo = OwnPhotoProgress(workspace.own_photos, self._follow_own_photo)
+            self._comparisons = OwnPhotoComparisons() if own is None else own.comparisons
+            self._own_photo = self._comparisons.of(workspace.own_photos, self._follow_own_photo)
             self._ranking_progress = RankingProgress(self.views.panels.answer.show_results, self._worker.wake)
             self._address = PageAddress(
                 workspace,
@@ -145,14 +146,20 @@ class ClientSession:
         self._worker.wake("own photo")
 
     def hand_over(self) -> HandedOver | None:
-        """Return the user's own pictures for the session that is to replace this one."""
-        return self.views.panels.query.hand_over()
+        """Return the user's own pictures, whose comparisons go on, for the session that is to replace this one."""
+        own = self.views.panels.query.hand_over()
+        if own is None:
+            return None
+        self._own_photo.follow(None)
+        self._own_photo.attach(lambda: None)
+        own, self._comparisons = replace(own, comparisons=self._comparisons), OwnPhotoComparisons()
+        return own
 
     def leave(self) -> None:
         """Stop all threads and computations of this browser; it has disconnected."""
         self._address.leave()
         self._ranking_progress.close()
-        self._own_photo.close()
+        self._comparisons.close()
         self._worker.stop()
         self.views.leave()
         self._requests.close()
@@ -315,9 +322,12 @@ class ClientSession:
         return None
 
     def _with_own_photo(self, analysis: StateAnalysis) -> StateAnalysis:
-        """Begin to register the own picture of an analysis, wherever its tag lies, and leave the one before it."""
+        """Begin to register the own picture of an analysis, wherever its tag lies; all are forgotten with the last picture."""
         picture = analysis.state.upload
         windows = [] if picture is None else answer_text.own_windows(analysis)
+        own = self.views.panels.query.own
+        if picture is None and (own is None or not own.held):
+            self._comparisons.forget()
         return replace(analysis, own_photo=self._own_photo.follow(picture, windows))
 
     def _log_line(self, analysis: StateAnalysis, drawing: float) -> str:

@@ -286,7 +286,9 @@ def comparing(job: BackgroundJob[OwnPhoto]) -> str:
     if job.value is not None:
         return ""
     tries = f": {job.done} of {job.total} tries" if job.total else ""
-    return f"Its details are compared with the map, which can take a minute and goes on behind other pictures here …{tries}"
+    return (
+        f"Its details are compared with the map, which can take a minute and goes on whatever this page shows …{tries}"
+    )
 
 
 def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:

@@ -22,7 +22,7 @@ from explorer import opening, session_state
 from explorer.browse.query_list import entries
 from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.compute import own_photos
-from explorer.compute.own_photos import OwnPhotoJobs, OwnPhotoProgress
+from explorer.compute.own_photos import OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
@@ -428,7 +428,10 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
 
     monkeypatch.setattr(own_photos, "register_own_photo", register)
     jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
-    progress, other = OwnPhotoProgress(jobs, lambda: None), OwnPhotoProgress(jobs, lambda: None)
+    progress, of_page = OwnPhotoProgress(jobs, lambda: None), OwnPhotoComparisons()
+    other = of_page.of(jobs, lambda: None)
+    assert of_page.of(jobs, lambda: None) is other, "a page that comes back to a place has its comparisons again"
+    assert of_page.of(None, lambda: None) is not other
     first, second = (OwnPicture("mine.jpg", land()[:side], key=f"{side}") for side in (10, 20))
     of_first = progress.follow(first)
     go_on(1)
@@ -450,7 +453,7 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     assert left is not None
     assert tried.acquire(timeout=60)
     assert other.follow(None) is None
-    other.close()
+    of_page.forget()
     assert left.wait(60)
     assert left.cancelled
     assert answer_text.comparing(left) == ""
