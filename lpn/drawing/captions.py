@@ -28,7 +28,7 @@ def caption(width: int, height: int, palette: Palette = DARK) -> tuple[Image.Ima
 def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float, *shorter: str) -> str:
     """Return the first of several texts that fits a width in pixels; else the last, with an ellipsis.
 
-    Nothing is left of a text that not even two letters would be left of.
+    Nothing is left of a text that less than half would be left of: "46 m ..." is no place.
     """
     for whole in (text, *shorter):
         if draw.textlength(whole, font=font(size)) <= width:
@@ -36,7 +36,7 @@ def fitted(draw: ImageDraw.ImageDraw, text: str, size: int, width: float, *short
     cut = (text, *shorter)[-1]
     while cut and draw.textlength(cut + "...", font=font(size)) > width:
         cut = cut[:-1]
-    return cut + "..." if len(cut) > 1 else ""
+    return cut + "..." if 2 * len(cut) >= len((text, *shorter)[-1]) > 0 else ""
 
 
 def numbered(picture: UInt8Array, number: int, size: int = 30) -> UInt8Array:

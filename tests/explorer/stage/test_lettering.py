@@ -112,6 +112,7 @@ def test_a_text_without_room_is_the_shorter_one_or_left_out() -> None:
     assert captions.fitted(draw, "1 centre", 20, narrow, "1") == "1"
     assert captions.fitted(draw, "satellite 0450", 20, 60, "satellite") == "satel..."
     assert captions.fitted(draw, "satellite 0450", 20, 20, "0450") == ""
+    assert captions.fitted(draw, "46 m W, 18 m N, 37 m wide", 20, 80, "46 m W, 18 m N") == "", "46 m W is another place"
 
 
 @pytest.mark.parametrize(("width", "height"), [(290, 390), (390, 304), *SIZES])
