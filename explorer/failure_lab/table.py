@@ -38,7 +38,7 @@ _HINTS = {
 # The verdicts on photos of a flight in plain words.
 PLAIN_VERDICTS = {
     "registered": "placed by its details",
-    "contradicted": "its GPS tag disagrees",
+    "contradicted": "placed, but in doubt",
     "not verified": "only guessed",
     "not located": "no place",
 }

@@ -21,6 +21,7 @@ from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
 from explorer.lab_choices import CHOICES, LabChoices
 from explorer.reports import Reporter
+from explorer.server.viser_compat import rename_tab
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
@@ -99,7 +100,8 @@ class FailureLabWindow:
         self._map = MapPage(service, feeds, self)
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
-        with self._panel.add_tab("Failure laboratory", viser.Icon.FLASK):
+        self._tab = self._panel.add_tab("Failure laboratory", viser.Icon.FLASK)
+        with self._tab:
             self._bar, self._boxes, self._summary, self._drawer, self._second, self._controls = (
                 Html(gui) for _ in range(6)
             )
@@ -313,6 +315,7 @@ class FailureLabWindow:
             self._service.leave_second(self)
             self._place(None)
             return
+        rename_tab(self._tab, "All pictures" if view.plain else "Failure laboratory")
         tall = lab.covers_stage(self._viewport.width >= map_layout.WIDE)
         self._place(tall)
         self._order.show(view.order)

@@ -7,11 +7,11 @@ import math
 import re
 import time
 from collections.abc import Callable, Iterator
-from contextlib import nullcontext
 from dataclasses import replace
 from threading import Event, Thread
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -337,7 +337,7 @@ class WindowGui:
 
     def add_panel(self, **_: Any) -> Any:
         return SimpleNamespace(
-            add_tab=lambda *_: nullcontext(), float=lambda **_: None, expand=self.expand, visible=False
+            add_tab=lambda label, _: MagicMock(_label=label), float=lambda **_: None, expand=self.expand, visible=False
         )
 
     def expand(self) -> None:
