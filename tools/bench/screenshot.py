@@ -81,7 +81,15 @@ SHOTS = (
         wait="#lpn-profile[data-done='24']",
     ),
     Shot("story-constant.webp", "0381/02", "y", tab="Why"),
-    Shot("dinov2-beside-lpn.webp", "0445/05", "y", vit=True, tab="Two models", wait=_BOTH),
+    Shot(
+        "dinov2-beside-lpn.webp",
+        "0445/05",
+        "y",
+        vit=True,
+        tab="Two models",
+        choose="#lpn-model-comparison a:has-text('Evidence')",
+        wait=f"#lpn-model-comparison:has(a.chosen:has-text('Evidence')) {_BOTH.removeprefix('#lpn-model-comparison ')}",
+    ),
     Shot(
         "flight.webp",
         DEMO_QUERY,

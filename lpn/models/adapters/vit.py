@@ -234,7 +234,14 @@ def _of_name(entries: Entries, name: str) -> TokenNetwork:
             entries.fill(network)
         norm = _held_norm(own, mapped.norm_behind, mapped.channels)
     except ModelFileError as error:
-        raise ModelFileError(f"As timm's {base}: {error}") from error
+        trained = timm_networks.trained_size(name)
+        # Biases of attention, as BEiT's and MaxViT's, are of the size that the network was trained with.
+        whole = (
+            ""
+            if size == trained
+            else f" It was trained with {trained[0]} x {trained[1]} pixels, so set h and w to that."
+        )
+        raise ModelFileError(f"As timm's {base} for {size[0]} x {size[1]} pixels: {error}{whole}") from error
     with torch.inference_mode():
         height, width = mapped.eval()(torch.zeros(1, 3, *size)).shape[2:]
     trunk = CellsAndClass(network, (height, width), mapped.prefix, mapped.channels_last)

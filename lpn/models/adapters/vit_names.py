@@ -21,8 +21,9 @@ from lpn.core.images import MEAN, STD, Triple
 from lpn.models.adapters.entries import Entries
 
 # How a library resamples positions for a picture of another size: bicubically, without or with anti-aliasing, or as the
-# code of DINOv2 without registers, with a scale for sides that are longer by 0.1 than they are.
-Resampling = Literal["plain", "antialiased", "longer"]
+# code of DINOv2 without registers, with a scale for sides that are longer by 0.1 than they are; or bilinearly with
+# anti-aliasing, as SigLIP 2 for pictures of any shape (NaFlex).
+Resampling = Literal["plain", "antialiased", "longer", "bilinear"]
 _LONGER = 0.1
 
 _HALF: Triple = (0.5, 0.5, 0.5)
@@ -91,8 +92,10 @@ class VitTensors:
             scale = [(length + _LONGER) / side for length in grid]
             mapped = F.interpolate(square, scale_factor=scale, mode="bicubic", align_corners=False)
         else:
-            antialias = self.format.resampling == "antialiased"
-            mapped = F.interpolate(square, size=grid, mode="bicubic", align_corners=False, antialias=antialias)
+            bilinear = self.format.resampling == "bilinear"
+            antialias = bilinear or self.format.resampling == "antialiased"
+            mode = "bilinear" if bilinear else "bicubic"
+            mapped = F.interpolate(square, size=grid, mode=mode, align_corners=False, antialias=antialias)
         return mapped.permute(0, 2, 3, 1).reshape(1, -1, width)
 
 
@@ -251,6 +254,14 @@ def _of_transformers(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
             renamed |= _renamed({key: value}, _OUTSIDE)
         else:
             renamed |= {f"blocks.{match[1]}.{name}": one for name, one in _renamed({match[2]: value}, _BLOCK).items()}
+    patches = renamed.get("patch_embed.proj.weight")
+    if (
+        patches is not None
+        and patches.ndim == 2
+        and (side := math.isqrt(patches.shape[1] // 3)) ** 2 * 3 == patches.shape[1]
+    ):
+        # SigLIP 2 (NaFlex) multiplies patches whose colours come last.
+        renamed["patch_embed.proj.weight"] = patches.reshape(-1, side, side, 3).permute(0, 3, 1, 2)
     # A plain MLP of DINOv3 has an "up_proj" without a gate.
     if "blocks.0.mlp.fc1_g.weight" not in renamed:
         renamed = {key.replace(".mlp.fc1_x.", ".mlp.fc1."): value for key, value in renamed.items()}
@@ -307,7 +318,9 @@ def _transformers_format(state: Mapping[str, Tensor]) -> VitFormat:
             norm_before=True,
             class_norm_alone=True,
         )
-    if "embeddings.patch_embedding.weight" in state:
+    if (patches := state.get("embeddings.patch_embedding.weight")) is not None:
+        if patches.ndim == 2:
+            return VitFormat("SigLIP 2", "bilinear", activation="gelu_pytorch_tanh", normalisation=(_HALF, _HALF))
         return VitFormat("SigLIP", activation="gelu_pytorch_tanh", normalisation=(_HALF, _HALF))
     if "embeddings.patch_embeddings.weight" in state:
         return VitFormat("DINOv3", epsilon=1e-5, rotary=True)

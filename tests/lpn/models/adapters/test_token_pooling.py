@@ -176,7 +176,7 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path) -> None:
         lpn.load(file, kind="fsra", pooling="mean")
     with pytest.raises(InputError, match="has no network 'vit_unknown'"):
         lpn.load(f"timm:vit_unknown:{file}", pooling="mean")
-    with pytest.raises(ModelFileError, match=r"^As timm's test_vit: "):
+    with pytest.raises(ModelFileError, match=r"^As timm's test_vit for "):
         lpn.load(f"timm:test_vit:{file}", pooling="mean")
     network = timm_networks.named_network("test_resnet", (64, 64))
     torch.save(network.state_dict(), tmp_path / "resnet.pth")
