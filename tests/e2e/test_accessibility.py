@@ -110,7 +110,8 @@ def test_the_tour_ends_at_any_key_or_press_elsewhere_and_comes_again(explorer: E
     call = page.locator("#lpn-header").get_by_role("button", name="Tour", exact=True)
     call.click()
     expect(card).to_contain_text("1 of 5")
-    page.keyboard.press("Enter")  # its button has the focus
+    expect(card.get_by_role("button", name="Next")).to_be_focused()
+    page.keyboard.press("Enter")
     expect(card).to_contain_text("2 of 5")
     page.keyboard.press("n")
     expect(card).to_have_count(0)

@@ -16,12 +16,20 @@ from explorer.stories.story import Step, Story
 from tests.e2e.conftest import ExplorerPage, RunningApp, started
 
 
-@pytest.fixture
-def story_app(data: Path, model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
-    """The app on places that a test may keep stories beside."""
-    shutil.copytree(data, tmp_path / "places")
-    with started(tmp_path / "places", model_file, tmp_path / "cache") as running:
+@pytest.fixture(scope="module")
+def kept_app(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
+    """The app on places that tests may keep stories beside."""
+    folder = tmp_path_factory.mktemp("stories")
+    shutil.copytree(data, folder / "places")
+    with started(folder / "places", model_file, folder / "cache") as running:
         yield running
+
+
+@pytest.fixture
+def story_app(kept_app: RunningApp) -> Iterator[RunningApp]:
+    """The same, beside which no story is kept yet."""
+    yield kept_app
+    (kept_app.data / "stories.json").unlink(missing_ok=True)
 
 
 def told(page: Page) -> Locator:

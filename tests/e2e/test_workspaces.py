@@ -160,11 +160,15 @@ def test_a_link_to_another_place_stays_the_address_while_that_opens(offer: Offer
 
 
 @pytest.mark.slow
-def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
+def test_a_workspace_that_does_not_open_and_one_that_is_asked_for_twice_leave_one_whole_page(
     offer: Offer, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     explorer = ExplorerPage(new_page())
-    explorer.open(offer.url)
+    explorer.open(f"{offer.url}/?show=broken")
+    said = explorer.page.locator(".mantine-Notification-root", has_text="Not opened: a broken map")
+    expect(said).to_contain_text("The map is not there; give another.")
+    expect_workspace(explorer, "four rings", 4)
+    expect(explorer.page).to_have_url(re.compile(r"\?(?!.*show=)"))
     for _ in range(3):
         chip(explorer, "whole pictures").click()
     notice = explorer.page.locator(".mantine-Notification-root", has_text="Opening whole pictures")
@@ -183,13 +187,3 @@ def test_a_change_that_fails_or_is_asked_for_twice_leaves_one_whole_page(
     expect_workspace(explorer, "four rings", 4)
     explorer.key("n")
     explorer.expect_status("query", "1")
-
-
-@pytest.mark.slow
-def test_a_workspace_that_does_not_open_says_why_and_the_page_stays(offer: Offer, new_page: Callable[[], Page]) -> None:
-    explorer = ExplorerPage(new_page())
-    explorer.open(f"{offer.url}/?show=broken")
-    notice = explorer.page.locator(".mantine-Notification-root", has_text="Not opened: a broken map")
-    expect(notice).to_contain_text("The map is not there; give another.")
-    expect_workspace(explorer, "four rings", 4)
-    expect(explorer.page).to_have_url(re.compile(r"\?(?!.*show=)"))
