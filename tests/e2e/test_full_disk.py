@@ -42,7 +42,7 @@ def open_row(lab: LabPage, row: int) -> str:
 
 
 @pytest.mark.slow
-def test_a_note_is_not_lost_while_the_disk_is_full(
+def test_a_note_a_view_and_a_story_are_not_lost_while_the_disk_is_full(
     places: Path, small_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
     lab = LabPage(new_page())
@@ -88,14 +88,7 @@ def test_a_note_is_not_lost_while_the_disk_is_full(
 
     lab.eventually(saved)  # the message of the save before may still stand there
     expect(message).to_contain_text("Saved in notes.csv")
-
-
-@pytest.mark.slow
-def test_a_story_and_a_view_are_not_lost_while_the_disk_is_full(
-    places: Path, small_app: RunningApp, new_page: Callable[[], Page]
-) -> None:
-    lab = LabPage(new_page())
-    lab.enter(small_app.url)
+    # A view and a story.
     page = lab.page
     filler = fill(places)
     page.locator(".lab-summary a", has_text="Views").click()

@@ -80,7 +80,7 @@ def test_viser_is_named_in_one_script(file: Path) -> None:
     assert bool(named) == (file.name == "viser_compat.js"), "\n".join(named)
 
 
-def test_viser_s_page_is_as_the_scripts_know_it(explorer: ExplorerPage) -> None:
+def test_viser_s_page_is_as_the_scripts_know_it(explorer: ExplorerPage, tmp_path: Path) -> None:
     page = explorer.page
     changed = missing(page, *ALWAYS)
     changed += [name for name, script in TRUE.items() if lacks(page, script)]
@@ -94,6 +94,14 @@ def test_viser_s_page_is_as_the_scripts_know_it(explorer: ExplorerPage) -> None:
     assert not changed, f"viser has changed: {', '.join(changed)}"
     named = {*ALWAYS, *AFTER, *(name for names in WITH.values() for name in names), "palette", *SHEET}
     assert set(page.evaluate("Object.keys(lpn.viser.SELECTORS)")) == named  # each is tried, `SHEET` below
+    # An upload is said in viser's words.
+    page.keyboard.press("Escape")
+    page.wait_for_function("() => !document.querySelector(lpn.viser.SELECTORS.palette)")
+    (tmp_path / "no.png").write_bytes(b"no picture")
+    page.evaluate("lpn.viser.SELECTORS.notificationText = '#none'")  # else the words are replaced at once
+    page.evaluate(HEARD)
+    explorer.upload(tmp_path / "no.png")
+    assert not lacks(page, "heard.some(text => text.includes(lpn.viser.UPLOADED))")
 
 
 def test_a_phone_s_panels_are_as_the_scripts_know_them(
@@ -104,12 +112,3 @@ def test_a_phone_s_panels_are_as_the_scripts_know_them(
     ExplorerPage(page).open(app.url)
     assert not missing(page, *SHEET)
     assert "set_server" in page.evaluate("posted")
-
-
-def test_an_upload_is_said_in_viser_s_words(explorer: ExplorerPage, tmp_path: Path) -> None:
-    (tmp_path / "no.png").write_bytes(b"no picture")
-    page = explorer.page
-    page.evaluate("lpn.viser.SELECTORS.notificationText = '#none'")  # else the words are replaced at once
-    page.evaluate(HEARD)
-    explorer.upload(tmp_path / "no.png")
-    assert not lacks(page, "heard.some(text => text.includes(lpn.viser.UPLOADED))")
