@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import Page, expect
 
 from explorer.live_window.record import LiveRecord
 from explorer.live_window.server import LiveApp
@@ -27,7 +27,7 @@ IN_SIGHT = """() => {
 
 @pytest.mark.slow
 def test_the_page_follows_the_newest_frame_and_lays_its_photo_over_the_map(
-    flight: LocatedFlight, contexts: Callable[..., BrowserContext]
+    flight: LocatedFlight, new_page: Callable[[], Page]
 ) -> None:
     def fix(located: LocatedFrame) -> LiveFix:
         return LiveFix(
@@ -37,7 +37,7 @@ def test_the_page_follows_the_newest_frame_and_lays_its_photo_over_the_map(
     record, port = LiveRecord("live", flight.basemap), free_port()
     app = LiveApp(record, "127.0.0.1", port, make_authenticator("127.0.0.1", None, False, ()))
     try:
-        page = contexts().new_page()
+        page = new_page()
         page.goto(app.link)
         record.send(fix(flight.frames[0]))
         expect(page.locator("#lpn-flight .about")).to_contain_text("photo0.png")

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import ExplorerPage, difference, started
 
@@ -21,7 +21,7 @@ def parts():
 
 @pytest.mark.slow
 def test_a_registered_model_shows_its_own_parts_and_names_its_level(
-    data: Path, tmp_path: Path, contexts: Callable[[], BrowserContext], monkeypatch: pytest.MonkeyPatch
+    data: Path, tmp_path: Path, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     info = tmp_path / "own" / "own_models-1.0.dist-info"
     info.mkdir(parents=True)
@@ -33,7 +33,7 @@ def test_a_registered_model_shows_its_own_parts_and_names_its_level(
     root = Path(__file__).parents[2]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (info.parent, root))))
     with started(data, Path("regions"), tmp_path / "cache") as app:
-        explorer = ExplorerPage(contexts().new_page())
+        explorer = ExplorerPage(new_page())
         explorer.open(app.url)
         expect(explorer.page.locator("#lpn-header")).to_contain_text("Regions of brightness, n = 4")
         expect(explorer.page.locator("#lpn-keys")).to_contain_text("G parts")
@@ -45,7 +45,7 @@ def test_a_registered_model_shows_its_own_parts_and_names_its_level(
         expect(why).to_contain_text("Exact, with the regions of each picture held")
         expect(why).to_contain_text("No cell belongs to part 4 whole picture")
     with started(data, Path("parts"), tmp_path / "cache") as app:
-        explorer = ExplorerPage(contexts().new_page())
+        explorer = ExplorerPage(new_page())
         explorer.open(app.url)
         expect(explorer.page.locator("#lpn-without-cells")).to_contain_text("no cells (parts only")
         expect(explorer.field("Heatmap")).to_be_hidden()

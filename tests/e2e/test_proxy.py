@@ -14,13 +14,13 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import pytest
-from playwright.sync_api import BrowserContext, expect
+from playwright.sync_api import Page, expect
 
 from tests.e2e.conftest import PATIENCE, RunningApp
 from tools.fixtures.processes import free_ports
 from tools.fixtures.small_proxy import SmallProxy
 
-Contexts = Callable[..., BrowserContext]
+NewPage = Callable[[], Page]
 SERVING = Path(__file__).parents[2] / "docs" / "serving.md"
 HOST_LINE = "proxy_set_header Host $http_host;"
 
@@ -40,18 +40,18 @@ def port(app: RunningApp) -> int:
     ],
 )  # fmt: skip
 def test_the_page_names_what_its_proxy_does_wrong(
-    app: RunningApp, contexts: Contexts, options: dict[str, Any], title: str, line: str
+    app: RunningApp, new_page: NewPage, options: dict[str, Any], title: str, line: str
 ) -> None:
     with SmallProxy(port(app), **options) as proxy:
-        page = contexts().new_page()
+        page = new_page()
         page.goto(proxy.url)
         expect(page.locator("#lpn-fault h1")).to_contain_text(title)
         expect(page.locator("#lpn-fault dl")).to_contain_text(line)
 
 
-def test_a_page_whose_host_is_changed_says_so_and_goes_on_once_it_is_not(app: RunningApp, contexts: Contexts) -> None:
+def test_a_page_whose_host_is_changed_says_so_and_goes_on_once_it_is_not(app: RunningApp, new_page: NewPage) -> None:
     with SmallProxy(port(app), host=f"127.0.0.1:{port(app)}", server="nginx/1.22.1") as proxy:
-        page = contexts().new_page()
+        page = new_page()
         page.goto(proxy.url)
         fault = page.locator("#lpn-fault")
         expect(fault.locator("h1")).to_have_text("Another web site may not use this server")
@@ -74,9 +74,9 @@ def test_a_page_whose_host_is_changed_says_so_and_goes_on_once_it_is_not(app: Ru
         pytest.param({"version": "1.0"}, "#part", marks=pytest.mark.slow),
     ],
 )
-def test_the_page_opens_below_a_folder(app: RunningApp, contexts: Contexts, options: dict[str, Any], path: str) -> None:
+def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage, options: dict[str, Any], path: str) -> None:
     with SmallProxy(port(app), **options) as proxy:
-        page = contexts().new_page()
+        page = new_page()
         page.goto(f"http://127.0.0.1:{proxy.port}/{path}" if path else proxy.url)
         expect(page.locator("#lpn-status")).to_have_count(1)
         expect(page.locator("#lpn-loading")).to_have_count(0)
@@ -85,9 +85,9 @@ def test_the_page_opens_below_a_folder(app: RunningApp, contexts: Contexts, opti
 
 
 @pytest.mark.slow
-def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, contexts: Contexts) -> None:
+def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, new_page: NewPage) -> None:
     with SmallProxy(port(app)) as proxy:
-        page = contexts().new_page()
+        page = new_page()
         page.goto(proxy.url)
         expect(page.locator("#lpn-status")).to_have_count(1)
         expect(page.locator("#lpn-loading")).to_have_count(0)
@@ -112,7 +112,7 @@ def running(*command: str) -> Iterator[None]:
         process.wait(60)
 
 
-def opens(contexts: Contexts, address: str) -> None:
+def opens(new_page: NewPage, address: str) -> None:
     """Check that the page opens; the proxy may still be starting."""
     end = time.monotonic() + PATIENCE
     while time.monotonic() < end:
@@ -120,14 +120,14 @@ def opens(contexts: Contexts, address: str) -> None:
             if probe.connect_ex(("127.0.0.1", urlsplit(address).port or 0)) == 0:
                 break
         time.sleep(0.05)
-    page = contexts().new_page()
+    page = new_page()
     page.goto(address)
     expect(page.locator("#lpn-status")).to_have_count(1)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("nginx") is None, reason="nginx is not installed")
-def test_the_documented_blocks_of_nginx_work(app: RunningApp, contexts: Contexts, tmp_path: Path) -> None:
+def test_the_documented_blocks_of_nginx_work(app: RunningApp, new_page: NewPage, tmp_path: Path) -> None:
     (own,), (below,) = blocks("server {"), blocks("location /maps/ {")
     whole, folder = free_ports(2)
     own = re.sub(r"^ *(ssl_|auth_|server_name).*\n", "", own, flags=re.MULTILINE).replace(
@@ -138,18 +138,18 @@ def test_the_documented_blocks_of_nginx_work(app: RunningApp, contexts: Contexts
     text += f"server {{ listen 127.0.0.1:{folder};\n{below} }} }}"
     (tmp_path / "nginx.conf").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
     with running("nginx", "-e", str(tmp_path / "errors"), "-c", str(tmp_path / "nginx.conf")):
-        opens(contexts, f"http://127.0.0.1:{whole}/")
-        opens(contexts, f"http://127.0.0.1:{folder}/maps")
+        opens(new_page, f"http://127.0.0.1:{whole}/")
+        opens(new_page, f"http://127.0.0.1:{folder}/maps")
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(shutil.which("caddy") is None, reason="Caddy is not installed")
-def test_the_documented_blocks_of_caddy_work(app: RunningApp, contexts: Contexts, tmp_path: Path) -> None:
+def test_the_documented_blocks_of_caddy_work(app: RunningApp, new_page: NewPage, tmp_path: Path) -> None:
     (own,), (below,) = blocks("maps.example.org {"), blocks("tools.example.org {")
     whole, folder = free_ports(2)
     own = re.sub(r"basicauth \{.*?\}\n", "", own, flags=re.DOTALL).replace("maps.example.org", f":{whole}")
     text = "{\n admin off\n auto_https off\n}\n" + own + below.replace("tools.example.org", f":{folder}")
     (tmp_path / "Caddyfile").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
     with running("caddy", "run", "--adapter", "caddyfile", "--config", str(tmp_path / "Caddyfile")):
-        opens(contexts, f"http://127.0.0.1:{whole}/")
-        opens(contexts, f"http://127.0.0.1:{folder}/maps")
+        opens(new_page, f"http://127.0.0.1:{whole}/")
+        opens(new_page, f"http://127.0.0.1:{folder}/maps")
