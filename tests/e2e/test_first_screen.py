@@ -201,6 +201,7 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     # What suits, and where it goes, is said before the chooser opens.
     first.locator("[data-act=upload]").tap()
     expect(first.locator(".offer")).to_contain_text("until you close this page, and goes nowhere else")
+    page.evaluate("lpn.firstAgain()")  # as when all pictures are ranked
     assert page.evaluate("window.chooser === undefined")
     first.get_by_role("button", name="Choose pictures").tap()
     assert page.evaluate("window.chooser !== undefined")

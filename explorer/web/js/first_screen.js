@@ -57,7 +57,7 @@
     document.documentElement.classList.add("lpn-starts");
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
-    const restoreFocus = keptFocus(page), restoreDetails = keptDetails(page);
+    const restoreFocus = keptFocus(page), restoreDetails = keptDetails(page), offer = page.querySelector(".offer");
     page.innerHTML = html;
     for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
@@ -73,6 +73,7 @@
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
     const another = query && pair && pair.dataset.query !== query;
     restoreDetails(!another);
+    if (offer && !another) page.querySelector(".acts:has([data-act=upload])")?.after(offer); // an answer to all pictures may come meanwhile
     if (reason && !explained && query) page.querySelector("[data-act=why]")?.focus({ preventScroll: true });
     else restoreFocus(); // a page that opens with a reason has its first stop at the top
     // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room; a screen
