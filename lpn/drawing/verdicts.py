@@ -69,7 +69,8 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     similarity, what = float(weighted.sum()), say("score" if evidence.csls is None else "part cosine")
     constants = float(evidence.query.constants @ evidence.weights)
     if len(names) == 1:
-        text = f"The {what} is {signed(similarity)}, {places.replace('where', 'and above all', 1)}."
+        text = f"The {what} is {signed(similarity)}"
+        text += "." if constants > similarity / 2 > 0 else f", {places.replace('where', 'and above all', 1)}."
     else:
         share = f"{signed(weighted[best])} of {similarity:.3f}"
         text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
