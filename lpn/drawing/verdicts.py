@@ -70,7 +70,7 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     constants = float(evidence.query.constants @ evidence.weights)
     if len(names) == 1:
         text = f"The {what} is {signed(similarity)}"
-        text += "." if constants > similarity / 2 > 0 else f", {places.replace('where', 'and above all', 1)}."
+        text += "." if constants > similarity / 2 > 0 else f", {places.replace('where', 'mainly from where', 1)}."
     else:
         share = f"{signed(weighted[best])} of {similarity:.3f}"
         text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
