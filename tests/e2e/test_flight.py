@@ -9,6 +9,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace as replace_record
 from playwright.sync_api import BrowserContext, Locator, Page, Route, expect
 
 import lpn
@@ -18,6 +19,7 @@ from explorer.opening import open_model
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.flights import Flight, Frame
 from lpn.locate.audit import TagAudit
+from lpn.locate.camera_pose import CameraPose
 from lpn.locate.corrections import read_corrections
 from lpn.locate.located import StageRecord
 from lpn.locate.options import LocateOptions
@@ -166,6 +168,42 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
         "lpn.flight.follow({ address: 'another', frame: { frame: 99, card: '' }, answer: null, scores: null, sequence: 99 })"
     )
     expect(window.verdict_of_frame).to_contain_text("Too few.")
+
+
+@pytest.mark.slow
+def test_the_view_through_a_photo_s_camera_has_a_swipe_follows_the_flight_and_ends_with_a_drag(
+    flight_app: RunningFlight, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    workspace = flight_app.workspace
+    assert workspace.flight is not None
+    monkeypatch.setattr(workspace, "basemap", workspace.flight.basemap)
+    for located, (x, y) in zip(workspace.flight.frames[:2], PLACES[:2], strict=True):
+        pose = CameraPose(x, y, 30.0, 30.0, 0.0, -90.0, 0.0, 90.0, "told", True, 50, np.eye(6).ravel().tolist())
+        answer = replace_record(located.stages["registration"], pose=pose)
+        monkeypatch.setitem(located.stages, "registration", answer)
+    explorer = ExplorerPage(new_page())
+    explorer.open(f"{flight_app.url}?map=1&screen=all&query=photo0.png")
+    through, laid = explorer.page.get_by_role("button", name="Look through"), explorer.page.locator("#lpn-stage-photo")
+    expect(laid).to_have_count(0)
+    through.click()
+    expect(laid).to_be_visible()
+    shown = box(laid)
+    assert shown["width"] / shown["height"] == pytest.approx(SIZE[0] / SIZE[1], rel=0.02)
+    laid.get_by_role("slider").fill("20")
+    expect(laid.locator("img")).to_have_css("clip-path", "inset(0px 80% 0px 0px)")
+    explorer.key("z")
+    expect(laid.get_by_role("slider")).to_have_value("0")
+    explorer.key("n")
+    explorer.expect_status("query", "1")
+    expect(laid.locator("img")).to_be_attached()
+    explorer.page.wait_for_timeout(1000)  # the view stands still
+    canvas = box(explorer.canvas)
+    middle = canvas["x"] + canvas["width"] / 2, canvas["y"] + canvas["height"] / 2
+    explorer.page.mouse.move(*middle)
+    explorer.page.mouse.down()
+    explorer.page.mouse.move(middle[0] + 60, middle[1] + 30, steps=4)
+    explorer.page.mouse.up()
+    expect(laid).to_have_count(0)
 
 
 @pytest.mark.slow
