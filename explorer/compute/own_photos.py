@@ -127,9 +127,8 @@ class OwnPhotoJobs:
             self._turns.take(turn, lambda: report(0, 0))
             if not self._features:
                 self._features = [MapFeatures(self.basemap, matcher) for matcher in open_matchers()]
-            error = self.basemap.default_error
             return register_own_photo(
-                self.basemap, self._features, picture.picture, picture.frame, windows, error, on_progress
+                self.basemap, self._features, picture.picture, picture.frame, windows, on_progress
             )
         finally:
             self._turns.give_back(turn)

@@ -11,6 +11,7 @@ import numpy as np
 from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import describe_point
 from lpn.core.files import printable
+from lpn.core.numbers import error_figure
 from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
@@ -231,7 +232,7 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
     radii, radii_failed = _radii(view.flight, known)
     lines += radii
-    if known.place_error is not None:
+    if known.place_error is not None and known.map_source:
         on_earth = f"± {known.radius:.1f} m on earth, as far as the tags of the map do not all err alike"
     failed = [text for text in (radii_failed, shape_failed) if text]
     checks = f" Not confirmed: {', and '.join(failed)}." if failed else ""
@@ -243,9 +244,12 @@ def _on_map(known: FlightAccuracy) -> AccuracyLine:
     radius = math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
     if known.details is not None and known.map_error:
         assumed = math.sqrt(known.map_error**2 - (known.place_error or 0.0) ** 2)
+        source += f" The scatter of the details gives ± {known.details:.1f} m"
         source += (
-            f" The scatter of the details gives ± {known.details:.1f} m, and ± {assumed:.1f} m are assumed for the "
-            "map, whose places nobody measured."
+            f", and ± {error_figure(assumed)} m are assumed for the map, whose places nobody measured; lpn map --error "
+            "takes what your check points show."
+            if assumed
+            else "."
         )
     return AccuracyLine("On this map", f"± {radius:.1f} m", source)
 
@@ -285,6 +289,12 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
         return (
             "on earth no better than the GPS tags that the map was made by",
             AccuracyLine("The map itself", value, known.map_source),
+        )
+    if known.place_error is not None:
+        return f"± {known.radius:.1f} m on earth", AccuracyLine(
+            "The map itself",
+            f"± {error_figure(known.place_error)} m",
+            "Its places were surveyed: lpn map --error tells their error on earth.",
         )
     return (
         "on earth as good as the map’s georeference, which nothing here checks",

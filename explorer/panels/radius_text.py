@@ -8,6 +8,7 @@ from markupsafe import Markup
 
 from explorer.web.terms import explained
 from explorer.workspace import Workspace
+from lpn.core.numbers import error_figure
 from lpn.drawing.verdicts import listed
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord
@@ -50,10 +51,10 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
     ]
     basemap = workspace.basemap
     if basemap is not None and answer.on_earth:
-        by_tags = "the GPS tags of its photos give it" if placing_sentence(basemap.notes) else "as its file tells it"
+        by_tags = "the GPS tags of its photos give it" if placing_sentence(basemap.notes) else "as it was surveyed"
         sentences.append(
-            f"It joins ± {answer.radius_on_map:.1f} m for the place on this map and ± {answer.place_error:.1f} m for the map's "
-            f"own place on earth: {by_tags}."
+            f"It joins ± {answer.radius_on_map:.1f} m for the place on this map and ± {error_figure(answer.place_error)} m for "
+            f"the map's own place on earth: {by_tags}."
         )
     sentences.append(_check(workspace))
     return " ".join(filter(None, sentences))

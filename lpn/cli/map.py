@@ -42,6 +42,10 @@ class MapCommand:
     """Photos with GPS tags that look straight down, or folders of them, in place of files: an orthophoto is made of them, as if
     the ground were flat. Place and scale are those of the tags."""
 
+    error: float | None = None
+    """Error of the map's places on earth in metres, 1 sigma along each axis, as check points showed it. It is kept in the map,
+    and stands in place of what is assumed else: 3 pixels, and 1 m at least."""
+
     place: str = ""
     """Name of the place, such as "Dripping Springs, Texas"; lpn explore says it."""
     photographed: str = ""
@@ -52,8 +56,14 @@ class MapCommand:
 
         from lpn.core.files import printable
         from lpn.maps.elevation import probes
+        from lpn.maps.folder import add_surveyed_error, checked_error
 
+        if self.error is not None:
+            checked_error(self.error)
         written = self._written(lambda message: print(printable(message), flush=True))
+        if self.error is not None:
+            written.close()
+            written = add_surveyed_error(self.out, self.error)
         for note in written.notes:
             print(printable(note))
         west, south, east, north = written.bounds
@@ -64,6 +74,10 @@ class MapCommand:
             f"{longitude:.6f}, {written.coverage().mean():.0%} of it with data, from {sheets}; the finest has "
             f"{written.resolution:.3g} m per pixel."
         )
+        if written.surveyed_error is not None:
+            print(
+                f"Its places count with the surveyed error of {written.surveyed_error:g} m (1 sigma along each axis)."
+            )
         if written.elevation is not None:
             known = written.heights(probes(written.bounds))
             known = known[np.isfinite(known)]

@@ -37,6 +37,11 @@ def distance(metres: float) -> str:
     return f"{metres:,.0f} m" if metres < 10_000 else f"{metres / 1000:,.0f} km"
 
 
+def error_figure(metres: float) -> str:
+    """Return an error in metres with one digit behind the point, below 10 cm with two that are not 0."""
+    return f"{metres:.1f}" if metres >= 0.1 or metres == 0 else f"{metres:.2g}"
+
+
 def heading_figure(degrees: float | None) -> float | None:
     """Return a heading with one digit from 0.0 to 359.9: 359.97 degrees are 0.0; None for one that is not known or finite."""
     return None if degrees is None or not math.isfinite(degrees) else round(degrees, 1) % 360

@@ -170,7 +170,7 @@ class LiveLocator:
         self._pixels = max(model.input_size)
         self._on_progress = on_progress
         self._features = [MapFeatures(basemap, open_matcher(self.options.matcher))] if self.options.register else []
-        self._map_error = basemap.default_error if self.options.map_error is None else self.options.map_error
+        self._map_error = basemap.total_error(self.options.map_error)
         self._ground: _Windows | None = None
         self._tiles = np.zeros((0, 0, 0), np.float32)
         self._kept: deque[Float32Array] = deque(maxlen=_KEPT)
@@ -436,7 +436,9 @@ class LiveLocator:
             track.heading,
             quick=len(track.ratios) >= _TURNS,
         )
-        answer = with_map_error(register_photo(search), self._map_error, self.basemap.place_error(self._map_error))
+        answer = with_map_error(
+            register_photo(search), self._map_error, self.basemap.place_error(self.options.map_error)
+        )
         if answer.accepted:
             answer = self._continuous(answer, frame)
         self._fresh = answer.accepted

@@ -207,6 +207,7 @@ class LocatedFlight:
             are not known; None if it finds none.
         tags_corrected: whether the frames have these as their tags.
         map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
+        place_error: the part of it that is the error of the map's place on earth, see `Map.place_error`.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """
 
@@ -220,6 +221,7 @@ class LocatedFlight:
     tags_without_lag: Float64Array | None = None
     tags_corrected: bool = False
     map_error: float | None = None
+    place_error: float = 0.0
 
     @property
     def stages(self) -> list[str]:

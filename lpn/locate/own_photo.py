@@ -42,7 +42,6 @@ def register_own_photo(
     photo: UInt8Array,
     frame: Frame | None,
     windows: Sequence[Window],
-    map_error: float,
     on_progress: CountProgress | None = None,
 ) -> OwnPhoto:
     """Register a photo of which nothing needs to be known: neither its place nor its heading, height, or field of view.
@@ -57,7 +56,6 @@ def register_own_photo(
         frame: what the photo's file tells; None if it tells nothing. It is not believed where its tag lies farther off the map
             than the map is wide: then either the photo is of another place, or what it tells is of another photo.
         windows: the most similar ones, about which a large map is searched.
-        map_error: 1-sigma error of the map's places in metres, along each axis.
         on_progress: called before each try with the number of those made, and of all; what it raises ends the search.
     """
     height, width = photo.shape[:2]
@@ -79,5 +77,5 @@ def register_own_photo(
         basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
     )
     answer = compared(basemap, register_photo(search), plain)
-    located.stages["registration"] = with_map_error(answer, map_error, basemap.place_error(map_error))
+    located.stages["registration"] = with_map_error(answer, basemap.default_error, basemap.place_error(None))
     return OwnPhoto(located, whole_map)

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from lpn.core.errors import DataError, InputError
+from lpn.core.numbers import error_figure
 from lpn.core.progress import Progress
 from lpn.flights import Flight
 from lpn.locate.audit import TagAudit, audit_tags, corrected_tags
@@ -119,8 +120,8 @@ def registered(
         on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
     """
     options = replace(options or LocateOptions(), register=True)
-    map_error = located.basemap.default_error if options.map_error is None else options.map_error
-    options = replace(options, map_error=map_error)
+    map_error = located.basemap.total_error(options.map_error)
+    place_error = located.basemap.place_error(options.map_error)
     frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
     published = time.monotonic()
 
@@ -147,10 +148,12 @@ def registered(
     tags = tag_positions(frames)
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     if any(answer.accepted and answer.radius is not None for answer in answers):
-        by_tags = (
-            f", {located.basemap.error:.1f} m by the tags that place it" if located.basemap.tells(map_error) else ""
+        source = f", {place_error:.1f} m by the tags that place it" if place_error else ""
+        if place_error == located.basemap.surveyed_error:
+            source = ", as it was surveyed"
+        notes.append(
+            f"Radii of registrations hold {error_figure(map_error)} m for the error of the map itself{source}."
         )
-        notes.append(f"Radii of registrations hold {map_error:.1f} m for the error of the map itself{by_tags}.")
     moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
     if options.tags == "corrected":
         notes.append(
@@ -165,6 +168,7 @@ def registered(
         notes=[*located.notes, *notes, *_turn_notes(frames)],
         tags_without_lag=moved,
         map_error=map_error,
+        place_error=place_error,
     )
     return found.without_lag() if options.tags == "corrected" else found
 

@@ -18,6 +18,7 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError, PictureError
 from lpn.core.files import cache_folder
+from lpn.core.numbers import error_figure
 from lpn.core.progress import CountProgress, Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
@@ -98,6 +99,7 @@ def register_frames(
     heading: float | None = None
     trail = _digest(key)
     answers: list[StageRecord] = []
+    map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
     for i, located in enumerate(frames):
         # An answer depends on the frames before it, whose widths it takes over.
         trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
@@ -110,8 +112,7 @@ def register_frames(
                 answer = compared(basemap, answer, _photo(located.frame))
                 records.append(trail, answer)
         answers.append(answer)
-        map_error = options.map_error or 0.0
-        located.stages["registration"] = with_map_error(answer, map_error, basemap.place_error(map_error))
+        located.stages["registration"] = with_map_error(answer, map_error, place_error)
         if answer.accepted and answer.width is not None:
             heading = answer.heading
             widths.append(answer.width)
@@ -119,8 +120,8 @@ def register_frames(
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
-    notes = refuse_jumps(frames, options.map_error or 0.0)
-    return notes + correct_radii(frames, answers, options.map_error or 0.0)
+    notes = refuse_jumps(frames, map_error)
+    return notes + correct_radii(frames, answers, map_error)
 
 
 def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:
@@ -184,8 +185,10 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
         place = "camera's place" if answer.camera else "picture's middle"
         where = "earth" if on_earth else "the map"
         sentence += f" The error of the {place} on {where} is ± {radius:.1f} m (1 sigma along each axis)"
-        kind = "are the error of the map" if on_earth else "are assumed for the map"
-        sentence += f", of which ± {map_error:.1f} m {kind}." if map_error else "."
+        on_map = math.sqrt(max(map_error**2 - place_error**2, 0.0))
+        parts = [f"± {error_figure(on_map)} m are assumed for the map"] if on_map else []
+        parts += [f"± {error_figure(place_error)} m are the error of its place"] if on_earth else []
+        sentence += f", of which {' and '.join(parts)}." if parts else "."
     return msgspec.structs.replace(
         answer, radius=radius, sentence=sentence, map_error=map_error, place_error=place_error
     )

@@ -47,7 +47,7 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
         verdicts: of the frames, see `lpn.locate.belief.beliefs`.
     """
     radii, details = [], []
-    place_error = None if flight.map_error is None else flight.basemap.place_error(flight.map_error) or None
+    place_error = flight.place_error or None
     for located, verdict in zip(flight.frames, verdicts, strict=True):
         if verdict.stage not in PLACED or (radius := located.stages[verdict.stage].radius) is None:
             continue

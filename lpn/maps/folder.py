@@ -95,7 +95,7 @@ class MapRecord(msgspec.Struct, frozen=True):
         elevation: of `sheets/elevation.tif`; None without one.
         place: what is known about the place beyond its georeference.
         trials: of single photos on the map; None without.
-        error: see `Map`.
+        error, surveyed_error: see `Map`.
     """
 
     format: str
@@ -108,6 +108,7 @@ class MapRecord(msgspec.Struct, frozen=True):
     place: MapPlace | None = None
     trials: SinglePhotoTrials | None = None
     error: float | None = None
+    surveyed_error: float | None = None
 
 
 def build_map(
@@ -257,7 +258,7 @@ def open_folder(folder: Path) -> Map:
     if record.trials is not None and not record.trials.possible:
         raise DataError(f"{file_name} is damaged: its trials accepted more photos than were tried.")
     elevation = _opened_elevation(folder, record.elevation)
-    return Map(record.name, sheets, frame, shares, elevation, place, record.trials, record.error)
+    return Map(record.name, sheets, frame, shares, elevation, place, record.trials, record.error, record.surveyed_error)
 
 
 def add_trials(folder: Path, trials: SinglePhotoTrials) -> None:
@@ -267,6 +268,28 @@ def add_trials(folder: Path, trials: SinglePhotoTrials) -> None:
         DataError: if map.json is damaged.
     """
     _write(folder, msgspec.structs.replace(_read(folder), trials=trials))
+
+
+def checked_error(metres: float) -> float:
+    """Return a surveyed error of a map in metres, see `Map`.
+
+    Raises:
+        InputError: if it is not a number above 0.
+    """
+    if not 0 < metres < math.inf:
+        raise InputError(f"The map's error is {metres:g} m; expected more than 0, 1 sigma along each axis.")
+    return metres
+
+
+def add_surveyed_error(folder: Path, metres: float) -> Map:
+    """Write the surveyed error of a map into map.json, in place of an earlier one, and open the map.
+
+    Raises:
+        InputError: see `checked_error`.
+        DataError: if map.json is damaged.
+    """
+    _write(folder, msgspec.structs.replace(_read(folder), surveyed_error=checked_error(metres)))
+    return open_folder(folder)
 
 
 def _read(folder: Path) -> MapRecord:
@@ -281,7 +304,9 @@ def _read(folder: Path) -> MapRecord:
             f"{file_name} is damaged, or no map; write the map again with lpn map, in a new folder."
         ) from error
     placed = abs(record.latitude) <= 90 and abs(record.longitude) <= 180
-    if not placed or not 0 <= (record.error or 0.0) < math.inf:
+    surveyed = record.surveyed_error
+    possible = 0 <= (record.error or 0.0) < math.inf and (surveyed is None or 0 < surveyed < math.inf)
+    if not placed or not possible:
         raise DataError(f"{file_name} is damaged; write the map again with lpn map, in a new folder.")
     return record
 

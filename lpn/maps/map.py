@@ -55,6 +55,7 @@ class Map:
         elevation: heights of its ground; None if nothing is known of them.
         place: what is known about its place; None if nothing is.
         trials: of single photos on it; None without.
+        error, surveyed_error: see the attributes.
 
     Attributes:
         name: of the map.
@@ -66,6 +67,8 @@ class Map:
         place: as given; empty for None.
         trials: as given.
         error: 1-sigma error of its places in metres along each axis, as far as the map itself tells it; None if it does not.
+        surveyed_error: that error as a person measured it against known positions, above 0; None without. It stands in place of
+            all others.
 
     Raises:
         DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
@@ -81,9 +84,10 @@ class Map:
         place: MapPlace | None = None,
         trials: SinglePhotoTrials | None = None,
         error: float | None = None,
+        surveyed_error: float | None = None,
     ) -> None:
         self.name, self.elevation, self.place = name, elevation, place or MapPlace()
-        self.trials, self.error = trials, error
+        self.trials, self.error, self.surveyed_error = trials, error, surveyed_error
         self.frame = frame or _frame_of(sheets)
         for sheet in sheets:
             sheet.locate(self.frame)
@@ -127,20 +131,23 @@ class Map:
     def default_error(self) -> float:
         """The 1-sigma error in metres along each axis that its places count with, unless another one is given.
 
-        It is 3 pixels, and at least 1 m; the error that the map tells of itself is added in quadrature.
+        It is the surveyed error. Without one it is 3 pixels, and at least 1 m, and the error that the map tells of itself is
+        added in quadrature.
         """
+        if self.surveyed_error is not None:
+            return self.surveyed_error
         return math.hypot(max(_METRES, _PIXELS * self.resolution), self.error or 0.0)
 
-    def tells(self, error: float) -> bool:
-        """Return whether an error of the map in metres, 1 sigma, is its own, and holds that of its place on earth.
+    def total_error(self, given: float | None) -> float:
+        """Return the error that its places count with: `default_error`, unless a person gave one in metres, 1 sigma."""
+        return self.default_error if given is None else given
 
-        An error that a person gives in place of `default_error` tells nothing of the map's place.
+    def place_error(self, given: float | None) -> float:
+        """Return the part of `total_error` that is the error of its place on earth; 0 if the map does not tell it.
+
+        An error that a person gave for one run tells nothing of the map's place, whatever its value.
         """
-        return bool(self.error) and error == self.default_error
-
-    def place_error(self, error: float) -> float:
-        """Return the part of an error of the map in metres that is the error of its place on earth; 0 if it `tells` none."""
-        return (self.error or 0.0) if self.tells(error) else 0.0
+        return 0.0 if given is not None else self.surveyed_error or self.error or 0.0
 
     def heights(self, xy: Float64Array) -> Float64Array:
         """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).

@@ -41,7 +41,7 @@ def photos_of(sources: Sequence[Path], every: int) -> Iterator[tuple[str, Path]]
 def accepted(basemap: Map, features: Sequence[MapFeatures], file: Path) -> tuple[bool, str]:
     """Register a photo of which its pixels alone are known, and return whether it is accepted, and the sentence."""
     picture = uploads.read(file.name, file.read_bytes()).picture
-    photo = register_own_photo(basemap, features, picture, None, (), basemap.default_error)
+    photo = register_own_photo(basemap, features, picture, None, ())
     if not photo.whole_map:
         raise SystemExit(f"{basemap.name} is too large to be searched as a whole; take a smaller map.")
     return photo.answer.accepted, photo.answer.sentence

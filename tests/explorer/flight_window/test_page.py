@@ -227,9 +227,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert "on earth no better than the GPS tags that the map was made by." in known[0]
     assert known[1][1].source == "Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
     assert placing_sentence([(DEMO_PLACE[0] / "map.json").read_text("utf-8")])
-    monkeypatch.setattr(flight.basemap, "error", 0.6)
-    monkeypatch.setattr(type(flight.basemap), "default_error", 0.8)
-    known = flight_text.accuracy(view_of(replace(flight, map_error=0.8)))
+    known = flight_text.accuracy(view_of(replace(flight, map_error=0.8, place_error=0.6)))
     assert known is not None
     assert known[0].startswith(
         "± 0.8 m on this map (1 sigma along each axis); ± 1.0 m on earth, as far as the tags of the map do not all err alike."
@@ -238,11 +236,17 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
     assert "details gives ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
     # Two of three places by their neighbours, whose radii of 10 m are on the map.
     monkeypatch.delitem(flight.frames[0].stages, "registration")
-    monkeypatch.setattr(flight.basemap, "error", 6.0)
-    monkeypatch.setattr(type(flight.basemap), "default_error", 6.1)
-    known = flight_text.accuracy(view_of(replace(flight, map_error=6.1)))
+    known = flight_text.accuracy(view_of(replace(flight, map_error=6.1, place_error=6.0)))
     assert known is not None
     assert known[0].startswith("± 10.0 m on this map (1 sigma along each axis); ± 11.7 m on earth")
+
+
+def test_a_surveyed_map_tells_its_error_on_earth(flight: LocatedFlight) -> None:
+    known = flight_text.accuracy(view_of(replace(flight, map_error=0.02, place_error=0.02)))
+    assert known is not None
+    assert known[0].startswith("± 1.0 m on this map (1 sigma along each axis); ± 1.0 m on earth.")
+    assert "assumed" not in known[1][0].source
+    assert (known[1][1].figure, known[1][1].source[:25]) == ("± 0.02 m", "Its places were surveyed:")
 
 
 @pytest.mark.usefixtures("plainly")

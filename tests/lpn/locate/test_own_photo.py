@@ -39,7 +39,7 @@ def photo(of: int = 0) -> np.ndarray:
 
 def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, features: list[MapFeatures]) -> None:
     progress: list[tuple[int, int]] = []
-    own = register_own_photo(town, features, photo(), None, [], 1.0, lambda *counts: progress.append(counts))
+    own = register_own_photo(town, features, photo(), None, [], lambda *counts: progress.append(counts))
     assert own.answer.accepted
     assert own.whole_map
     assert np.hypot(own.answer.x - 20.0, own.answer.y + 30.0) < 1.0  # type: ignore[operator]
@@ -50,7 +50,7 @@ def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, f
 
 
 def test_a_photo_of_another_land_is_refused(town: Map, features: list[MapFeatures]) -> None:
-    own = register_own_photo(town, features, photo(of=1), FLOWN, [], 1.0)
+    own = register_own_photo(town, features, photo(of=1), FLOWN, [])
     assert not own.answer.accepted
     assert own.answer.sentence
 
@@ -62,10 +62,10 @@ def test_what_a_file_with_the_tag_of_another_region_tells_is_not_believed(
     far, near = (
         replace(FLOWN, height_above_ground=5.0, latitude=latitude + off, longitude=longitude) for off in (1, 0)
     )
-    own = register_own_photo(town, features, photo(), far, [], 1.0)
+    own = register_own_photo(town, features, photo(), far, [])
     assert own.answer.accepted
     assert own.located.error("registration") == pytest.approx(111_000, rel=0.01)
-    assert not register_own_photo(town, features, photo(), near, [], 1.0).answer.accepted, "10 m across, it tells"
+    assert not register_own_photo(town, features, photo(), near, []).answer.accepted, "10 m across, it tells"
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_a_large_map_is_searched_about_the_most_similar_windows(
     town: Map, features: list[MapFeatures], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ground, "MAX_BLOCKS", 3)
-    near = register_own_photo(town, features, photo(), None, [Window(25.0, -35.0, 60.0)], 1.0)
+    near = register_own_photo(town, features, photo(), None, [Window(25.0, -35.0, 60.0)])
     assert (near.answer.accepted, near.whole_map) == (True, False)
 
 
@@ -99,4 +99,4 @@ def test_what_the_progress_raises_ends_the_search(town: Map, features: list[MapF
         raise InterruptedError(f"{done} of {total}")
 
     with pytest.raises(InterruptedError, match="0 of 4"):
-        register_own_photo(town, features, photo(), None, [], 1.0, leave)
+        register_own_photo(town, features, photo(), None, [], leave)

@@ -70,6 +70,22 @@ def test_a_map_keeps_the_name_of_its_place_and_the_day_of_its_pictures(
         open_map(tmp_path / "map")
 
 
+def test_a_map_keeps_its_surveyed_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = write_geotiff(tmp_path / "ortho.tif", smooth(40, 60))
+    assert main(["map", str(picture), "--out", str(tmp_path / "no"), "--error", "0"]) == 2
+    assert "expected more than 0, 1 sigma along each axis." in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+    assert main(["map", str(picture), "--out", str(tmp_path / "map"), "--error", "0.02"]) == 0
+    assert "count with the surveyed error of 0.02 m (1 sigma along each axis)." in capsys.readouterr().out
+    kept = open_map(tmp_path / "map")
+    assert (kept.default_error, kept.place_error(None)) == (0.02, 0.02)
+    assert (kept.total_error(0.02), kept.place_error(0.02)) == (0.02, 0.0)
+    record = tmp_path / "map" / "map.json"
+    record.write_text(record.read_text().replace('"surveyed_error": 0.02', '"surveyed_error": -1'))
+    with pytest.raises(DataError, match="is damaged"):
+        open_map(tmp_path / "map")
+
+
 def test_options_are_recorded(tmp_path: Path) -> None:
     Image.fromarray(smooth(100, 100)).save(tmp_path / "a.png")
     options = ["--corners", "48", "9", "47.9995", "9.0007", "--bands", "2", "--keep-borders"]

@@ -80,8 +80,8 @@ def test_the_map_of_photos_shows_the_ground_at_its_place(tmp_path: Path, capsys:
     assert made.resolution == pytest.approx(PIXEL, rel=0.02)
     assert made.error is not None
     assert made.error < 0.2
-    assert made.tells(made.default_error)
-    assert not made.tells(40.0), "a person's own figure tells nothing of the map's place"
+    assert made.place_error(None) == made.error
+    assert made.place_error(made.default_error) == 0, "a person's own figure tells nothing of the map's place"
     assert any(f"an error of ± {made.error:.1f} m (1 sigma along each axis)" in note for note in made.notes)
     assert made.default_error == pytest.approx(math.hypot(1.0, made.error))
     record = (out / "map.json").read_text()
