@@ -44,6 +44,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
             without_cells=workspace.without_cells,
             network=workspace.model is not None,
             reason=reason,
+            part_names=workspace.part_names,
         )
     evidence, part = pair.evidence, analysis.state.heat_part
     views = (analysis.task.query_view, analysis.task.gallery_view)

@@ -19,16 +19,14 @@ from lpn.locate.audit import TagAudit
 from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.locate.measures import RIGHT_CALIBRATION
+from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy
 
-# Three right radii hold 99 % of the errors; a smaller share than this says that radii or tags are wrong.
-_RIGHT_SHARE = 90.0
 # The list of contradictions alone would read as if all answers were independent, and equally good.
 EVIDENCE = (
     "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
     "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "
-    "of them errs."
+    "of them errs. What the map has beside a photo's middle is a third."
 )
 WORST = (
     "Contradicted photos come first, by how far they are beyond what their errors allow. The others follow by how far the answer "
@@ -326,7 +324,7 @@ def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyL
     right = ", ".join(f"{share:.0f}" for share in RIGHT_CALIBRATION.values())
     within = summary.calibration[3]
     failed = ""
-    if within >= _RIGHT_SHARE:
+    if within >= CONFIRMED_SHARE:
         verdict = "Radii and tags agree."
     else:
         failed = f"only {within:.0f} % of the GPS tags lie within 3 radii, where {RIGHT_CALIBRATION[3]:.0f} % should"

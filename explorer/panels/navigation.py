@@ -92,7 +92,7 @@ class Navigation:
         return choose
 
     def _step(self, state: SessionState, by: int) -> SessionState:
-        if state.fails and (wrong := wrong_answer.rows(self._workspace, state)) is not None:
+        if state.fails and state.first_screen and (wrong := wrong_answer.rows(self._workspace, state)) is not None:
             chosen = session_state.step_in_order(state, by, wrong, self._count(state)).query
             return session_state.show_fails(state, chosen, self._count(state))
         if state.upload is not None and (own := self.step_own(state, by)) is not None:

@@ -118,9 +118,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         verdict=right,
         headline=headline,
         reason=with_radius(reason, registered, workspace),
-        concluded=None
-        if concluded is None
-        else (concluded[0], with_radius(concluded[1], registered, workspace), concluded[2]),
+        concluded=None if concluded is None else (concluded[0], with_radius(concluded[1], registered, workspace)),
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
         alone=workspace.has_flight and analysis.state.upload is None,
         note=" ".join(

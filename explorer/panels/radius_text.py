@@ -12,11 +12,8 @@ from lpn.core.numbers import error_figure
 from lpn.drawing.verdicts import listed
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord
-from lpn.locate.measures import RIGHT_CALIBRATION
+from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.maps.tag_placed import placing_sentence
-
-# A check that finds fewer of the tags within three radii does not confirm them, see `measures.RIGHT_CALIBRATION`.
-_CONFIRMED = 90.0
 
 
 def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
@@ -34,7 +31,7 @@ def radius_is_no_limit(answer: StageRecord | None, workspace: Workspace) -> str:
         return ""
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     check = _calibration(workspace)
-    unconfirmed = check is not None and check[3] < _CONFIRMED
+    unconfirmed = check is not None and check[3] < CONFIRMED_SHARE
     return (
         f"± {answer.radius:.1f} m is no limit: it should hold for {first:.0f} of 100 photos, and twice as much for {second:.0f}"
         f"{', which the check of this flight does not confirm' if unconfirmed else ''}."
@@ -70,7 +67,7 @@ def _check(workspace: Workspace) -> str:
     )
     whose = "places" if workspace.flight is None or workspace.flight.rendered else "GPS tags"
     text = f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {whose}, where {right} should."
-    if calibration[3] >= _CONFIRMED:
+    if calibration[3] >= CONFIRMED_SHARE:
         return text
     return (
         f"{text} So the check does not confirm the radius: tags that are late or wrong would do the same, and so would a radius "

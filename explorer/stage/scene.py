@@ -22,6 +22,7 @@ from explorer.stage.map_view import Eye, GalleryMap
 from explorer.stage.viewport import Viewport
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import AnyArray, UInt8Array
+from lpn.core.errors import PictureError
 from lpn.core.views import View
 from lpn.drawing import overlays, theme
 from lpn.drawing.part_areas import PartAreas
@@ -254,6 +255,8 @@ class Stage:
         gallery_map = self._map
         assert gallery_map is not None
         with self._framing:
+            if self._viewpoint is None:  # the map has been closed meanwhile
+                return
             gallery_map.bare()
             before, self._looking = self._looking, eye
             if before is not None and not np.allclose(before.position, eye.position):
@@ -265,7 +268,13 @@ class Stage:
             if gallery_map.eye is not eye:  # another photo has come meanwhile
                 return
             self._stand(eye)
-            self._photo = gallery_map.view_of(eye)
+            try:
+                self._photo = gallery_map.view_of(eye)
+            except PictureError:  # its file is gone, which the analysis of the photo says
+                self._looking = None
+                self._on_photo(None)
+                gallery_map.show_photo()
+                return
             self._on_photo({**self._photo, "flips": self._flips})
 
     def _stand(self, eye: Eye) -> None:
@@ -325,8 +334,10 @@ class Stage:
             # A turn around the pulled rings ends with them.
             before, self._viewpoint = self._viewpoint, viewpoint
             if self._looking is not None and viewpoint is not None and self._map is not None:
-                self._map.bare()
-                if self._map.eye is not None:  # one that flies along goes on to the next photo whose pose is known
+                if self._map.eye is None:  # a photo without a pose: the map as it is, without the photo before
+                    self._on_photo(None)
+                else:  # one that flies along goes on to the next photo whose pose is known
+                    self._map.bare()
                     # The page draws nothing of the flight before all else of the analysis is sent.
                     Thread(target=self._look_through, args=(self._map.eye,), name="look", daemon=True).start()
             elif viewpoint != before or (self._exploded and not state.exploded):

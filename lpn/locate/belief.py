@@ -149,7 +149,7 @@ def best_track(flight: LocatedFlight) -> list[TrackPoint]:
                 point,
                 state="contradicted" if verdict.sign is None and stage == "registration" else point.state,
                 doubt=doubts.get((i, stage), ()),
-                reason=verdict.summary,
+                reason=f"{verdict.summary}.",
                 note=verdict.reason,
             )
         )

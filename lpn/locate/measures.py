@@ -14,6 +14,8 @@ from lpn.core.errors import InputError
 WITHIN = (5, 10, 25, 50, 100)
 # Shares in percent of errors that are normal along both axes, 1 - exp(-k^2 / 2), within k standard deviations.
 RIGHT_CALIBRATION = {k: 100 * (1 - math.exp(-(k**2) / 2)) for k in (1, 2, 3)}
+# Three right radii hold 99 % of the errors; a smaller share than this says that radii or truths are wrong.
+CONFIRMED_SHARE = 90.0
 
 
 @dataclass(frozen=True)

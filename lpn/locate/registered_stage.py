@@ -110,7 +110,8 @@ def register_frames(
         elif answer.accepted and answer.agreement is None:  # it was kept before places were compared
             with suppress(PictureError):  # it is gone since then
                 answer = compared(basemap, answer, _photo(located.frame))
-                records.append(trail, answer)
+                if answer.agreement is not None:
+                    records.append(trail, answer)
         answers.append(answer)
         located.stages["registration"] = with_map_error(answer, map_error, place_error)
         if answer.accepted and answer.width is not None:
@@ -187,7 +188,7 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
         sentence += f" The error of the {place} on {where} is ± {radius:.1f} m (1 sigma along each axis)"
         on_map = math.sqrt(max(map_error**2 - place_error**2, 0.0))
         parts = [f"± {error_figure(on_map)} m are assumed for the map"] if on_map else []
-        parts += [f"± {error_figure(place_error)} m are the error of its place"] if on_earth else []
+        parts += [f"± {error_figure(place_error)} m are the error of the map's place"] if on_earth else []
         sentence += f", of which {' and '.join(parts)}." if parts else "."
     return msgspec.structs.replace(
         answer, radius=radius, sentence=sentence, map_error=map_error, place_error=place_error

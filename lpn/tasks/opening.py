@@ -200,7 +200,11 @@ def no_task_error(model: Model, dataset: Dataset) -> DataError:
         return dataset.no_task()
     name, lists = printable(dataset.root.resolve().name), dataset.lists()
     wanted = [f"{role}_{view}" for role in ("query", "gallery") for view in model.views]
-    missing = ", ".join(one for one in wanted if not lists.get(f"test/{one}"))
+    # Pictures of a view may be listed once for both roles. Of a view without any, the layout has none.
+    listed = {key.removeprefix("test/") for key, pictures in lists.items() if pictures}
+    has_views = all(any(view in key for key in listed) for view in model.views)
+    absent = [one for one in wanted if has_views and not listed & {one, one.partition("_")[2]}]
+    missing = ", ".join(absent)
     return DataError(
         f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
         f"{f'mend what is missing there ({missing}), or ' if missing else ''}choose another data set or model."
