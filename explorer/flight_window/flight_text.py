@@ -194,7 +194,9 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
     if answer is None or pose is None:
         return ""
     place = (
-        "there" if answer.camera else f"{describe_point(flight, (pose.east, pose.north))} {_error(pose.radius, ' m')}"
+        "there"
+        if answer.camera
+        else f"{describe_point(flight, (pose.east, pose.north))} {_error(pose.radius, ' m on this map')}"
     )
     height = pose.altitude if pose.flat else pose.height
     if height is not None:

@@ -287,7 +287,7 @@ def test_the_drone_has_a_place_and_a_tilt_that_a_person_would_say(flight: Locate
         return flight_text.drone(flight, replace(frame, stages={"registration": answer}))
 
     said = drone(camera=False)
-    assert "(±\N{NO-BREAK SPACE}1.0 m), 40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
+    assert "(±\N{NO-BREAK SPACE}1.0 m on this map), 40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
     # 3 degrees to the back, which is north, and 4 to the side.
     assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
     assert "The map has no heights" in said

@@ -124,6 +124,7 @@ def test_the_steps_go_around_and_lead_back_to_what_was_shown(workspace: Workspac
     leave = session_state.leave_first_screen
     lab = leave(first, replace(first, lab=True))
     assert leave(lab, replace(lab, lab=False)) == first
+    assert not navigation.next(lab).first_screen  # what lies over the laboratory stays away
     assert not session_state.choose_query(first, 0, queries).fails
     assert not leave(first, replace(first, upload=own.upload)).fails
     links = UrlState(workspace)
