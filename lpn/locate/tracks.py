@@ -249,7 +249,7 @@ def _columns(points: Sequence[TrackPoint]) -> list[str]:
 
 def _told(point: TrackPoint) -> str:
     """Return reason and note in one text."""
-    return f"{point.reason} {point.note}".strip()
+    return " ".join(filter(None, (point.reason, point.note)))
 
 
 def _row(point: TrackPoint) -> dict[str, Any]:
