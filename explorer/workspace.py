@@ -42,7 +42,7 @@ from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
-from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -261,6 +261,11 @@ class Workspace:
         if analysis.state.upload:
             return None if analysis.registered is None else analysis.registered.located
         return None if self.flight is None else self.flight.frames[analysis.state.query]
+
+    def details(self, analysis: StateAnalysis) -> StageRecord | None:
+        """Return how the photo that is shown lies on the map by its details; None while it is not registered."""
+        located = self.located(analysis)
+        return None if located is None else located.stages.get("registration")
 
     @property
     def has_flight(self) -> bool:

@@ -32,7 +32,7 @@ WORST = (
     "Contradicted photos come first, by how far they are beyond what their errors allow. The others follow by how far the answer "
     "that counts lies from the GPS tag, or the correction by hand: the error of both together. Mere guesses are last."
 )
-# What the radius of a place is, wherever one is explained.
+# The size of each radius of a place, in the words that explain it.
 SIGMA = "1 sigma along each axis"
 _METHODS = {
     "retrieval": "the most similar piece of the map",

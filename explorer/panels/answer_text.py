@@ -261,11 +261,9 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
 def _usual(workspace: Workspace) -> str:
     """Return beside the distance of a GPS tag how far those of the flight's photos lie off; "" where that is not known."""
     audit = None if workspace.flight is None else workspace.flight.audit
-    return (
-        ""
-        if audit is None or not audit.frames
-        else f" (those of the flight's photos {distance(audit.median)} in the median)"
-    )
+    if audit is None or not audit.frames:
+        return ""
+    return f" (those of the flight's photos {distance(audit.median)} in the median)"
 
 
 def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
@@ -298,12 +296,11 @@ def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
         return ""
     tag = own.located.tag
     if own.answer.accepted:
-        against = any("tag" in (one.one, one.other) for one in disagreements([own.located]))
+        if not any(one.other == "tag" for one in disagreements([own.located])):
+            return ""
         return (
             "Compare the GPS tags of other photos of its flight: tags can be late or off. Ask for the original file, as both a "
             "GPS tag and a picture can be altered, too."
-            if against
-            else ""
         )
     if tag is None:
         return "Ask for the original file, whose GPS tag tells where to look, or for a photo that looks straight down."

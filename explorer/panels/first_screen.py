@@ -212,7 +212,7 @@ def page(
     positive, third = analysis.positive, None if lead is None else lead.index
     own = analysis.registered
     located = workspace.located(analysis)
-    registered = None if located is None else located.stages.get("registration")
+    registered = workspace.details(analysis)
     laid = None if state.why or wrong else _laid(located, workspace, own is not None)
     if third is None and laid is None and (look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
@@ -337,15 +337,15 @@ def _because(
     tiles = [(_BY_LOOK if by_look else _ANSWER, analysis.chosen.index), (lead.other, lead.index)]
     sentences = []
     located = workspace.located(analysis)
-    details = None if located is None else located.stages.get("registration")
+    details = workspace.details(analysis)
     if analysis.registered is not None and not analysis.registered.answer.accepted:
         sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
     errs = not lead.of_answer
     if located is not None and analysis.registered is not None:
         errs = (answer_text.answer_off(analysis, located) or 0.0) > 0
-    off_map = place_text.share_off_map(task.gallery[analysis.chosen.index])
-    if off_map > 0 and errs:
-        sentences.append(_off_map(off_map))
+    off_map = place_text.off_map(task.gallery[analysis.chosen.index])
+    if off_map and errs:
+        sentences.append(off_map)
     for side in (sign, -sign):
         ahead, behind = tiles if side == sign else tiles[::-1]
         terms, places = side * lead.terms, side * cells.sum(axis=0)
@@ -368,8 +368,8 @@ def _because(
         )
         names = ahead[0], behind[0]
         sentences.append(verdicts.describe_lead_place(place, workspace.part_names, task.query_view, names, whose))
-    if off_map > 0 and not errs:
-        sentences.append(_off_map(off_map))
+    if off_map and not errs:
+        sentences.append(off_map)
     if details is None:
         return [("", sentences)]
     photo = "your picture" if analysis.state.upload else "the photo"
@@ -379,10 +379,6 @@ def _because(
     contradictions = [] if located is None else disagreements([located])
     doubts = [f"But {doubt_clause(one)}." for one in contradictions if one.one == "registration"]
     return [("By its details", [known, *doubts]), (f"By its look{', which errs' if errs else ''}", sentences)]
-
-
-def _off_map(share: float) -> str:
-    return f"{100 * share:.0f} % of this answer is off the map, and black to the model."
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:

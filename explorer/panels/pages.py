@@ -107,8 +107,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
     right, headline, reason = answer_text.verdict(analysis, workspace)
     _, concluded = answer_text.flight_verdict(analysis, workspace, answer_text.plain_verdict(analysis, workspace))
-    located = workspace.located(analysis)
-    registered = None if located is None else located.stages.get("registration")
+    registered = workspace.details(analysis)
     all_parts_off = not analysis.state.parts_left()
     note = analysis.query_note
     if registered is not None and registered.accepted:  # the turn that the search tried would look like another heading

@@ -153,8 +153,8 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kind
     task, answer = analysis.task, analysis.matches[0].index
     tile = task.gallery[answer]
     reasons = []
-    if (black := place_text.share_off_map(tile)) > 0:
-        reasons.append(f"{100 * black:.0f} % of this answer is off the map, and black to the model.")
+    if off_map := place_text.off_map(tile):
+        reasons.append(off_map)
     if disputed:
         reasons.append(
             "By its details the photo lies on this answer, by its GPS tag elsewhere: one of the two is wrong."
@@ -176,10 +176,9 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kind
 
 def _scale(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
     """Say if a photo that is laid over the map shows ground of another width than the answer, and that than the right one."""
-    task, located, positive = analysis.task, workspace.located(analysis), analysis.positive
+    task, registered, positive = analysis.task, workspace.details(analysis), analysis.positive
     query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
     right = None if positive is None or positive.beyond else task.gallery[positive.index].cut
-    registered = None if located is None else located.stages.get("registration")
     if registered is None or not registered.accepted or registered.width is None:
         return []
     if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(right, WindowCut):

@@ -34,7 +34,7 @@ class FlightLines:
             thickness_units="screen",
             visible=False,
         )
-        # What the lines that the browser has were drawn of.
+        # The browser has lines that were drawn of these answers; None before the first.
         self._drawn: object = None
         self._empty = True
 

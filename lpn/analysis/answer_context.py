@@ -219,7 +219,7 @@ class FailingKind:
 
     @property
     def numbers(self) -> str:
-        """How many of the kind failed, and how many of all others, in words."""
+        """The number of the kind that failed, and of all others, in words."""
         rate = self.rate
         others = f"{self.failures - rate.failures:,} of {self.queries - rate.queries:,} others"
         return f"{rate.failures:,} of {rate.queries:,} are wrong, against {others}"

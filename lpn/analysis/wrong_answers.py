@@ -42,7 +42,7 @@ def most_alike(
 ) -> int | None:
     """Return the label of the other place that looks most like a tile to the model; None without another place.
 
-    That is the place of the tile with the highest cosine among those of other places; tiles labelled -1 are left out.
+    Among the tiles of other places, the one with the highest cosine decides; tiles labelled -1 are left out.
 
     Args:
         gallery: (G, n, D), descriptors of a task: each part has length 1/sqrt(n).

@@ -55,7 +55,7 @@ class MapAgreement(msgspec.Struct, frozen=True):
 
     @property
     def places(self) -> Float64Array:
-        """Where the places lie, as shares of the photo's width and height, (N, 2)."""
+        """The places as shares of the photo's width and height, (N, 2)."""
         return np.array(self.rows, np.float64).reshape(-1, 4)[:, :2]
 
     @property

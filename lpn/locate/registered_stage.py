@@ -158,10 +158,8 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
             continue
         for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
             radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
-            changed, place_error = (
-                msgspec.structs.replace(answer, radius=radius),
-                located.stages["registration"].place_error,
-            )
+            changed = msgspec.structs.replace(answer, radius=radius)
+            place_error = located.stages["registration"].place_error
             located.stages["registration"] = with_map_error(changed, map_error, place_error)
         notes.append(
             f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "

@@ -147,8 +147,8 @@ def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a FeatureCollection (RFC 7946): a point per frame and stage, and a line per stage and state but "refused"."""
     features: list[dict[str, Any]] = []
-    columns = _columns(points)
-    for point, row in zip(points, map(_row, points), strict=True):
+    columns, rows = _table(points)
+    for point, row in zip(points, rows, strict=True):
         properties = {name: row[name] for name in columns if name not in ("latitude", "longitude")}
         geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
@@ -236,15 +236,15 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
 def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a table with a row per frame and stage; unknown values are empty."""
     del name
-    columns = _columns(points)
-    return csv_bytes([columns, *([portable(row[name]) for name in columns] for row in map(_row, points))])
+    columns, rows = _table(points)
+    return csv_bytes([columns, *([portable(row[name]) for name in columns] for row in rows)])
 
 
-def _columns(points: Sequence[TrackPoint]) -> list[str]:
-    """Return the columns of some points, without those in which nothing is known."""
+def _table(points: Sequence[TrackPoint]) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the columns of some points, without those in which nothing is known, and the rows with all columns."""
     rows = [_row(point) for point in points]
     known = {name for row in rows for name, value in row.items() if value not in (None, "")}
-    return [name for name in _row(TrackPoint("", "", "refused", "")) if name in known or name in _ALWAYS]
+    return [name for name in _row(TrackPoint("", "", "refused", "")) if name in known or name in _ALWAYS], rows
 
 
 def _told(point: TrackPoint) -> str:

@@ -198,13 +198,12 @@ def no_task_error(model: Model, dataset: Dataset) -> DataError:
     """Return the error for a model and a data set without any of `offered_tasks`."""
     if not (tasks := dataset.tasks()):
         return dataset.no_task()
-    name, lists = printable(dataset.root.resolve().name), dataset.lists()
+    name = printable(dataset.root.resolve().name)
     wanted = [f"{role}_{view}" for role in ("query", "gallery") for view in model.views]
     # Pictures of a view may be listed once for both roles. Of a view without any, the layout has none.
-    listed = {key.removeprefix("test/") for key, pictures in lists.items() if pictures}
+    listed = {key.removeprefix("test/") for key, pictures in dataset.lists().items() if pictures}
     has_views = all(any(view in key for key in listed) for view in model.views)
-    absent = [one for one in wanted if has_views and not listed & {one, one.partition("_")[2]}]
-    missing = ", ".join(absent)
+    missing = ", ".join(one for one in wanted if has_views and not listed & {one, one.partition("_")[2]})
     return DataError(
         f"The test split of {name} is for {', '.join(tasks)}, and the model knows only {' and '.join(model.views)} pictures; "
         f"{f'mend what is missing there ({missing}), or ' if missing else ''}choose another data set or model."

@@ -198,7 +198,7 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     page.keyboard.press("Escape")
     expect(first.locator("h1")).to_be_in_viewport(ratio=1)
     page.evaluate("HTMLInputElement.prototype.click = function () { window.chooser = this; }; 0")
-    # What suits, and where it goes, is said before the chooser opens.
+    # The page says what suits, and where it goes, before the chooser opens.
     first.locator("[data-act=upload]").tap()
     expect(first.locator(".offer")).to_contain_text("until you close this page, and goes nowhere else")
     page.evaluate("lpn.firstAgain()")  # as when all pictures are ranked

@@ -1,4 +1,4 @@
-"""What maps tell of their own error, against what it is: `python -m tools.bench.map_error own|legs|beside [FLIGHT ...]`.
+"""Measure the error that maps tell of themselves: `python -m tools.bench.map_error own|legs|beside [FLIGHT ...]`.
 
 `own` makes maps of all, the odd, and the even photos of each flight, as `lpn map --from-flight` does, and compares the middles of
 the photos on them with registrations of the same photos on the flight's own map; the rendered flight's has exact places. FLIGHT

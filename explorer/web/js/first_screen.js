@@ -61,7 +61,7 @@
     page.innerHTML = html;
     for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
-      // What unfolds below the window's edge comes into sight.
+      // A part that unfolds below the window's edge comes into sight.
       const unfolded = /** @type {HTMLDetailsElement | null} */ (event.target.closest("summary")?.parentElement);
       if (unfolded) setTimeout(() => unfolded.open && unfolded.scrollIntoView({ block: unfolded.offsetHeight > page.clientHeight ? "start" : "nearest" }));
       const pressed = event.target.closest("[data-act]");
@@ -97,7 +97,7 @@
   };
   window.addEventListener("keydown", escaped, true);
 
-  // How far the details of an own picture are compared with the map, wherever the page says it.
+  // Tell how far the details of an own picture are compared with the map, wherever the page says it.
   lpn.comparing = (text) => {
     if (text) document.querySelectorAll(".lpn .comparing .so-far").forEach((line) => (line.textContent = text));
   };

@@ -32,7 +32,7 @@
   flight.range = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
   // The tracks that are switched on, by name.
   flight.tracks = () => (flight.own() ? [] : Object.entries(flight.data.tracks).filter(([name]) => !flight.hidden.has(name)));
-  // What is shown of a person's own picture; it stands alone on the map.
+  // Return the marks of a person's own picture, which stands alone on the map; null without one.
   flight.own = () => flight.followed?.own ?? null;
 
   // Draw the canvases at the next frame of the screen.
@@ -111,7 +111,7 @@
     if (track.state[frame] === 2) return `<span class="term" tabindex="0" data-tip="${escaped(track.reason[frame])}">${SIGNS[2]}</span> `;
     return track.x[frame] === null ? "" : SIGNS[track.state[frame]] + " ";
   };
-  // What the marks on the map are, of tracks that are switched on.
+  // Explain the marks on the map, as far as their tracks are switched on.
   const legend = () => {
     const shown = flight.tracks().map(([, track]) => track), parts = [];
     if (shown.some((track) => track.state.includes(2)))

@@ -126,7 +126,7 @@
       photo.mode = mode;
       approach();
     },
-    // Whether the photo is compared with the map below it, which marks of other photos would hide.
+    // Return true if the photo is compared with the map below it, which marks of other photos would hide.
     compares: () => ["swipe", "blink"].includes(photo.mode) && !flight.root?.classList.contains("live") && !!matrixOf(),
     // A saved or forgotten correction ends the mode; another frame starts anew from what the server has.
     followed: () => {

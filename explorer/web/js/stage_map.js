@@ -121,10 +121,11 @@
     if (onStage || event.pointerType === "mouse") cursor = onStage ? [event.clientX, event.clientY] : null;
   };
 
-  // `given`: the middle of the ground in the stage's units, metres of a unit, and for latitude and longitude the degrees of the
-  // middle and of a metre, null of a rendered place; null without a map.
   // The view that flies has been moved by hand.
   lpn.stopFlying = () => flyAlong(false);
+
+  // `given`: the middle of the ground in the stage's units, metres of a unit, and for latitude and longitude the degrees of the
+  // middle and of a metre, null of a rendered place; null without a map.
   lpn.stageMap = (given) => {
     place = given;
     box.querySelector(".through").hidden = !given?.through && !flying;

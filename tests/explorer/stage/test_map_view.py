@@ -196,7 +196,7 @@ def test_the_other_cameras_of_a_flight_and_the_ground_of_their_photos_are_lines_
         state = SessionState(TASK, 4, map=True)
         analysis = StateAnalyser(workspace).analyse(state, 6)
         shown.show(analysis, Lettering(24, 100.0))
-        # Of both other cameras that are registered 8 edges, and the ground in 4 sides of 6 pieces.
+        # Each of the two other registered cameras has 8 edges, and its ground has 4 sides of 6 pieces.
         assert scene.flight.visible
         assert scene.flight.points.shape == (2 * (8 + 24), 2, 3)
         assert scene.flight.colors.shape == scene.flight.points.shape
