@@ -32,12 +32,14 @@ def app(tmp_path: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> It
 
 def replaced(app: App, browser: WebSocketClient, before: ClientSession, kind: str, value: str) -> ClientSession:
     """Send a message that changes the workspace, and greet the new session as the page does."""
+    page = browser.find("page")
     browser.tell(kind, value)
     deadline = time.monotonic() + TIMEOUT
     while (session := next(iter(app._sessions.values()))) is before:
         assert time.monotonic() < deadline
         time.sleep(0.01)
-    browser.wait(lambda: browser.find("page") is not None)
+    # The old session's element may still be in the page: what is told to it is lost.
+    browser.wait(lambda: browser.find("page") not in (None, page))
     browser.tell("hello", {"search": "", "small": False})
     return session
 

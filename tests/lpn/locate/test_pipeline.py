@@ -187,11 +187,11 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
         ("3.png", "by hand"),
     ]
     assert best[0] == by_hand
-    assert best[1].reason == "Placed by its details, but its GPS tag disagrees"
+    assert best[1].reason == "Placed by its details, but its GPS tag disagrees."
     assert best[1].note.startswith("Registration and tag lie")
     lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
     (point,) = best_track(replace(found, frames=[lost]))
-    assert (point.state, point.latitude, point.reason, point.note) == ("refused", None, "Not located", "Too few.")
+    assert (point.state, point.latitude, point.reason, point.note) == ("refused", None, "Not located.", "Too few.")
     assert found.notes[0].startswith("2 of 4 frames are corrected by hand.")
     assert "left out: x.png." in found.notes[1]
     assert found.audit is not None
