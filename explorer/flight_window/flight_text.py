@@ -11,7 +11,7 @@ import numpy as np
 from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import describe_point
 from lpn.core.files import printable
-from lpn.core.numbers import error_figure
+from lpn.core.numbers import SIGMA, error_figure
 from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
@@ -32,8 +32,6 @@ WORST = (
     "Contradicted photos come first, by how far they are beyond what their errors allow. The others follow by how far the answer "
     "that counts lies from the GPS tag, or the correction by hand: the error of both together. Mere guesses are last."
 )
-# The size of each radius of a place, in the words that explain it.
-SIGMA = "1 sigma along each axis"
 _METHODS = {
     "retrieval": "the most similar piece of the map",
     "sequence": "the path of the flight through such pieces",

@@ -8,7 +8,7 @@ from markupsafe import Markup
 
 from explorer.web.terms import explained
 from explorer.workspace import Workspace
-from lpn.core.numbers import error_figure
+from lpn.core.numbers import SIGMA, error_figure
 from lpn.drawing.verdicts import listed
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord
@@ -44,7 +44,7 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     sentences = [
         f"± {radius:.1f} m is no limit. If the errors are as estimated, {first:.0f} of 100 places lie within {radius:.1f} m of "
-        f"the true one, and {second:.0f} within {2 * radius:.1f} m: it is 1 sigma along each axis, east and north."
+        f"the true one, and {second:.0f} within {2 * radius:.1f} m: it is {SIGMA}, east and north."
     ]
     basemap = workspace.basemap
     if basemap is not None and answer.on_earth:

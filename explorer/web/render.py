@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from explorer.web.style import part_ink, verdict_ink
 from explorer.web.terms import term
-from lpn.core.numbers import distance
+from lpn.core.numbers import SIGMA, distance
 from lpn.core.templates import environment
 from lpn.drawing import charts, theme, words
 
@@ -67,4 +67,5 @@ _ENVIRONMENT.globals.update(
     verdict_colour=lambda true: theme.css(theme.verdict_colour(true)),
     signs=SIGNS,
     distance=distance,
+    sigma=SIGMA,
 )

@@ -55,6 +55,7 @@ class MapCommand:
         import numpy as np
 
         from lpn.core.files import printable
+        from lpn.core.numbers import SIGMA
         from lpn.maps.elevation import probes
         from lpn.maps.folder import add_surveyed_error, checked_error
 
@@ -75,9 +76,7 @@ class MapCommand:
             f"{written.resolution:.3g} m per pixel."
         )
         if written.surveyed_error is not None:
-            print(
-                f"Its places count with the surveyed error of {written.surveyed_error:g} m (1 sigma along each axis)."
-            )
+            print(f"Its places count with the surveyed error of {written.surveyed_error:g} m ({SIGMA}).")
         if written.elevation is not None:
             known = written.heights(probes(written.bounds))
             known = known[np.isfinite(known)]

@@ -10,6 +10,8 @@ if TYPE_CHECKING:
     from lpn.core.arrays import Float64Array
 
 _Degrees = TypeVar("_Degrees", float, "Float64Array")
+# The size of each radius of a place, in the words that explain it.
+SIGMA = "1 sigma along each axis"
 
 
 def signed(value: float, digits: int = 3) -> str:

@@ -24,6 +24,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable, write_atomic
+from lpn.core.numbers import SIGMA
 from lpn.core.progress import Progress
 from lpn.core.views import View
 from lpn.flights.base import Frame
@@ -405,8 +406,7 @@ class LiveLocator:
         if radius > ground.side:
             state = "refused"
             sentence = (
-                f"Its radius of {radius:.0f} m (1 sigma along each axis) is larger than a piece of the map, "
-                f"{ground.side:.0f} m wide."
+                f"Its radius of {radius:.0f} m ({SIGMA}) is larger than a piece of the map, {ground.side:.0f} m wide."
             )
         elif point.nearby < CONFIDENCE:
             state = "refused"

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
+from lpn.core.numbers import SIGMA
 
 WITHIN = (5, 10, 25, 50, 100)
 # Shares in percent of errors that are normal along both axes, 1 - exp(-k^2 / 2), within k standard deviations.
@@ -53,7 +54,7 @@ class ErrorSummary:
         if not self.calibration:
             return None
         return (
-            f"Errors of the {stage} within 1, 2, and 3 of its radii (1 sigma along each axis): {self.calibration_shares}; "
+            f"Errors of the {stage} within 1, 2, and 3 of its radii ({SIGMA}): {self.calibration_shares}; "
             f"right radii, against an exact truth, have {_shares(RIGHT_CALIBRATION)}."
         )
 

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.numbers import SIGMA
 from lpn.flights import Flight
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import new_views
@@ -140,7 +141,7 @@ def enter_sequence(
         elif radius > side:
             state = "refused"
             sentence = (
-                f"Its radius of {radius:.0f} m (1 sigma along each axis) is larger than a piece of the map, {side:.0f} m wide. "
+                f"Its radius of {radius:.0f} m ({SIGMA}) is larger than a piece of the map, {side:.0f} m wide. "
                 f"{sentence}"
             )
         elif track.nearby[i] < CONFIDENCE:

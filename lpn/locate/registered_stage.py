@@ -18,7 +18,7 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError, PictureError
 from lpn.core.files import cache_folder
-from lpn.core.numbers import error_figure
+from lpn.core.numbers import SIGMA, error_figure
 from lpn.core.progress import CountProgress, Progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
@@ -183,7 +183,7 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
     if answer.accepted:
         place = "camera's place" if answer.camera else "picture's middle"
         where = "earth" if on_earth else "the map"
-        sentence += f" The error of the {place} on {where} is ± {radius:.1f} m (1 sigma along each axis)"
+        sentence += f" The error of the {place} on {where} is ± {radius:.1f} m ({SIGMA})"
         on_map = math.sqrt(max(map_error**2 - place_error**2, 0.0))
         parts = [f"± {error_figure(on_map)} m are assumed for the map"] if on_map else []
         parts += [f"± {error_figure(place_error)} m are the error of the map's place"] if on_earth else []

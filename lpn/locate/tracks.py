@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.files import json_bytes, portable, printable, write_atomic
-from lpn.core.numbers import heading_figure
+from lpn.core.numbers import SIGMA, heading_figure
 from lpn.drawing import theme
 
 SUFFIXES = (".geojson", ".gpx", ".kml", ".csv")
@@ -221,7 +221,7 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
             radius = ""
             for where, value in (("this map", point.radius), ("earth", point.radius_on_earth)):
                 if value is not None and math.isfinite(value):
-                    radius += f" The radius on {where} is {value:.1f} m (1 sigma along each axis)."
+                    radius += f" The radius on {where} is {value:.1f} m ({SIGMA})."
             description = html.escape(printable(_told(point) + _figures(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:

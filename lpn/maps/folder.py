@@ -28,6 +28,7 @@ from lpn.core import formats
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError, OutputError
 from lpn.core.files import check_writable, printable, write_atomic
+from lpn.core.numbers import SIGMA
 from lpn.maps import _gdal
 from lpn.maps.elevation import Elevation, ElevationFile, ElevationSource, probes, write_elevation
 from lpn.maps.frame import LocalFrame
@@ -277,7 +278,7 @@ def checked_error(metres: float) -> float:
         InputError: if it is not a number above 0.
     """
     if not 0 < metres < math.inf:
-        raise InputError(f"The map's error is {metres:g} m; expected more than 0, 1 sigma along each axis.")
+        raise InputError(f"The map's error is {metres:g} m; expected more than 0, {SIGMA}.")
     return metres
 
 

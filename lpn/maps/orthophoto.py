@@ -22,6 +22,7 @@ from PIL import Image
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, OutputError
 from lpn.core.files import check_writable, printable
+from lpn.core.numbers import SIGMA
 from lpn.core.requirements import missing_package
 from lpn.maps import _gdal
 from lpn.maps.elevation import ElevationFile, ElevationSource
@@ -288,7 +289,7 @@ def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float |
     open_places = (
         "They are too few, or too nearly of one leg, to tell its error."
         if error is None
-        else f"By their scatter its places have an error of ± {error:.1f} m (1 sigma along each axis)."
+        else f"By their scatter its places have an error of ± {error:.1f} m ({SIGMA})."
     )
     return (
         f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. "
