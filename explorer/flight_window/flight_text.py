@@ -16,7 +16,7 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
+from lpn.locate.belief import ENDS, TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
@@ -37,7 +37,6 @@ _METHODS = {
     "sequence": "the path of the flight through such pieces",
     "registration": "points of the photo matched on the map",
 }
-_ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 
 
 @dataclass(frozen=True)
@@ -77,22 +76,10 @@ def judge(flight: LocatedFlight) -> str:
 
 def apart(view: FlightView, one: Disagreement) -> str:
     """Return two answers that contradict each other in words: how far apart they lie, and which of them errs if that is known."""
-    if not plain():
-        return one.sentence
-    if view.beliefs[one.frame].sign:  # tag and details agree, and the neighbours alone differ
-        place = "here" if one.one == "registration" else _ENDS[one.other]
+    if plain() and view.beliefs[one.frame].sign:  # tag and details agree, and the neighbours alone differ
+        place = "here" if one.one == "registration" else ENDS[one.other]
         return f"Its neighbours would place it {one.metres:.1f} m from {place}."
-    if one.other == "map":
-        return (
-            f"Places beside its middle lie {one.metres:.1f} m from where the map has them in the median, and {one.allowed:.1f} m "
-            "are allowed: three times its radius on this map. Photo and map do not have the same shape here, so the radius may "
-            "hold for the middle alone."
-        )
-    tilt = f", and {one.tilt:.1f} m as a tilted camera looks aside" if one.tilt else ""
-    return (
-        f"{capitalised(_ENDS[one.one])} and {_ENDS[one.other]} lie {one.metres:.1f} m apart, and {one.allowed:.1f} m are "
-        f"allowed: three times the error of both{tilt}. Nothing here tells which of the two errs."
-    )
+    return one.told
 
 
 def reason(view: FlightView, frame: int) -> str:
@@ -116,10 +103,10 @@ def _truth(located: LocatedFrame) -> str:
 
 
 def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
-    """Say how far places of a photo lie from where the map has them, and whether that fits; "" if too few tell."""
+    """Say how far places of a photo lie from where the map has them, and whether that fits, or that too few of them tell."""
     median, largest = measured.median, measured.largest
     if median is None or largest is None:
-        return ""
+        return f"Not checked: {measured.unchecked[:1].lower()}{measured.unchecked[1:]}"
     side = _side(*measured.places[measured.metres.argmax()].tolist())
     beyond = ", as nothing beyond was looked for" if measured.may_be_larger else ""
     text = (
@@ -169,6 +156,8 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
         words.append(say(verdict.stage))
         words.append("not verified" if answer.radius is None else f"± {radius:.1f} m {on_what(answer)}")
         misfit = None if answer.agreement is None else answer.agreement.median
+        if answer.agreement is not None and answer.agreement.unchecked:
+            words.append("not checked beside its middle")
         if misfit is not None:
             words.append(f"beside its middle {misfit:.1f} m off{_allowed(against, 'map')}")
         line = f"{'? ' if against else ''}{', '.join(words)}"
@@ -184,18 +173,20 @@ def _allowed(against: Sequence[Disagreement], other: str) -> str:
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
     """Say where the drone was and how its camera was tilted, by the pose of a registered photo; "" without one.
 
-    Where the position that counts is the drone's already, its place is not said again. It may rest on the tilt in the photo's
-    file, which the pose does not know as well.
+    The radius holds the map's error, as those of all places do. Where the position that counts is the drone's already, its place
+    and how far that is from the tag are not said again. It may rest on the tilt in the photo's file, which the pose does not know
+    as well.
     """
     answer = located.stages.get("registration")
     pose = None if answer is None or not answer.accepted else answer.pose
     if answer is None or pose is None:
         return ""
-    place = (
-        "there"
-        if answer.camera
-        else f"{describe_point(flight, (pose.east, pose.north))} {_error(pose.radius, ' m on this map')}"
-    )
+    place = "there"
+    if not answer.camera:
+        radius = math.hypot(pose.radius, answer.map_error)
+        place = f"{describe_point(flight, (pose.east, pose.north))} {_error(radius, f' m {on_what(answer)}')}"
+        if located.tag is not None:
+            place += f", {math.hypot(pose.east - located.tag[0], pose.north - located.tag[1]):.1f} m from its GPS tag"
     height = pose.altitude if pose.flat else pose.height
     if height is not None:
         place += f", {height:.0f} m above the ground {_error(pose.sigmas[2], ' m', 0)}"
@@ -265,11 +256,14 @@ def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
         return [], ""
     metres = np.concatenate([one.metres for one in compared])
     unfit = sum(one.other == "map" for one in view.contradictions)
+    unchecked = sum(bool(answer and answer.agreement and answer.agreement.unchecked) for answer in answers)
     source = (
         f"Median of {len(metres)} places of {len(compared)} photos that were found on the map one by one, "
         f"{metres.max():.1f} m at most: what one transformation of a photo leaves, where the map or the ground is uneven. They "
         f"were looked for within ± {min(one.reach for one in compared):.1f} m at least. The radius is that of a photo's middle."
     )
+    if unchecked:
+        source += f" In {unchecked} further photos too few places were found to tell."
     failed = f"{unfit} of {len(compared)} photos do not fit the map beside their middle" if unfit else ""
     if failed:
         source += f" {failed}: their median is more than three times their radius."

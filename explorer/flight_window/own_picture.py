@@ -48,7 +48,8 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
     agreement = None if answer is None else answer.agreement
     fit, pins = "", []
     if located is not None and answer is not None and agreement is not None and answer.homography is not None:
-        fit = flight_text.agreement(FlightView.of(replace(flight, frames=[located]), {}, ""), 0, agreement)
+        if not agreement.unchecked:  # the verdict says it
+            fit = flight_text.agreement(FlightView.of(replace(flight, frames=[located]), {}, ""), 0, agreement)
         pins = page.offsets(np.array(answer.homography).reshape(3, 3), located, agreement)
     job = analysis.own_photo
     sign, headline, sentence = answer_text.plain_verdict(analysis, workspace)
@@ -80,6 +81,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
             "outline": None if corners is None else [*_rounded(corners.corners), True],
             "place": None if place is None else _rounded([place])[0],
             "radius": None if answer is None else answer.radius,
+            "doubted": sign is None,
             "tag": None if tag is None else _rounded([tag])[0],
         },
         "card": card,

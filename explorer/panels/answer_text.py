@@ -141,10 +141,24 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         details = workspace.flight is not None and workspace.flight.late_tags is not None
         place = "where details place the photo" if details else "the place photographed"
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
-        return True, "Right", f"The model compared {pictures} and found the right one{off}."
+        return True, "Right", f"The model compared {pictures} and found the right one{off}.{_limit(analysis)}"
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
-    return False, "Wrong", f"The model compared {pictures} and chose {away}; the right one {rank}."
+    return (
+        False,
+        "Wrong",
+        f"The model compared {pictures} and chose {away}; the right one {rank}.{_limit(analysis)}",
+    )
+
+
+def _limit(analysis: StateAnalysis) -> str:
+    """Say what a graded piece of a map is right or wrong by, as pieces differ in width; "" where the answer is none."""
+    first = analysis.matches[0]
+    cut = analysis.task.gallery[first.index].cut
+    if not isinstance(cut, WindowCut):
+        return ""
+    lies = "on" if first.true else "beyond the edge of"
+    return f" The photo's middle lies {lies} this piece, which is {cut.window.size:.0f} m wide."
 
 
 def flight_verdict(
@@ -240,14 +254,13 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
     against, headline = "", "On this map"
+    unchecked = "" if answer.agreement is None else answer.agreement.unchecked
+    doubts = [unchecked, *(one.told for one in contradictions if one.other == "map")]
     if against_tag:
         against = ", more than the errors of both allow, so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not sign:
-        against, headline = (
-            ". Away from its middle it does not fit the map",
-            "On this map, but away from its middle it does not fit",
-        )
+        headline = "On this map, but away from its middle it does not fit"
     off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
     look = " Its look alone agrees."
     if off_answer is None or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
@@ -255,7 +268,8 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     elif off_answer > 0:
         metres = distance(math.hypot(answer.x - cut.window.x, answer.y - cut.window.y))
         look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
-    return sign, headline, f"{fits}{against}.{look}{details}"
+    beside = "".join(f" {text}" for text in doubts if text)
+    return sign, headline, f"{fits}{against}.{beside}{look}{details}"
 
 
 def _usual(workspace: Workspace) -> str:

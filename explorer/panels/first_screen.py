@@ -36,7 +36,7 @@ from lpn.drawing import captions, overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
-from lpn.locate.belief import belief, disagreements, doubt_clause
+from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.retrieval import heading_is_certain
@@ -377,7 +377,7 @@ def _because(
     if not details.accepted:
         known = "They fit nowhere on this map well enough to place it."
     contradictions = [] if located is None else disagreements([located])
-    doubts = [f"But {doubt_clause(one)}." for one in contradictions if one.one == "registration"]
+    doubts = [one.told for one in contradictions if one.one == "registration"]
     return [("By its details", [known, *doubts]), (f"By its look{', which errs' if errs else ''}", sentences)]
 
 
@@ -481,12 +481,10 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         if any(one.other == "tag" for one in contradictions):
             sentence += ", more than the errors of both allow"
         sentence += "."
-    for one in contradictions:
-        if one.other == "map":
-            sentence += (
-                f" Places beside its middle lie {distance(one.metres)} from where the map has them, and "
-                f"{distance(one.allowed)} are allowed."
-            )
+    unchecked = "" if answer.agreement is None else answer.agreement.unchecked
+    sentence = " ".join(
+        filter(None, [sentence, unchecked, *(one.told for one in contradictions if one.other == "map")])
+    )
     return LaidPhoto(
         overlays.data_uri(drawn, 85),
         sign,

@@ -75,6 +75,8 @@ def criterion(workspace: Workspace, task: Task) -> str:
     low, high = float(flight.retrieval.sizes.min()), float(flight.retrieval.sizes.max())
     width = f"{low:.0f} to {high:.0f} m wide" if round(low) < round(high) else f"{high:.0f} m wide"
     right = f"Right is a piece, {width}, on which the photo's middle lies"
+    if round(low) < round(high):
+        right += ", so the middle of a large piece may lie farther off than that of a small one"
     if (audit := flight.late_tags) is None or audit.lag is None:
         return f"{right}; its GPS tag is the judge."
     return (

@@ -79,6 +79,18 @@ class MapAgreement(msgspec.Struct, frozen=True):
         return float(self.metres.max()) if len(self.rows) >= _FEW_PLACES else None
 
     @property
+    def unchecked(self) -> str:
+        """Say that too few places are found to check the photo beside its middle; "" if they are enough."""
+        count = len(self.rows)
+        if count >= _FEW_PLACES:
+            return ""
+        found = "no place" if not count else f"only {count} place{'s' if count > 1 else ''}"
+        return (
+            f"Beside its middle {found} of the photo could be found on the map, and {_FEW_PLACES} are needed, so nothing there "
+            "checks where it is laid."
+        )
+
+    @property
     def may_be_larger(self) -> bool:
         """True if the farthest place lies so near the border of what was searched that others may lie beyond."""
         return bool(self.rows) and float(np.abs(self.offsets[self.metres.argmax()]).max()) >= _BORDER * self.reach

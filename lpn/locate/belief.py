@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+from lpn.drawing.words import capitalised, plain
 from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.tracks import TrackPoint
 
@@ -16,6 +17,8 @@ TAG_RADIUS = 5.0
 SIGMAS = 3.0
 # A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
 _TILT = 15.0
+# Answers in plain words.
+ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 # The answers that may contradict a registration, in words.
 _AGAINST = {
     "tag": "its GPS tag disagrees",
@@ -65,13 +68,24 @@ class Disagreement:
 
     @property
     def sentence(self) -> str:
-        """The finding in words."""
+        """The finding in the field's words, as files have it."""
         if self.other == "map":
             return (
-                f"Places beside the photo's middle lie {self.metres:.1f} m from where the map has them in the median; three "
-                f"radii on this map are {self.allowed:.1f} m."
+                f"Places beside the photo's middle lie {self.metres:.1f} m from where the map has them in the median, and "
+                f"{self.allowed:.1f} m are allowed: three times the radius on this map, which may hold for the middle alone."
             )
         return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
+
+    @property
+    def told(self) -> str:
+        """The finding in the words that are spoken. A contradiction of the map reads alike in all of them."""
+        if not plain() or self.other == "map":
+            return self.sentence
+        tilt = f", and {self.tilt:.1f} m as a tilted camera looks aside" if self.tilt else ""
+        return (
+            f"{capitalised(ENDS[self.one])} and {ENDS[self.other]} lie {self.metres:.1f} m apart, and {self.allowed:.1f} m are "
+            f"allowed: three times the error of both{tilt}. Nothing here tells which of the two errs."
+        )
 
 
 def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
@@ -207,11 +221,6 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -
         return Belief(None, guess, guess, refused or retrieval.sentence, "retrieval")
     why = _first_refusal(registration, sequence, retrieval) or "No stage has an answer."
     return Belief(False, "Not located", "Not located", why)
-
-
-def doubt_clause(one: Disagreement) -> str:
-    """Return a contradiction of a registration as a clause with its metres, such as "its GPS tag disagrees: 39 m off, ..."."""
-    return f"{_AGAINST[one.other]}: {one.metres:.0f} m off, where {one.allowed:.0f} m are allowed"
 
 
 def on_what(answer: StageRecord) -> str:

@@ -7,7 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from lpn.core.files import printable
 from lpn.core.numbers import distance
+from lpn.drawing.verdicts import listed
 from lpn.drawing.words import plain
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
@@ -15,6 +17,8 @@ from lpn.maps.tag_placed import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
 PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}
+# Names in one sentence at most.
+_MOST_NAMES = 10
 
 
 @dataclass(frozen=True)
@@ -70,6 +74,8 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
 def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
+    Contradicted photos, and those that could not be checked beside their middle, are named.
+
     A photo is placed where registration or sequence is accepted, and guessed where there is a most similar window alone.
 
     Args:
@@ -84,13 +90,34 @@ def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) 
         pieces.append(f"{guessed:,} only guessed {'by their look' if plain() else 'by retrieval'}")
     if refused:
         pieces.append(f"{refused:,} refused")
-    text = f"A drone took {len(frames):,} photos over this map: {', '.join(pieces)}."
-    pairs = zip(frames, verdicts, strict=True)
+    sentences = [f"A drone took {len(frames):,} photos over this map: {', '.join(pieces)}."]
+    pairs = list(zip(frames, verdicts, strict=True))
     errors = [frame.error(one.stage) for frame, one in pairs if one.stage in PLACED]
-    known = [error for error in errors if error is not None]
-    if not known:
-        return text
-    return (
-        f"{text} Half of the placed ones lie within {distance(median(known))} of their GPS tags, which is the error of both "
-        "together."
-    )
+    if known := [error for error in errors if error is not None]:
+        sentences.append(
+            f"Half of the placed ones lie within {distance(median(known))} of their GPS tags, which is the error of both "
+            "together."
+        )
+    registered = [(frame, one.sign) for frame, one in pairs if one.stage == "registration"]
+    if contradicted := [frame for frame, sign in registered if sign is None]:
+        sentences.append(
+            f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
+            f"beside the middle: {_names(contradicted)}."
+        )
+    if unchecked := [frame for frame, _ in registered if _unchecked(frame)]:
+        sentences.append(
+            f"{len(unchecked):,} could not be checked beside the middle, where too few places were found on the map: "
+            f"{_names(unchecked)}."
+        )
+    return " ".join(sentences)
+
+
+def _unchecked(located: LocatedFrame) -> bool:
+    agreement = located.stages["registration"].agreement
+    return agreement is not None and bool(agreement.unchecked)
+
+
+def _names(frames: Sequence[LocatedFrame]) -> str:
+    names = [printable(located.frame.name) for located in frames[:_MOST_NAMES]]
+    further = len(frames) - len(names)
+    return listed([*names, f"{further:,} more"] if further else names)

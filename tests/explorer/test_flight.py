@@ -13,6 +13,7 @@ from random import Random
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -39,6 +40,7 @@ from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.flights import Frame, write_flight
+from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher
 from lpn.locate.task import TASK
@@ -299,7 +301,24 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert ("<h2>By its look</h2>" in reasons) != errs
     refused = shown(other)[0]
     assert workspace.flight is not None
+    assert analysis.registered is not None
+    stages = analysis.registered.located.stages
+    before = stages["registration"]
+    for places, doubted, beside in (
+        (1, False, "Beside its middle only 1 place of the photo could be found on the map"),
+        (3, True, "Places beside the photo's middle lie 50.0 m from where the map has them"),
+    ):
+        rows = [(0.1, 0.1, 0.0, 50.0)] * places
+        stages["registration"] = msgspec.structs.replace(before, agreement=MapAgreement(rows, 60.0))
+        sign, _, said = answer_text.plain_verdict(analysis, workspace)
+        assert (sign is None) == doubted
+        assert beside in said
+        bent = own_picture(analysis, workspace, workspace.flight)
+        assert bent["own"]["doubted"] == doubted
+        assert bent["card"].count("could be found on the map") == (not doubted)
+    stages["registration"] = before
     on_map = own_picture(analysis, workspace, workspace.flight)
+    assert not on_map["own"]["doubted"]
     assert on_map["own"]["photo"].startswith("data:image/jpeg")
     assert np.hypot(*np.subtract(on_map["own"]["place"], (10.0, -20.0))) < 5
     assert len(on_map["homography"]) == 9

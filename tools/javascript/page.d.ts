@@ -156,6 +156,7 @@ interface Lpn {
     canvas(element: HTMLCanvasElement): [CanvasRenderingContext2D, number];
     stroke(pen: CanvasRenderingContext2D, colour: string, width: number, dash?: number[]): void;
     dot(pen: CanvasRenderingContext2D, at: Point, radius: number, colour: string, hollow: boolean): void;
+    diamond(pen: CanvasRenderingContext2D, at: Point, radius: number, colour: string): void;
     text(pen: CanvasRenderingContext2D, words: string, left: number, top: number, align?: CanvasTextAlign): void;
   };
   mapMarks: {

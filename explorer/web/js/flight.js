@@ -32,6 +32,8 @@
   flight.range = (values) => [values.reduce((a, b) => Math.min(a, b)), values.reduce((a, b) => Math.max(a, b))];
   // The tracks that are switched on, by name.
   flight.tracks = () => (flight.own() ? [] : Object.entries(flight.data.tracks).filter(([name]) => !flight.hidden.has(name)));
+  // Whether a frame's answer counts, and another answer or the map contradicts it.
+  flight.doubted = (name, i) => name === "registration" && flight.data.stages[i] === name && flight.data.signs[i] === null;
   // Return the marks of a person's own picture, which stands alone on the map; null without one.
   flight.own = () => flight.followed?.own ?? null;
 
@@ -107,15 +109,17 @@
   };
   const escaped = (text) => text.replace(/[&<>"]/g, (letter) => `&#${letter.charCodeAt(0)};`);
   // The sign of a track's answer for a frame; that of a refused one tells its reason.
-  const sign = (track, frame) => {
+  const sign = (name, track, frame) => {
     if (track.state[frame] === 2) return `<span class="term" tabindex="0" data-tip="${escaped(track.reason[frame])}">${SIGNS[2]}</span> `;
-    return track.x[frame] === null ? "" : SIGNS[track.state[frame]] + " ";
+    return track.x[frame] === null ? "" : SIGNS[flight.doubted(name, frame) ? 1 : track.state[frame]] + " ";
   };
   // Explain the marks on the map, as far as their tracks are switched on.
   const legend = () => {
     const shown = flight.tracks().map(([, track]) => track), parts = [];
     if (shown.some((track) => track.state.includes(2)))
       parts.push('Hollow dot: refused; <span class="for-mouse">point at it, or at its ✗,</span><span class="for-touch">tap it, or its ✗,</span> for the reason.');
+    if (flight.tracks().some(([name]) => flight.data.names.some((_, i) => flight.doubted(name, i))))
+      parts.push("Diamond: contradicted, by its GPS tag, its neighbours, or the map beside its middle.");
     parts.push("Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it.");
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
     return parts.join(" ");
@@ -126,7 +130,7 @@
     const rows = Object.entries(data.tracks).map(([name, track]) => {
       const cells = [
         `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><i style="background:${track.colour}"></i>${track.label}</a>`,
-        ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : sign(track, chosen) + metres(track.radius[chosen])]),
+        ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : sign(name, track, chosen) + metres(track.radius[chosen])]),
         chosen < 0 ? "" : metres(track.error[chosen]),
       ];
       return `<tr data-state="${chosen < 0 ? "" : track.state[chosen]}">${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`;

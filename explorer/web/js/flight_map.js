@@ -5,7 +5,7 @@
   if (flight.map) return;
   // Pixels within which the mouse points at a frame, and metres around the map within which a frame counts as near.
   const REACH = 12, AROUND = 500;
-  const { canvas, stroke, dot, text } = lpn.pens;
+  const { canvas, stroke, dot, diamond, text } = lpn.pens;
   const { find } = flight;
   const tiles = lpn.tiles(flight.draw);
   const overlay = { picture: null, source: "" };
@@ -91,7 +91,9 @@
       for (let i = 0; i < flight.total(); i++) {
         const at = place(track, i);
         const refused = track.state[i] === 2;
-        if (at) dot(pen, map.toPixels(at), name === "tag" ? 3 : 4, (refused && flight.data.refused) || track.colour, refused);
+        if (!at) continue;
+        if (flight.doubted(name, i)) diamond(pen, map.toPixels(at), 6, lpn.colour("contradicted"));
+        else dot(pen, map.toPixels(at), name === "tag" ? 3 : 4, (refused && flight.data.refused) || track.colour, refused);
       }
     }
   };
@@ -113,7 +115,7 @@
     stroke(pen, "#fff", 2);
   };
   // The place of an own picture with its radius, its GPS tag, and the line between them.
-  const drawOwn = (pen, { place: at, radius, tag }) => {
+  const drawOwn = (pen, { place: at, radius, tag, doubted }) => {
     if (at && tag) {
       path(pen, [at, tag]);
       stroke(pen, lpn.colour("tag"), 1.5, [5, 4]);
@@ -122,7 +124,8 @@
       pen.beginPath();
       pen.arc(...map.toPixels(at), Math.max(radius * map.view.scale, 1), 0, 7);
       stroke(pen, lpn.colour("registration"), 1.5);
-      dot(pen, map.toPixels(at), 7, lpn.colour("registration"), false);
+      if (doubted) diamond(pen, map.toPixels(at), 9, lpn.colour("contradicted"));
+      else dot(pen, map.toPixels(at), 7, lpn.colour("registration"), false);
     }
     if (tag) dot(pen, map.toPixels(tag), 5, lpn.colour("tag"), false);
   };
@@ -162,7 +165,8 @@
         pen.arc(left, top, Math.max(track.radius[chosen] * map.view.scale, 1), 0, 7);
         stroke(pen, track.colour, 1.5, track.state[chosen] === 2 ? [3, 4] : []);
       }
-      dot(pen, [left, top], name === "tag" ? 5 : 7, track.colour, track.state[chosen] === 2);
+      if (flight.doubted(name, chosen)) diamond(pen, [left, top], 9, lpn.colour("contradicted"));
+      else dot(pen, [left, top], name === "tag" ? 5 : 7, track.colour, track.state[chosen] === 2);
     }
   };
   const drawFrame = (pen) => {

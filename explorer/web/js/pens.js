@@ -34,6 +34,17 @@
     pen.strokeStyle = hollow ? colour : "rgba(0,0,0,.75)";
     pen.stroke();
   };
+  // A filled square that stands on its corner.
+  const diamond = (pen, [left, top], radius, colour) => {
+    pen.beginPath();
+    for (const [right, down] of [[0, -1], [1, 0], [0, 1], [-1, 0]]) pen.lineTo(left + radius * right, top + radius * down);
+    pen.closePath();
+    pen.fillStyle = colour;
+    pen.fill();
+    pen.lineWidth = 1;
+    pen.strokeStyle = "rgba(0,0,0,.75)";
+    pen.stroke();
+  };
   const text = (pen, words, left, top, align = "left") => {
     pen.font = "12px system-ui, sans-serif";
     pen.textAlign = align;
@@ -46,5 +57,5 @@
   };
   // A colour by its name in lpn/drawing/theme.py.
   lpn.colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--raw-" + name).trim();
-  lpn.pens = { canvas: canvas, stroke: stroke, dot: dot, text: text };
+  lpn.pens = { canvas: canvas, stroke: stroke, dot: dot, diamond: diamond, text: text };
 })();

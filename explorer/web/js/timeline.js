@@ -50,7 +50,7 @@
     pen.textAlign = "center";
     pen.globalAlpha = 1;
     if (!values.length) pen.fillText(EMPTY[plot], width / 2, (head + foot) / 2);
-    for (const { values: known, state, colour: ink, line } of lines) {
+    for (const { name, values: known, state, colour: ink, line } of lines) {
       pen.strokeStyle = pen.fillStyle = ink;
       pen.beginPath();
       known.forEach((value, i) => {
@@ -60,8 +60,11 @@
       pen.stroke();
       known.forEach((value, i) => {
         if (value === null) return;
+        const at = [across(i, width, data), level(value)], small = data.names.length > 300;
+        if (flight.doubted(name, i)) return lpn.pens.diamond(pen, at, small ? 3 : 5, lpn.colour("contradicted"));
+        pen.fillStyle = pen.strokeStyle = ink;
         pen.beginPath();
-        pen.arc(across(i, width, data), level(value), data.names.length > 300 ? 1.5 : 2.5, 0, 7);
+        pen.arc(at[0], at[1], small ? 1.5 : 2.5, 0, 7);
         pen.lineWidth = 1;
         state[i] === 2 ? pen.stroke() : pen.fill();
       });
@@ -69,11 +72,11 @@
   };
   const series = (plot) =>
     plot === "height"
-      ? [{ colour: flight.ink(), values: flight.data.heights, state: flight.data.heights.map(() => 0), line: true }]
+      ? [{ name: "", colour: flight.ink(), values: flight.data.heights, state: flight.data.heights.map(() => 0), line: true }]
       : flight
           .tracks()
           .filter(([name]) => name !== "tag" && (plot === "error" || !["retrieval", "corrected"].includes(name)))
-          .map(([, track]) => ({ colour: track.colour, values: track[plot], state: track.state }));
+          .map(([name, track]) => ({ name, colour: track.colour, values: track[plot], state: track.state }));
   // Return whether the panel beside the window shows another photo still; the line is written again until it does not.
   const panelFollows = () => {
     const shown = document.getElementById("lpn-status")?.dataset.query;
@@ -110,7 +113,7 @@
       pen.fillText(LABELS[plot], 40, (i + 0.5) * tall + 4);
     });
     data.signs.forEach((sign, i) => {
-      pen.fillStyle = colour;
+      pen.fillStyle = flight.doubted(data.stages[i], i) ? lpn.colour("contradicted") : colour;
       pen.fillRect(across(i, width, data) - 2, foot + 13 - SIGNS[sign], 4, SIGNS[sign]);
     });
     say();

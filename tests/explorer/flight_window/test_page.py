@@ -55,7 +55,10 @@ def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
 def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     text = page.sentence(view, running=False)
     assert text.startswith("A drone took 3 photos over this map: 3 placed (2 by registration, 1 by sequence). Half of")
-    assert text.endswith("m of their GPS tags, which is the error of both together.")
+    assert text.endswith(
+        "m of their GPS tags, which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map beside "
+        "the middle: photo1.png."
+    )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
     guessed = describe_flight(view.flight.frames, verdicts)
@@ -152,7 +155,11 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
     )
     assert "the farthest 1.0 m, at the bottom." in said(0.4, 0.2, 1.0)
     assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
-    assert said(0.4, 5.2) == ""
+    assert said(0.4, 5.2) == (
+        "Not checked: beside its middle only 2 places of the photo could be found on the map, and 3 are needed, so nothing there "
+        "checks where it is laid."
+    )
+    assert "beside its middle no place of the photo" in said()
     unfit = said(4.0, 8.2, 3.2)
     assert unfit.startswith("? Beside its middle")
     assert unfit.endswith("the farthest at least 8.2 m, at the upper left, as nothing beyond was looked for.")
@@ -166,7 +173,10 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert "? Placed by its details, ± 1.0 m on this map, but away from its middle it does not fit the map" in card
     assert "lie 4.0 m from where the map has them in the median, and 3.0 m are allowed" in card
     lists = page.lists(view)
-    assert lists["audit"].count("Places beside its middle lie 4.0 m") == 1
+    assert lists["audit"].count("Places beside the photo&#39;s middle lie 4.0 m") == 1
+    assert page.sentence(view, running=False).endswith(
+        "2 are contradicted by GPS tag, neighbours, or the map beside the middle: photo0.png and photo1.png."
+    )
     assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
     # The other one is off by 45.0 of 15.3 m, which is more of what is allowed.
     assert re.findall(r"<b>(photo\d.png)</b>", lists["worst"]) == ["photo1.png", "photo0.png"]
@@ -174,6 +184,11 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     known = flight_text.accuracy(view)
     assert known is not None
     assert known[0].endswith("and 1 of 1 photos do not fit the map beside their middle.")
+    unchecked = view_of(compared(flight, 0, 0.4))
+    assert page.sentence(unchecked, running=False).endswith(
+        "1 could not be checked beside the middle, where too few places were found on the map: photo0.png."
+    )
+    assert "not checked beside its middle" in page.lists(unchecked)["worst"]
     fits = flight_text.accuracy(view_of(compared(flight, 0, 0.4, 0.5, 0.6)))
     assert fits is not None
     assert "do not fit" not in fits[0]
@@ -287,10 +302,17 @@ def test_the_drone_has_a_place_and_a_tilt_that_a_person_would_say(flight: Locate
         return flight_text.drone(flight, replace(frame, stages={"registration": answer}))
 
     said = drone(camera=False)
-    assert "(±\N{NO-BREAK SPACE}1.0 m on this map), 40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
+    assert (
+        "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, 40 m above the ground (±\N{NO-BREAK SPACE}2 m)"
+        in said
+    )
     # 3 degrees to the back, which is north, and 4 to the side.
     assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
     assert "The map has no heights" in said
+    # The pose is 1 m off on the map, whose own error is 2.4 m; the tag lies at (-20, 0).
+    assert "(±\N{NO-BREAK SPACE}2.6 m on earth), 21.1 m from its GPS tag" in drone(
+        camera=False, map_error=2.4, place_error=2.0
+    )
     assert drone(x=1.0, y=2.0).startswith("there, 40 m above the ground")
     assert drone().endswith("Its place rests on the tilt in the photo's file.")
     assert flight_text.drone(flight, frame) == ""

@@ -519,6 +519,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     said = text(page)
     assert "a place that the model was not trained on" in said
     assert "✓ Right by its look." in said
+    assert re.search(r"The photo's middle lies on this piece, which is (26|36|51|71|100) m wide\.", said)
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ Placed by its details, ± 6.1 m on earth . Its look alone agrees. By its details : 268 details of the photo lie where "
@@ -540,7 +541,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert flight is not None
     assert flight.late_tags is not None
     assert flight.late_tags.lag == pytest.approx(2.81, abs=0.01)
-    assert "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lie 15 m off" in said
+    assert (
+        "Right is a piece, 26 to 100 m wide, on which the photo's middle lies, so the middle of a large piece may lie farther off than that of a small one. GPS tags here lie 15 m off"
+        in said
+    )
     assert "some of which a lag of 2.8 s explains, so the judge is the program's second method" in said
     ranking = workspace.rankings[TASK].result
     assert ranking is not None
@@ -557,13 +561,19 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
     assert "? Placed by its details, ± 6.1 m on earth , but away from its middle it does not fit the map." in unfit
-    assert "Places beside its middle lie 6 m from where the map has them, and 3 m are allowed." in unfit
+    misfit = (
+        "Places beside the photo's middle lie 6.3 m from where the map has them in the median, and 3.1 m are allowed"
+    )
+    assert misfit in unfit
     no_limit = (
         "± 6.1 m is no limit: it should hold for 39 of 100 photos, and twice as much for 86, which the check of this"
     )
     assert f"{no_limit} flight does not confirm." in unfit
     reasons = text(first_screen.page(analyse(workspace, replace(state, query=bent, why=True)), workspace))
-    assert "they place it. But away from its middle it does not fit the map: 6 m off, where 3 m are allowed." in reasons
+    assert f"they place it. {misfit}: three times the radius on this map" in reasons
+    unchecked = flight_names.index("IMG_9365.webp")
+    said = text(first_screen.page(analyse(workspace, replace(state, query=unchecked)), workspace))
+    assert "Beside its middle only 1 place of the photo could be found on the map, and 3 are needed" in said
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
@@ -587,6 +597,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
             assert "✗ Wrong by its look. The model compared 224 pieces of the map and chose a place " in said
+            assert re.search(r"The photo's middle lies beyond the edge of this piece, which is \d+ m wide\.", said)
             assert f"{sign} {headline} The model's own guess, by its look alone, was wrong, " in said
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why

@@ -44,7 +44,7 @@ def test_colours_that_are_compared_differ_for_any_vision(vision: str) -> None:
     parts = [theme.part_colour(part) for part in range(8)]
     assert min(delta_e(*pair, vision) for pair in combinations(parts, 2)) > 18
     assert min(delta_e(*pair, vision) for pair in combinations(parts[:4], 2)) > 24
-    stages = [theme.COLOURS[name] for name in ("tag", "retrieval", "sequence", "registration")]
+    stages = [theme.COLOURS[name] for name in ("tag", "retrieval", "sequence", "registration", "contradicted")]
     assert min(delta_e(*pair, vision) for pair in combinations(stages, 2)) > 18
     assert delta_e(theme.TRUE_COLOUR, theme.FALSE_COLOUR, vision) > 60
     assert delta_e(theme.FOR, theme.AGAINST, vision) > 60
