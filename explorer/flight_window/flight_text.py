@@ -16,7 +16,7 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import ENDS, TAG_RADIUS, Disagreement, on_what
+from lpn.locate.belief import ENDS, SIGMAS, TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
@@ -186,7 +186,10 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
         radius = math.hypot(pose.radius, answer.map_error)
         place = f"{describe_point(flight, (pose.east, pose.north))} {_error(radius, f' m {on_what(answer)}')}"
         if located.tag is not None:
-            place += f", {math.hypot(pose.east - located.tag[0], pose.north - located.tag[1]):.1f} m from its GPS tag"
+            metres = math.hypot(pose.east - located.tag[0], pose.north - located.tag[1])
+            place += (
+                f", {metres:.1f} m from its GPS tag, where {SIGMAS * math.hypot(radius, TAG_RADIUS):.1f} m are allowed"
+            )
     height = pose.altitude if pose.flat else pose.height
     if height is not None:
         place += f", {height:.0f} m above the ground {_error(pose.sigmas[2], ' m', 0)}"

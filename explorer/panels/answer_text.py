@@ -157,8 +157,8 @@ def _limit(analysis: StateAnalysis) -> str:
     cut = analysis.task.gallery[first.index].cut
     if not isinstance(cut, WindowCut):
         return ""
-    lies = "on" if first.true else "beyond the edge of"
-    return f" The photo's middle lies {lies} this piece, which is {cut.window.size:.0f} m wide."
+    lies = "on it" if first.true else "beyond its edge"
+    return f" This piece is {cut.window.size:.0f} m wide, and the photo's middle lies {lies}."
 
 
 def flight_verdict(

@@ -303,14 +303,14 @@ def test_the_drone_has_a_place_and_a_tilt_that_a_person_would_say(flight: Locate
 
     said = drone(camera=False)
     assert (
-        "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, 40 m above the ground (±\N{NO-BREAK SPACE}2 m)"
-        in said
+        "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, where 15.3 m are allowed, "
+        "40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
     )
     # 3 degrees to the back, which is north, and 4 to the side.
     assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
     assert "The map has no heights" in said
     # The pose is 1 m off on the map, whose own error is 2.4 m; the tag lies at (-20, 0).
-    assert "(±\N{NO-BREAK SPACE}2.6 m on earth), 21.1 m from its GPS tag" in drone(
+    assert "(±\N{NO-BREAK SPACE}2.6 m on earth), 21.1 m from its GPS tag, where 16.9 m are allowed" in drone(
         camera=False, map_error=2.4, place_error=2.0
     )
     assert drone(x=1.0, y=2.0).startswith("there, 40 m above the ground")

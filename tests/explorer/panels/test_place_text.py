@@ -84,7 +84,8 @@ def test_the_judge_of_right_answers_is_named() -> None:
     same.flight.late_tags = SimpleNamespace(lag=2.71, median=15.2)
     same.opened = lambda: {"other": place}
     assert place_text.criterion(same, task) == (
-        "Right is a piece, 26 to 100 m wide, on which the photo's middle lies. GPS tags here lie 15 m off in the median, some of "
+        "Right is a piece, 26 to 100 m wide, on which the photo's middle lies, so the middle of a large piece may lie farther "
+        "off than that of a small one. GPS tags here lie 15 m off in the median, some of "
         "which a lag of 2.7 s explains, so the judge is the program's second method, which lays the photo's details over the "
         "map."
     )
