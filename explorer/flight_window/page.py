@@ -103,7 +103,7 @@ def _tracks(view: FlightView) -> list[str]:
 def _track(view: FlightView, name: str) -> dict[str, Any]:
     """Return a track: x, y, state, radius, and error of each frame, None where unknown; a tag counts as accepted.
 
-    The state is -1 while the stage has no answer. A refused answer has its reason, too.
+    The state is -1 while the stage has no answer. A refused answer has its reason, too, and so has a contradicted registration.
     """
     track: dict[str, Any] = {"label": flight_text.label(name), "colour": theme.css(COLOURS[name])}
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
@@ -125,7 +125,12 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
         else:
             radius = None if answer.state == "refused" else answer.radius  # a refused place has none
             rows.append((answer.x, answer.y, _STATES[answer.state], radius, located.error(name)))
-    track["reason"] = [flight_text.refusal(located, name) for located in flight.frames]
+    reasons = [flight_text.refusal(located, name) for located in flight.frames]
+    if name == "registration":
+        for one in view.contradictions:
+            if one.one == name and view.beliefs[one.frame].sign is None:
+                reasons[one.frame] = " ".join(filter(None, (reasons[one.frame], one.told)))
+    track["reason"] = reasons
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
         # Two digits more than are shown: rounded twice, a figure would differ from that of the card.

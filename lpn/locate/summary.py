@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import PurePath
 from statistics import median
 
 from lpn.core.files import printable
@@ -98,16 +99,24 @@ def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) 
             f"Half of the placed ones lie within {distance(median(known))} of their GPS tags, which is the error of both "
             "together."
         )
+    stems = {PurePath(frame.frame.name).stem for frame in frames}
+    short = len(stems) == len(frames)
+
+    def names(of: Sequence[LocatedFrame]) -> str:
+        told = [PurePath(one.frame.name).stem if short else one.frame.name for one in of[:_MOST_NAMES]]
+        further = [f"{len(of) - len(told):,} more"] if len(of) > len(told) else []
+        return listed([*map(printable, told), *further])
+
     registered = [(frame, one.sign) for frame, one in pairs if one.stage == "registration"]
     if contradicted := [frame for frame, sign in registered if sign is None]:
         sentences.append(
             f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
-            f"beside the middle: {_names(contradicted)}."
+            f"beside the middle: {names(contradicted)}."
         )
     if unchecked := [frame for frame, _ in registered if _unchecked(frame)]:
         sentences.append(
             f"{len(unchecked):,} could not be checked beside the middle, where too few places were found on the map: "
-            f"{_names(unchecked)}."
+            f"{names(unchecked)}."
         )
     return " ".join(sentences)
 
@@ -115,9 +124,3 @@ def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) 
 def _unchecked(located: LocatedFrame) -> bool:
     agreement = located.stages["registration"].agreement
     return agreement is not None and bool(agreement.unchecked)
-
-
-def _names(frames: Sequence[LocatedFrame]) -> str:
-    names = [printable(located.frame.name) for located in frames[:_MOST_NAMES]]
-    further = len(frames) - len(names)
-    return listed([*names, f"{further:,} more"] if further else names)

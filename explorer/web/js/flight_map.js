@@ -225,7 +225,7 @@
       }
     return { frame: best[1], track: best[2] };
   };
-  // Say beside a refused answer's dot why it is refused.
+  // Say beside an answer's mark why it is refused or contradicted.
   const explain = ({ frame, track }, offers = false) => {
     const reason = track?.reason?.[frame], tip = find(".why");
     tip.textContent = reason ? flight.data.names[frame] + ". " + reason : "";

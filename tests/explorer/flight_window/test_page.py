@@ -57,7 +57,7 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     assert text.startswith("A drone took 3 photos over this map: 3 placed (2 by registration, 1 by sequence). Half of")
     assert text.endswith(
         "m of their GPS tags, which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map beside "
-        "the middle: photo1.png."
+        "the middle: photo1."
     )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
@@ -81,7 +81,11 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert track["state"] == [0, 0, 2]
     assert track["error"] == [1.0, 45.0, None]
     assert track["count"] == "2 of 3"
-    assert track["reason"] == [None, None, "Registration: refused. Only <i>4</i> matches agree."]
+    assert track["reason"] == [
+        None,
+        "Registration and tag lie 45.0 m apart; their radii allow 15.3 m.",
+        "Registration: refused. Only <i>4</i> matches agree.",
+    ]
     assert data["tracks"]["tag"]["count"] == "3 of 3"
     assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
     assert data["times"] == [0.0, 2.0, 4.0]
@@ -175,7 +179,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     lists = page.lists(view)
     assert lists["audit"].count("Places beside the photo&#39;s middle lie 4.0 m") == 1
     assert page.sentence(view, running=False).endswith(
-        "2 are contradicted by GPS tag, neighbours, or the map beside the middle: photo0.png and photo1.png."
+        "2 are contradicted by GPS tag, neighbours, or the map beside the middle: photo0 and photo1."
     )
     assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
     # The other one is off by 45.0 of 15.3 m, which is more of what is allowed.
@@ -186,7 +190,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert known[0].endswith("and 1 of 1 photos do not fit the map beside their middle.")
     unchecked = view_of(compared(flight, 0, 0.4))
     assert page.sentence(unchecked, running=False).endswith(
-        "1 could not be checked beside the middle, where too few places were found on the map: photo0.png."
+        "1 could not be checked beside the middle, where too few places were found on the map: photo0."
     )
     assert "not checked beside its middle" in page.lists(unchecked)["worst"]
     fits = flight_text.accuracy(view_of(compared(flight, 0, 0.4, 0.5, 0.6)))
