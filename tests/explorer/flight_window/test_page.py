@@ -83,7 +83,8 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert track["count"] == "2 of 3"
     assert track["reason"] == [
         None,
-        "Registration and tag lie 45.0 m apart; their radii allow 15.3 m.",
+        "Registration and sequence lie 45.3 m apart; their radii allow 38.5 m. Registration and tag lie 45.0 m apart; "
+        "their radii allow 15.3 m.",
         "Registration: refused. Only <i>4</i> matches agree.",
     ]
     assert data["tracks"]["tag"]["count"] == "3 of 3"
