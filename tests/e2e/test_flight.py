@@ -17,6 +17,7 @@ from explorer.app import App
 from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.workspace import LazyWorkspace, Workspace
+from lpn.drawing import theme
 from lpn.flights import Flight, Frame
 from lpn.locate.audit import TagAudit
 from lpn.locate.camera_pose import CameraPose
@@ -163,6 +164,21 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(REFUSED - 1)
     window.page.get_by_role("button", name="next photo").click()
     window.expect_frame(REFUSED)
+    # A mark at its middle, and where the dot of an accepted answer ends.
+    marks = """(at) => new Promise((done) => {
+      lpn.flight.data.signs[1] = at.doubted ? null : true;
+      lpn.flight.draw();
+      requestAnimationFrame(() => requestAnimationFrame(() => {
+        const canvas = document.querySelector("#lpn-flight .over"), ratio = canvas.width / canvas.clientWidth;
+        const [left, top] = lpn.flight.pixels(at.place), pen = canvas.getContext("2d");
+        const pixel = (down) => [...pen.getImageData(left * ratio, (top + down) * ratio, 1, 1).data.slice(0, 3)];
+        done([pixel(0), pixel(5)]);
+      }));
+    })"""
+    for doubted, name in ((False, "registration"), (True, "contradicted")):
+        middle, below = window.page.evaluate(marks, {"doubted": doubted, "place": PLACES[1]})
+        assert tuple(middle) == theme.COLOURS[name]
+        assert (below[0] > 200) == doubted, "a diamond is larger, so that it differs by its shape, too"
     # A frame of a longer flight may come before that flight itself.
     window.page.evaluate(
         "lpn.flight.follow({ address: 'another', frame: { frame: 99, card: '' }, answer: null, scores: null, sequence: 99 })"
