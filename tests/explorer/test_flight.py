@@ -315,6 +315,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert beside in said
         bent = own_picture(analysis, workspace, workspace.flight)
         assert bent["own"]["doubted"] == doubted
+        assert ("Red diamond with its circle" in bent["card"]) == doubted
         assert bent["card"].count("could be found on the map") == (not doubted)
     stages["registration"] = before
     on_map = own_picture(analysis, workspace, workspace.flight)
