@@ -124,6 +124,8 @@ class LocatedFrame:
         tag: its position in metres of the map's frame, (2,); None without a tag.
         stages: answers by stage.
         windows: best windows of the retrieval.
+        likely: windows of the sequence's greatest posterior, whose centres lie half of a side apart: x, y, and side in metres;
+            none where the sequence did not run over the whole flight.
         by_hand: where a person's correction lays the photo; None without one.
     """
 
@@ -131,6 +133,7 @@ class LocatedFrame:
     tag: Float64Array | None
     stages: dict[str, StageRecord] = field(default_factory=dict)
     windows: list[WindowRecord] = field(default_factory=list)
+    likely: list[tuple[float, float, float]] = field(default_factory=list)
     by_hand: StageRecord | None = None
 
     def truth(self, camera: bool) -> Float64Array | None:
@@ -142,14 +145,15 @@ class LocatedFrame:
         return self.middle(self.by_hand)
 
     def likely_places(self) -> list[list[float]]:
-        """Return the places (K, 2) that the registration searches about: the sequence's, and those of the two best windows.
+        """Return the places (K, 2) that the registration searches about: the sequence's, and those of two windows more.
 
-        There are none without an answer of the sequence.
+        They are the next of `likely`, else the two best ones of the retrieval. There are none without an answer of the sequence.
         """
         answer = self.stages.get("sequence")
         if answer is None or answer.x is None or answer.y is None:
             return []
-        return [[answer.x, answer.y]] + [[window.x, window.y] for window in self.windows[:2]]
+        others = [[x, y] for x, y, _ in self.likely[1:3]] or [[window.x, window.y] for window in self.windows[:2]]
+        return [[answer.x, answer.y], *others]
 
     def middle(self, answer: StageRecord) -> Float64Array:
         """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""
@@ -337,9 +341,10 @@ class LocatedFlight:
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
-        A window is a hit if it holds that place. "recall@5 apart" is measured on the windows that the registration searches; the
-        centres of two are at least half a side apart. A frame that cannot be read is a miss, and left out of Dis@K only. Empty
-        without retrieval or such places.
+        A window is a hit if it holds that place. "recall@5 apart" is measured on windows whose centres are at least half a side
+        apart, as the registration searches them without a sequence; "sequence recall@5 apart" on those of the sequence's greatest
+        posterior. A frame that cannot be read is a miss of the retrieval, and left out of Dis@K only. Empty without retrieval or
+        such places.
         """
         if self.retrieval is None:
             return {}
@@ -347,9 +352,13 @@ class LocatedFlight:
         rows: list[Float64Array] = []
         hits: list[BoolArray] = []
         apart: list[bool] = []
+        likely: list[list[bool]] = []
         for i, located in enumerate(self.frames):
             if (truth := located.truth(False)) is None:
                 continue
+            if located.likely:
+                near = np.array(located.likely)
+                likely.append(np.all(np.abs(near[:, :2] - truth) <= near[:, 2:] / 2, axis=1).tolist())
             if i in self.retrieval.broken:
                 rows.append(np.full(depth, np.inf))
                 hits.append(np.zeros(depth, bool))
@@ -368,6 +377,10 @@ class LocatedFlight:
         depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
         figures = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
         figures[f"recall@{TOP} apart"] = 100 * float(np.mean(apart))
+        if likely:
+            figures |= {
+                f"sequence recall@{k} apart": 100 * float(np.mean([any(own[:k]) for own in likely])) for k in (1, TOP)
+            }
         figures |= {f"sdm@{k}": float(field_metrics.sdm_gta_uav(distances, k).mean()) for k in depths}
         if len(read):
             figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}

@@ -13,7 +13,7 @@ from lpn.core.numbers import SIGMA
 from lpn.flights import Flight
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import new_views
-from lpn.locate.options import LocateOptions
+from lpn.locate.options import TOP, LocateOptions
 from lpn.locate.registered_stage import AROUND
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.sequence import (
@@ -115,7 +115,15 @@ def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tu
     motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
     evidence = heading_evidence(scores, headings, retrieval.places, flight.times, motion, temperature)
     near = OVERLAP * side
-    track = smooth(lambda i: emissions(scores(i), temperature), headings, retrieval.places, flight.times, motion, near)
+    track = smooth(
+        lambda i: emissions(scores(i), temperature),
+        headings,
+        retrieval.places,
+        flight.times,
+        motion,
+        near,
+        lambda shares: retrieval.best_apart(shares, TOP, APART),
+    )
     return track, motion, evidence
 
 
@@ -151,6 +159,7 @@ def enter_sequence(
                 f"The frame lies within {OVERLAP * side:.0f} m of this place with a probability of {probability:.2f}, and "
                 f"{CONFIDENCE:.2f} are needed. {sentence}"
             )
+        located.likely = [(*retrieval.places[w].tolist(), float(retrieval.sizes[w])) for w in track.first[i]]
         x, y = (float(value) for value in track.positions[i])
         heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
         answer = StageRecord(state, sentence, x, y, radius=radius, heading=heading)

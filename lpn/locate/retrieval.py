@@ -146,7 +146,11 @@ class MapRetrieval:
 
     def first(self, frame: int, k: int, apart: float = 0.0) -> Int64Array:
         """Return the k best windows of a frame, best first; none overlaps a better one by more than 1 - `apart` of its side."""
-        order = np.argsort(-self.scores(frame), kind="stable")
+        return self.best_apart(self.scores(frame), k, apart)
+
+    def best_apart(self, values: Float64Array, k: int, apart: float = 0.0) -> Int64Array:
+        """Return the k windows of the greatest values (W,), as `first` does by a frame's scores."""
+        order = np.argsort(-values, kind="stable")
         kept: list[int] = []
         for i in order.tolist():
             near = np.abs(self.places[kept] - self.places[i]).max(axis=1, initial=0)

@@ -124,6 +124,7 @@ class SequenceResult:
         positions: mean of each frame's posterior near its likeliest window in metres, (T, 2) float64.
         radii: 1-sigma radius in metres of each posterior, all windows included, about that position, (T,) float64.
         likeliest: window of the greatest posterior, all headings together, (T,) int64.
+        first: windows that `keep` chose by each posterior, all headings together.
         probabilities: that posterior, (T,) float64.
         headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
         nearby: posterior of all windows near the position, (T,) float64.
@@ -137,6 +138,7 @@ class SequenceResult:
     positions: Float64Array
     radii: Float64Array
     likeliest: Int64Array
+    first: list[Int64Array]
     probabilities: Float64Array
     headings: Float64Array
     nearby: Float64Array
@@ -252,6 +254,7 @@ def smooth(
     times: npt.ArrayLike,
     motion: MotionModel,
     near: float = math.inf,
+    keep: Callable[[Float64Array], Int64Array] = lambda shares: np.array([shares.argmax()]),
 ) -> SequenceResult:
     """Run forward-backward and Viterbi.
 
@@ -264,6 +267,7 @@ def smooth(
         times: seconds, (T,), NaN where unknown.
         near: metres around the likeliest window within which windows count for a frame's position, so that it does not lie
             between two places; and around the position for `SequenceResult.nearby`.
+        keep: chooses the windows of `SequenceResult.first` by a posterior (N,); by default the likeliest one.
 
     Raises:
         InputError: if the shapes do not fit.
@@ -282,6 +286,7 @@ def smooth(
     )
     likeliest, own = np.empty(frames, np.int64), np.empty(frames, np.int64)
     probable: list[Int64Array] = []
+    first: list[Int64Array] = []
     behind = np.ones((states, len(headings[-1])))
     for t, forward in _backwards(ahead, frames):
         if t < frames - 1:
@@ -292,6 +297,7 @@ def smooth(
         probable.append(np.argsort(-joint, axis=None)[:_PATH_STATES].copy())
         shares = joint.sum(axis=1)
         best = likeliest[t] = shares.argmax()
+        first.append(keep(shares))
         probabilities[t] = shares[best]
         point = _point(joint, places, headings[t], near)
         positions[t], radii[t], found_headings[t], nearby[t] = point
@@ -301,6 +307,7 @@ def smooth(
         positions,
         radii,
         likeliest,
+        first[::-1],
         probabilities,
         found_headings,
         nearby,

@@ -521,7 +521,11 @@ def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) ->
             (window.score for window in located.windows), reverse=True
         )
     measured = found.field_measures()
-    assert measured["recall@1"] == 100
+    assert measured["recall@1"] == measured["sequence recall@1 apart"] == 100
+    found.frames[0].likely.insert(0, (1e4, 0.0, 40.0))
+    moved = found.field_measures()
+    assert moved["sequence recall@1 apart"] == pytest.approx(100 - 100 / len(found.frames))
+    assert moved["sequence recall@5 apart"] == 100
     assert measured["dis@1"] < 15
     assert measured["ma@20"] == 100
 
@@ -633,6 +637,21 @@ def test_false_registrations_about_the_sequence_s_answers_hardly_ever_confirm_it
     assert confirmed <= most
 
 
+def test_the_registration_searches_where_the_whole_flight_is_likely(flight: Flight) -> None:
+    scores = np.eye(25)[[12] * 9]
+    scores[4, [24, 0, 12, 6]] = 1.0, 0.99, 0.9, 0.8
+    frame = _ranked(
+        replace(flight, frames=tuple(replace(flight.frames[0], time=2.0 * i) for i in range(9))), scores, {}
+    )[4]
+    assert [(window.x, window.y) for window in frame.windows] == [(80, 80), (-80, -80)]
+    assert frame.likely[0] == (0, 0, 40)
+    assert len(frame.likely) == len(set(frame.likely)) == 5
+    answer, *others = frame.likely_places()
+    assert np.linalg.norm(answer) < 20
+    assert others == [[x, y] for x, y, _ in frame.likely[1:3]]
+    assert [-40, -40] in others
+
+
 def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
     flight: Flight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -696,6 +715,7 @@ def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_pa
     assert measured["ma@100"] == pytest.approx(200 / 3)
     assert measured["sdm@1"] < 0.67
     assert measured["dis@1"] < 100
+    assert not any("sequence" in name for name in measured)
     assert any("1 of 3 frames cannot be read; the retrieval's measures count them" in note for note in found.notes)
 
 

@@ -116,7 +116,10 @@ def test_posteriors_and_path_are_those_of_all_paths(motion: MotionModel, heading
     emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(0, headings)]
     shares, pairs, total = _brute(emitted, headings, TIMES, motion)
     posterior = np.array([one.sum(axis=1) for one in shares])
-    found = smooth(emitted.__getitem__, headings, PLACES, TIMES, motion)
+    found = smooth(
+        emitted.__getitem__, headings, PLACES, TIMES, motion, keep=lambda one: np.argsort(-one, kind="stable")[:3]
+    )
+    np.testing.assert_array_equal(found.first, np.argsort(-posterior, axis=1, kind="stable")[:, :3])
     np.testing.assert_allclose(found.positions, posterior @ PLACES, rtol=1e-9)
     np.testing.assert_array_equal(found.likeliest, posterior.argmax(axis=1))
     np.testing.assert_allclose(found.probabilities, posterior.max(axis=1), rtol=1e-9)
