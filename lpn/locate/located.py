@@ -145,15 +145,14 @@ class LocatedFrame:
         return self.middle(self.by_hand)
 
     def likely_places(self) -> list[list[float]]:
-        """Return the places (K, 2) that the registration searches about: the sequence's, and those of two windows more.
+        """Return the places (K, 2) that the registration searches about: the sequence's, and those of the two best windows.
 
-        They are the next of `likely`, else the two best ones of the retrieval. There are none without an answer of the sequence.
+        There are none without an answer of the sequence.
         """
         answer = self.stages.get("sequence")
         if answer is None or answer.x is None or answer.y is None:
             return []
-        others = [[x, y] for x, y, _ in self.likely[1:3]] or [[window.x, window.y] for window in self.windows[:2]]
-        return [[answer.x, answer.y], *others]
+        return [[answer.x, answer.y]] + [[window.x, window.y] for window in self.windows[:2]]
 
     def middle(self, answer: StageRecord) -> Float64Array:
         """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""

@@ -637,19 +637,15 @@ def test_false_registrations_about_the_sequence_s_answers_hardly_ever_confirm_it
     assert confirmed <= most
 
 
-def test_the_registration_searches_where_the_whole_flight_is_likely(flight: Flight) -> None:
+def test_the_sequence_names_the_windows_that_the_whole_flight_makes_likely(flight: Flight) -> None:
     scores = np.eye(25)[[12] * 9]
     scores[4, [24, 0, 12, 6]] = 1.0, 0.99, 0.9, 0.8
-    frame = _ranked(
-        replace(flight, frames=tuple(replace(flight.frames[0], time=2.0 * i) for i in range(9))), scores, {}
-    )[4]
+    frames = tuple(replace(flight.frames[0], time=2.0 * i) for i in range(9))
+    frame = _ranked(replace(flight, frames=frames), scores, {})[4]
     assert [(window.x, window.y) for window in frame.windows] == [(80, 80), (-80, -80)]
     assert frame.likely[0] == (0, 0, 40)
-    assert len(frame.likely) == len(set(frame.likely)) == 5
-    answer, *others = frame.likely_places()
-    assert np.linalg.norm(answer) < 20
-    assert others == [[x, y] for x, y, _ in frame.likely[1:3]]
-    assert [-40, -40] in others
+    assert (-40, -40, 40) in frame.likely[:3]
+    assert len(set(frame.likely)) == 5
 
 
 def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
