@@ -9,6 +9,7 @@ the next request of its browser.
 
 from __future__ import annotations
 
+import atexit
 import logging
 import threading
 import time
@@ -16,6 +17,7 @@ from bisect import insort
 from collections.abc import Callable, Iterable
 from itertools import count
 from typing import TYPE_CHECKING
+from weakref import WeakSet
 
 from explorer.compute.background_jobs import WorkCancelledError
 from explorer.compute.batching import InferenceRequest, SupersededError, compute, next_batch
@@ -41,6 +43,8 @@ RETRY_AFTER = 0.5
 RESERVATION = 4 * RETRY_AFTER
 # Seconds without requests after which the thread ends; the next request starts another one.
 IDLE_TIMEOUT = 60.0
+# Seconds that the end of the program waits for the batches being computed.
+END_TIMEOUT = 10.0
 _MAX_HEADS = 16
 _MAX_BOUND = 16
 
@@ -72,6 +76,8 @@ class InferenceScheduler:
         # After a request is superseded, its context keeps the position for its next request.
         self._kept_positions: dict[RequestContext, int] = {}
         self._thread: threading.Thread | None = None
+        self._ending = False
+        _SCHEDULERS.add(self)
         self._heads: SingleFlightCache[tuple[Model, View], Heads] = SingleFlightCache(_MAX_HEADS)
         self._bound: SingleFlightCache[tuple[Model, View, View], Model] = SingleFlightCache(_MAX_BOUND)
 
@@ -142,6 +148,13 @@ class InferenceScheduler:
         with self._changed:
             self._kept_positions.pop(context, None)
 
+    def end(self) -> threading.Thread | None:
+        """Compute no batch after the present one, and return the thread that computes it. Waiting requests get no result."""
+        with self._changed:
+            self._ending = True
+            self._changed.notify_all()
+            return self._thread
+
     def _start_thread(self) -> None:
         thread = threading.Thread(target=self._loop, name="explorer-inference", daemon=True)
         thread.start()
@@ -172,7 +185,10 @@ class InferenceScheduler:
     def _work(self) -> None:
         while True:
             with self._changed:
-                if not self._changed.wait_for(lambda: self._interactive or self._background, IDLE_TIMEOUT):
+                self._changed.wait_for(lambda: self._interactive or self._background or self._ending, IDLE_TIMEOUT)
+                if self._ending:
+                    return
+                if not self._interactive and not self._background:
                     self._thread = None
                     return
                 batch = self._next_batch()
@@ -208,3 +224,15 @@ class InferenceScheduler:
     def _remove(self, requests: Iterable[InferenceRequest]) -> None:
         for request in requests:
             (self._background if request.background else self._interactive).remove(request)
+
+
+_SCHEDULERS: WeakSet[InferenceScheduler] = WeakSet()
+
+
+@atexit.register
+def _end_all() -> None:
+    """Let no thread compute while the interpreter ends, which would end it inside C++ code; that aborts the process."""
+    deadline = time.monotonic() + END_TIMEOUT
+    for thread in [scheduler.end() for scheduler in list(_SCHEDULERS)]:
+        if thread is not None:
+            thread.join(max(deadline - time.monotonic(), 0))

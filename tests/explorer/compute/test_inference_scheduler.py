@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,8 +121,11 @@ def until(condition: Callable[[], bool]) -> None:
 
 
 @pytest.fixture
-def network() -> ManualModel:
-    return ManualModel()
+def network() -> Iterator[ManualModel]:
+    """A network that computes what it still holds when the test ends, so that no thread waits for ever."""
+    made = ManualModel()
+    yield made
+    made.release(MAX_QUEUED)
 
 
 def queued(network: ManualModel, queue: InferenceScheduler, background: bool = False) -> QueuedModel:
@@ -580,6 +586,29 @@ def test_after_a_failed_thread_start_the_next_call_tries_again(
     worker.wake()
     assert ran.wait(TIMEOUT)
     worker.stop()
+
+
+COMPUTING = """
+import sys, threading
+import numpy as np
+import lpn
+from explorer.compute.inference_scheduler import InferenceScheduler
+from explorer.compute.request_context import QueuedModel, RequestContext
+model, queue, began = lpn.load(sys.argv[1]), InferenceScheduler(), threading.Event()
+run = type(model).run
+def told_run(self, images, view):
+    began.set()
+    return run(self, images, view)
+type(model).run = told_run
+network, images = QueuedModel(model, queue, RequestContext(queue), False), np.zeros((64, 3, 64, 64), np.float32)
+threading.Thread(target=network.run, args=(images, "drone"), daemon=True).start()
+began.wait()
+"""
+
+
+def test_a_program_may_end_while_a_batch_is_computed(model_file: Path) -> None:
+    ended = subprocess.run([sys.executable, "-c", COMPUTING, str(model_file)], stderr=subprocess.PIPE, text=True)
+    assert (ended.returncode, ended.stderr) == (0, "")
 
 
 def test_the_cache_computes_a_value_once_and_forgets_the_least_recently_used() -> None:
