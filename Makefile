@@ -6,7 +6,8 @@ BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 HOST   ?= 127.0.0.1
 PORT   ?= 8080
-JOBS   ?= 2
+# Processes of tests. One more than CI's two cores: tests wait for browsers, servers, and other processes.
+JOBS   ?= 3
 
 .PHONY: explore setup test test-all check check-types check-style bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test

@@ -69,6 +69,7 @@ class TorchModel(Model):
         self._device = next(network.parameters()).device
         self.device = self._device.type
         self.batch = 64 if self.device == "cuda" else 8
+        self._map_sizes: dict[View, tuple[int, int]] = {}
         if compiled:
             compile_backbones(network)
 
@@ -88,7 +89,9 @@ class TorchModel(Model):
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map of an image of the model's input size."""
-        return map_size(self.network.branch(view).model, self.input_size)
+        if view not in self._map_sizes:
+            self._map_sizes[view] = map_size(self.network.branch(view).model, self.input_size)
+        return self._map_sizes[view]
 
     def heads(self, view: View) -> Heads:
         """Return the affine heads and cell weights; SAFA has none."""

@@ -775,13 +775,24 @@ def test_clauses_that_differ_are_said_with_the_rows_they_hold_for() -> None:
 
 @pytest.mark.slow
 def test_a_terminal_of_ascii_does_not_end_a_reproduction(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    places: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    model = small_worlds.make_model(tmp_path, size=256)
     shown = io.BytesIO()
     monkeypatch.setattr("sys.stdout", io.TextIOWrapper(shown, "ascii", write_through=True))
     out = tmp_path / "out"
-    given = ["--data", str(places), "--model", str(model), "--no-train", "--out", str(out)]
+    given = [
+        "--data",
+        str(places),
+        "--model",
+        str(model_file),
+        "--recipe",
+        "reduced",
+        "--size",
+        "64",
+        "--no-train",
+        "--out",
+        str(out),
+    ]
     assert main(["reproduce", "table5", "figure8", *given]) == 0
     assert b"drone ? satellite R@1" in shown.getvalue()
     assert (out / "figure8.png").is_file()

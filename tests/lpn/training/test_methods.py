@@ -45,7 +45,7 @@ STEPS = replace(
 AS_RELEASED = {**RELEASED_METRIC, "linear": False, "lr": 1e-4}
 ON_PLACES: dict[str, dict[str, Any]] = {
     "lpn": {},
-    "lpn on resnet50": {"backbone": "resnet50", "google": False, "n_parts": 2},
+    "lpn on resnet50": {"backbone": "resnet50", "google": False, "n_parts": 2, "lr": 3e-3, "epochs": 5},
     "lpn on vgg16": {"backbone": "vgg16_bn", "last_layer": "layer4", "n_parts": 2, "google": False, "size": 32},
     "instance": {},
     # Each loss and its slopes are compared with numbers elsewhere: here all are trained, one of them by the released recipe.
