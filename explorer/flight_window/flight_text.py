@@ -340,6 +340,7 @@ def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyL
     line = AccuracyLine(
         "Check of the radii",
         f"{', '.join(f'{share:.0f}' for share in summary.calibration.values())} %",
-        f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict}",
+        f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict} Surveyed "
+        "positions of some photos tell: lpn evaluate flight --positions compares with them.",
     )
     return [line], failed

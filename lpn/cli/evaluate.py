@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
@@ -22,8 +22,11 @@ from lpn.sources import Arrays, Data, Flown, Indexed, Published
 from lpn.sources.opened import open_task
 
 if TYPE_CHECKING:
+    from rich.console import Console
+
     from lpn.datasets import Dataset
     from lpn.locate.pose_benchmark import PoseSummary
+    from lpn.locate.surveyed import SurveyedErrors
     from lpn.models.base import Model
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
@@ -277,17 +280,34 @@ class EvaluationOfFlight:
     """Lay each photo over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
     corrections: bool = True
     """Take the truth from corrections.csv where a person corrected a frame; --no-corrections takes tags alone."""
+    positions: Path | None = None
+    """Table (CSV) of surveyed positions of photos, which the accepted answers are compared with: photo and latitude,longitude or
+    easting,northing,epsg, and point, which is camera (by default) or ground, the ground at the photo's middle."""
+    crs: str | None = None
+    """Coordinate reference system of the eastings and northings in --positions, such as EPSG:32614, instead of a column."""
+    residuals: Path | None = None
+    """Table (CSV) to write: answer minus surveyed position, photo by photo."""
     json: Path | None = None
     """File to write the measures to, as JSON."""
 
     def run(self) -> None:
         from lpn.cli.locate import locate_files, print_summary
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_json
+        from lpn.core.files import check_writable, printable, write_json
         from lpn.locate.options import LocateOptions
+        from lpn.locate.surveyed import compare_surveyed, read_surveyed, summarise_surveyed, write_residuals
+        from lpn.maps import open_map
 
-        if self.json is not None:
-            check_writable(self.json)
+        for option, given in (("--crs", self.crs), ("--residuals", self.residuals)):
+            if given is not None and self.positions is None:
+                raise InputError(f"{option} belongs to --positions; give both, or leave it out.")
+        for file in (self.json, self.residuals):
+            if file is not None:
+                check_writable(file)
+        # What is wrong with the table is told before the flight is located.
+        surveyed = None
+        if self.positions is not None:
+            surveyed = read_surveyed(self.positions, open_map(self.map).frame, self.crs)
         console = wide_console()
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error, tags=self.tags)
         located = locate_files(
@@ -303,6 +323,14 @@ class EvaluationOfFlight:
             pooling=self.pooling,
         )
         print_summary(located, console)
+        errors = {}
+        if surveyed is not None:
+            rows, told = compare_surveyed(located, surveyed)
+            errors = summarise_surveyed(rows)
+            _print_surveyed(errors, told, console)
+            if self.residuals is not None:
+                write_residuals(self.residuals, rows, located.basemap.frame)
+                console.print(f"The residuals are in {printable(str(self.residuals))}.", soft_wrap=True, markup=False)
         if self.json is not None:
             stages = {stage: asdict(summary) for stage, summary in located.summaries().items()}
             audit = None if located.audit is None else located.audit.sentence
@@ -319,6 +347,8 @@ class EvaluationOfFlight:
                 "tags": audit,
                 "notes": located.notes,
             }
+            if surveyed is not None:
+                result["surveyed"] = {stage: asdict(summary) for stage, summary in errors.items()}
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_json(self.json, _without_nan(result))
 
@@ -509,6 +539,30 @@ def _print_weathers(title: str, result: WeatherResult) -> None:
     console = wide_console()
     console.print(table)
     console.print(result.sentence)
+
+
+def _print_surveyed(errors: Mapping[str, SurveyedErrors], told: Sequence[str], console: Console) -> None:
+    from rich.table import Table
+
+    from lpn.core.numbers import SIGMA
+    from lpn.locate.measures import RIGHT_CALIBRATION
+
+    table = Table(title="Against surveyed positions: answer minus survey, in metres")
+    columns = ("stage", "photos", "mean E", "mean N", "RMSE E", "RMSE N", "RMSE plane", "median", "CE90", "largest")
+    for name in (*columns, *(f"<= {k} {'radius' if k == 1 else 'radii'}" for k in RIGHT_CALIBRATION)):
+        table.add_column(name, justify="left" if name == "stage" else "right", no_wrap=name == "stage")
+    for stage, one in errors.items():
+        figures = (one.bias_east, one.bias_north, one.rmse_east, one.rmse_north, one.rmse, one.median, one.ce90)
+        shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for k in RIGHT_CALIBRATION]
+        table.add_row(stage, f"{one.photos}", *(f"{value:.2f}" for value in (*figures, one.largest)), *shares)
+    console.print(table)
+    right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
+    sentence = (
+        f"Accepted answers count, contradicted ones too. CE90 is the distance that holds 90 % of them; right radii ({SIGMA}, "
+        f"with the map's error) hold {right} within 1, 2, and 3."
+    )
+    for line in (sentence, *told):
+        console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
 def _print_poses(title: str, summaries: Sequence[PoseSummary]) -> None:

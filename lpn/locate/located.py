@@ -280,6 +280,7 @@ class LocatedFlight:
             latitude, longitude = frame.degrees([(answer.x, answer.y)])[0].tolist()
             easting, northing = frame.utm([(answer.x, answer.y)])[0].tolist()
             projection = frame.utm_zone
+        off = self._from_tag(located, answer)
         reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
         return TrackPoint(
             located.frame.name,
@@ -293,22 +294,28 @@ class LocatedFlight:
             answer.radius_on_map,
             answer.radius if answer.on_earth else None,
             answer.heading,
-            self._metres_from_tag(located, answer),
+            math.hypot(*off) if off else None,
             note=note,
             easting=easting,
             northing=northing,
             projection=projection,
             misfit=None if answer.agreement is None else answer.agreement.median,
             largest_misfit=None if answer.agreement is None else answer.agreement.largest,
-            **_of_pose(answer.pose),
+            east_from_tag=off[0] if off else None,
+            north_from_tag=off[1] if off else None,
+            tag_latitude=located.frame.latitude,
+            tag_longitude=located.frame.longitude,
+            **_of_pose(answer.pose, self.basemap),
         )
 
-    def _metres_from_tag(self, located: LocatedFrame, answer: StageRecord) -> float | None:
-        """Return the metres from an answer to the tag in the frame's file, without the lag or with it."""
+    def _from_tag(self, located: LocatedFrame, answer: StageRecord) -> tuple[float, float] | None:
+        """Return an answer minus the tag in the frame's file, without the lag or with it: metres east and north."""
         tag, frame = located.tag, located.frame
         if self.tags_corrected and frame.latitude is not None and frame.longitude is not None:
             tag = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
-        return None if tag is None or answer.x is None else answer.distance(tag)
+        if tag is None or answer.x is None or answer.y is None:
+            return None
+        return answer.x - float(tag[0]), answer.y - float(tag[1])
 
     def without_lag(self) -> LocatedFlight:
         """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""
@@ -392,11 +399,14 @@ def short_reason(text: str) -> tuple[str, str]:
     return (f"{first}.", rest) if end else (text, "")
 
 
-def _of_pose(pose: CameraPose | None) -> dict[str, Any]:
+def _of_pose(pose: CameraPose | None, basemap: Map) -> dict[str, Any]:
     """Return the entries of a track's point that a pose has."""
     if pose is None:
         return {}
+    latitude, longitude = basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
     return {
+        "camera_latitude": latitude,
+        "camera_longitude": longitude,
         "altitude": None if pose.flat else pose.altitude,
         "height": pose.height,
         "yaw": pose.heading,

@@ -52,14 +52,17 @@ class TrackPoint:
         radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
+        east_from_tag, north_from_tag: the same along both axes, position minus tag.
+        tag_latitude, tag_longitude: of that tag in degrees; None without one.
         doubt: the answers that contradict this one, "tag", stages, or "map": what the map has beside the photo's middle.
         note: further sentences.
         easting, northing, projection: metres in the projected system of an EPSG code; None without a position.
         misfit, largest_misfit: median and most of the metres from places beside the photo's middle to where the map has them;
             None where they were not compared, or too few tell.
+        camera_latitude, camera_longitude: of the camera by its pose, in degrees; None without one.
         altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
         height: of the camera by its pose, metres above ground; None where that is unknown.
-        yaw, pitch, roll: of the camera by its pose, in degrees; -90 of pitch looks straight down.
+        yaw, pitch, roll: of the camera by its pose, in degrees; a pitch of -90 looks straight down, one below it beyond that.
         fov: horizontal field of view of the pose in degrees.
         sigma_east, sigma_north, sigma_up: 1-sigma errors of the pose in metres, without the map's own.
         sigma_yaw, sigma_pitch, sigma_roll: 1-sigma errors of the pose in degrees.
@@ -84,6 +87,12 @@ class TrackPoint:
     projection: int | None = None
     misfit: float | None = None
     largest_misfit: float | None = None
+    east_from_tag: float | None = None
+    north_from_tag: float | None = None
+    tag_latitude: float | None = None
+    tag_longitude: float | None = None
+    camera_latitude: float | None = None
+    camera_longitude: float | None = None
     altitude: float | None = None
     height: float | None = None
     yaw: float | None = None
@@ -102,6 +111,8 @@ class TrackPoint:
 _ALWAYS = ("frame", "stage", "state", "latitude", "longitude", "reason")
 # The entries of a pose by their columns, and the digits behind the point.
 _POSE_COLUMNS = {
+    "camera_latitude": ("camera_latitude", 7),
+    "camera_longitude": ("camera_longitude", 7),
     "altitude": ("altitude_m", 2),
     "height": ("height_m", 2),
     "yaw": ("yaw_deg", 2),
@@ -274,6 +285,10 @@ def _row(point: TrackPoint) -> dict[str, Any]:
         "misfit_median_m": _rounded(point.misfit, 2),
         "misfit_max_m": _rounded(point.largest_misfit, 2),
         "metres_from_tag": _rounded(point.metres_from_tag, 1),
+        "east_from_tag_m": _rounded(point.east_from_tag, 2),
+        "north_from_tag_m": _rounded(point.north_from_tag, 2),
+        "tag_latitude": _rounded(point.tag_latitude, 7),
+        "tag_longitude": _rounded(point.tag_longitude, 7),
         "time_utc": moment or "",
         "seconds": None if moment else _rounded(point.time, 3),
         "heading_deg": heading_figure(point.heading),

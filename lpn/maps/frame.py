@@ -37,6 +37,11 @@ class LocalFrame:
         """Return metres east and north of the origin, (N, 2), of WGS 84 degrees, (N,) each; NaN where an input is NaN."""
         return self._transformed(_degrees_crs(), self.crs, longitude, latitude)
 
+    def from_crs(self, crs: Any, coordinates: npt.ArrayLike) -> Float64Array:
+        """Return metres east and north of the origin, (N, 2), of coordinates in a rasterio CRS, (N, 2), easting first."""
+        points = np.asarray(coordinates, np.float64).reshape(-1, 2)
+        return self._transformed(crs, self.crs, points[:, 0], points[:, 1])
+
     def degrees(self, xy: npt.ArrayLike) -> Float64Array:
         """Return latitude and longitude in WGS 84 degrees, (N, 2), of metres east and north, (N, 2); NaN where one is NaN."""
         points = np.asarray(xy, np.float64).reshape(-1, 2)

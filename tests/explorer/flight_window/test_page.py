@@ -217,7 +217,8 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     assert "late" not in of["GPS tags"]
     # One of two tags lies within a radius, and tags err by more than that.
     assert of["Check of the radii"].startswith("50, 50, 50 % ")
-    assert of["Check of the radii"].endswith("does not tell which of the two fails.")
+    assert "does not tell which of the two fails. Surveyed positions" in of["Check of the radii"]
+    assert of["Check of the radii"].endswith("lpn evaluate flight --positions compares with them.")
     late = TagAudit(9, 15.3, 33.0, 2.8, 0.5, 10.5, 2.7, 14.0, 8.6)
     _, of = lines(audit=late)
     assert "are 2.8 s (± 0.5 s) late, or that the camera looks 8.6 m ahead" in of["GPS tags"]

@@ -108,7 +108,8 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
     points = found.track()
     assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
-    assert points[0].metres_from_tag is not None
+    assert points[0].metres_from_tag == pytest.approx(math.hypot(points[0].east_from_tag, points[0].north_from_tag))
+    assert points[0].tag_latitude == flight.frames[0].latitude
 
 
 def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -778,6 +779,20 @@ def test_the_commands_write_a_track_and_measures(
     assert "suffix '.shp'" in capsys.readouterr().err
     assert main(["evaluate", "flight", *where, "--map-error", "-1"]) == 2
     assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
+    survey = tmp_path / "survey.csv"
+    eastings = town.frame.utm(PLACES[:2]).tolist()
+    survey.write_text("photo,easting,northing\n" + "".join(f"{i},{e - 1},{n}\n" for i, (e, n) in enumerate(eastings)))
+    compared = ["--positions", str(survey), "--no-corrections"]
+    assert main(["evaluate", "flight", *where, *compared]) == 2
+    assert "without their CRS" in capsys.readouterr().err
+    compared += ["--crs", "32632", "--residuals", str(tmp_path / "residuals.csv"), "--json", str(tmp_path / "all.json")]
+    assert main(["evaluate", "flight", *where, *compared]) == 0
+    assert "Against surveyed positions" in capsys.readouterr().out
+    (errors,) = json.loads((tmp_path / "all.json").read_text())["surveyed"].values()
+    assert errors["bias_east"] == pytest.approx(1.0, abs=0.6)
+    assert len((tmp_path / "residuals.csv").read_text().splitlines()) == 3
+    assert main(["evaluate", "flight", *where, "--crs", "32632"]) == 2
+    assert "--crs belongs to --positions" in capsys.readouterr().err
     for alone in (["--no-register"], ["--map-error", "2"]):
         assert main(["evaluate", *alone]) == 2
         assert "lpn evaluate flight" in capsys.readouterr().err
