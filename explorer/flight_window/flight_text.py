@@ -337,10 +337,14 @@ def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyL
             )
         else:
             verdict = "Radii or tags are worse than they should be, and this does not tell which."
+    survey = (
+        ""
+        if flight.rendered
+        else " Surveyed positions of some photos tell: lpn evaluate flight --positions compares with them."
+    )
     line = AccuracyLine(
         "Check of the radii",
         f"{', '.join(f'{share:.0f}' for share in summary.calibration.values())} %",
-        f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict} Surveyed "
-        "positions of some photos tell: lpn evaluate flight --positions compares with them.",
+        f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict}{survey}",
     )
     return [line], failed
