@@ -24,6 +24,8 @@ from lpn.models.base import Model, normalise
 # below it. Quantized descriptors, positions rounded to a centimetre, and another execution provider stay above it.
 _CHECKED = 4
 _ALIKE = 0.95
+# The least share of the map's windows by which an index counts as whole; the overlap that it was made with is only measured.
+_WHOLE = 0.9
 # Windows by which the overlap is measured.
 _SAMPLE = 100
 # Windows up to which all are compared with each frame; 400 MB of 4 parts of 512 numbers are 50,000.
@@ -127,7 +129,17 @@ class WindowIndex:
         if missing := sum(name not in read for some in names for name in some):
             raise _unfinished(missing)
         vectors = np.stack([[read[name] for name in some] for some in names])
-        return IndexedWindows(self._on_map(places), vectors.astype(np.float32, copy=False), notes)
+        found = IndexedWindows(self._on_map(places), vectors.astype(np.float32, copy=False), notes)
+        if self._every is None:
+            return found
+        whole = self._map.count_pyramid(self.sizes, found.overlap)
+        if len(places) >= _WHOLE * whole:
+            return found
+        note = (
+            f"The index holds {len(places):,} of some {whole:,} windows of the map, and no photo is found where it holds none; "
+            "if it should hold all, let lpn index --map go on to its end."
+        )
+        return replace(found, notes=(*notes, note))
 
     def _nearest(self, described: Float32Array) -> tuple[list[NamedWindow], dict[str, Float32Array]]:
         """Return the windows nearest to descriptions, north up and each once, and the descriptors of all their turns by name."""

@@ -69,6 +69,24 @@ def test_windows_of_an_index_are_those_that_would_be_described(town: Map, tmp_pa
             np.testing.assert_allclose(found.scores(i)[order], plain.scores(i), atol=1e-4)
 
 
+def test_an_index_that_is_still_being_filled_is_told(town: Map, tmp_path: Path) -> None:
+    (tmp_path / "photos").mkdir()
+    flight = small_flight(tmp_path / "photos", town)
+    model = GridModel()
+    plain = retrieve(model, town, flight, [51.0], 0.6, centre=False)  # type: ignore[arg-type]
+    names = [one.name for one in NamedWindow.all_of(plain.windows, town.frame)]
+    half = len(names) // 2
+    with create_index(tmp_path / "index", KIND) as index:
+        index.add(names[:half], plain.windows_described[:half])
+    for held in (half, len(names)):
+        indexed = WindowIndex(str(tmp_path / "index"), model, town)  # type: ignore[arg-type]
+        notes = retrieve(model, town, flight, centre=False, indexed=indexed).notes  # type: ignore[arg-type]
+        told = f"The index holds {half:,} of some {len(names):,} windows of the map"
+        assert any(told in note for note in notes) == (held == half)
+        with create_index(tmp_path / "index", KIND) as index:
+            index.add(names[half:], plain.windows_described[half:])
+
+
 def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(town: Map, tmp_path: Path) -> None:
     windows = town.pyramid([60.0], 0.5)
     names = [one.name for one in NamedWindow.all_of(windows, town.frame)]
