@@ -6,7 +6,8 @@ days, so the index is filled with descriptors of a seeded function, by the same 
 long, and what they find means nothing. The network is untrained, with 4 parts of 64 numbers.
 
 FOLDER keeps indexes and figures. A run that was killed goes on: it fills the rest of its index, and measures what has no figure
-yet. `--windows` are the sizes of the county, and `--no-page` leaves the explorer out. `--chart FILE` writes the chart as SVG.
+yet. `--windows` are the sizes of the county, `--engine faiss` makes an approximate index, and `--no-page` leaves the explorer
+out. `--chart FILE` writes the chart as SVG.
 With `--rows docs/measured/county.json` it shows those figures, and nothing is measured.
 """
 
@@ -37,7 +38,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.core.files import write_atomic
 from lpn.core.progress import at_intervals
 from lpn.flights import Flight, Frame
-from lpn.index import DescriptorKind, create_index, open_index
+from lpn.index import DescriptorKind, IndexEngine, create_index, open_index
 from lpn.index.from_map import index_windows, window_describer
 from lpn.locate.index_windows import WindowIndex
 from lpn.locate.options import LocateOptions
@@ -208,8 +209,8 @@ def describe_seconds(model: Model, basemap: Map) -> float:
     return (time.process_time() - begun) / len(windows)
 
 
-def filled(folder: Path, basemap: Map, model: Model) -> dict[str, float]:
-    """Fill an index; return the seconds since this call, the windows, and the bytes on disk."""
+def filled(folder: Path, basemap: Map, model: Model, engine: IndexEngine) -> dict[str, float]:
+    """Fill an index, exact ones in 8 bits; return the seconds since this call, the windows, and the bytes on disk."""
     kind = DescriptorKind(model.fingerprint, PARTS, NUMBERS)
     begun = time.perf_counter()
 
@@ -217,7 +218,7 @@ def filled(folder: Path, basemap: Map, model: Model) -> dict[str, float]:
         seconds = time.perf_counter() - begun
         print(f"{done:,} of {total:,} windows are in the index after {seconds:.0f} s", flush=True)
 
-    with create_index(folder, kind, precision="int8") as index:
+    with create_index(folder, kind, engine, "int8" if engine == "exact" else "float32") as index:
         index_windows(index, basemap, drawn, SIZES, OVERLAP, at_intervals(SAID, say), BLOCK)
     return {
         "index": time.perf_counter() - begun,
@@ -266,14 +267,17 @@ def median_seconds(tasks: Sequence[Callable[[], object]]) -> tuple[float, float]
     return clock, processor
 
 
-def measure(windows: int, folder: Path, model_file: Path, with_page: bool) -> dict[str, Any]:
+def measure(
+    windows: int, folder: Path, model_file: Path, with_page: bool, engine: IndexEngine = "exact"
+) -> dict[str, Any]:
     """Measure a county of about so many windows, as far as it has no figures yet; times are seconds, and memory is in bytes."""
     basemap, model = county(windows), lpn.load(model_file)
-    index, photos = folder / f"{windows}.index", folder / f"{windows}.photos"
+    name = str(windows) if engine == "exact" else f"{windows}-{engine}"
+    index, photos = folder / f"{name}.index", folder / f"{windows}.photos"
     record = index.with_suffix(".json")
     found: dict[str, Any] = json.loads(record.read_bytes()) if record.is_file() else {}
     steps: dict[str, Callable[[], dict[str, float]]] = {
-        "index": lambda: filled(index, basemap, model),
+        "index": lambda: filled(index, basemap, model, engine),
         "describe a window": lambda: {"describe a window": describe_seconds(model, basemap)},
         "search": lambda: searched(index, model),
         "locate a frame": lambda: located(index, basemap, model, photos),
@@ -352,6 +356,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?")
     parser.add_argument("--windows", type=int, nargs="+", default=[10**4, 10**5, 10**6, 10**7])
+    parser.add_argument("--engine", choices=("exact", "faiss"), default="exact")
     parser.add_argument("--no-page", action="store_true")
     parser.add_argument("--rows", type=Path)
     parser.add_argument("--chart", type=Path)
@@ -363,7 +368,7 @@ def main() -> None:
     else:
         model = make_model(given.folder)
         print(machine())
-        rows = [measure(windows, given.folder, model, not given.no_page) for windows in given.windows]
+        rows = [measure(windows, given.folder, model, not given.no_page, given.engine) for windows in given.windows]
     print(json.dumps(rows, indent=1))
     if given.chart is not None:
         write_atomic(given.chart, chart(rows).encode())
