@@ -126,6 +126,9 @@ class FirstScreen:
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
             "data": session_state.leave_upload,
+            "first": lambda state: session_state.choose_query(
+                state, workspace.first_query, len(workspace.tasks[state.task].queries)
+            ),
             "all": session_state.show_everything,
             "workbench": lambda state: replace(state, first_screen=False, why=False),
             "cells": lambda state: replace(state, first_screen=False, why=True, why_tab="comparison"),
@@ -273,6 +276,7 @@ def page(
         else f"{place_text.criterion(workspace, task)} {answer_text.doubts(workspace)}".strip(),
         season="" if state.upload else place_text.season(workspace),
         alterations=alterations,
+        moved_on=state.task == next(iter(workspace.tasks)) and state.query != workspace.first_query,
     )
 
 

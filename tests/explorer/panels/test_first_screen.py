@@ -260,6 +260,21 @@ def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch:
     )
 
 
+def test_the_open_place_leads_back_to_its_first_picture(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workspace, "choices", {workspace.key: "a city"})
+    shown: list[SessionState | None] = []
+    navigation = SimpleNamespace(**dict.fromkeys(("random", "previous", "next", "next_failure")))
+    gui, later = SimpleNamespace(add_html=lambda _: None), SessionState(TASK, 4, query=5, first_screen=True)
+    screen = first_screen.FirstScreen(
+        gui, workspace, navigation, lambda change: shown.append(change(later)), print, None
+    )  # type: ignore[arg-type]
+    screen.act("first")
+    (first,) = shown
+    assert first == replace(later, query=workspace.first_query)
+    for state, offered in ((later, True), (first, False)):
+        assert ('data-act="first"' in first_screen.page(analyse(workspace, state), workspace)) == offered
+
+
 def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
     own = OwnPicture("mine.png", small_worlds.place(3)[:48])
     analysis = analyse(workspace, SessionState(TASK, 4, upload=own, first_screen=True))
