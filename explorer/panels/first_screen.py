@@ -275,6 +275,7 @@ def page(
         if state.upload
         else f"{place_text.criterion(workspace, task)} {answer_text.doubts(workspace)}".strip(),
         season="" if state.upload else place_text.season(workspace),
+        untried=place_text.untried(workspace),
         alterations=alterations,
         moved_on=state.task == next(iter(workspace.tasks)) and state.query != workspace.first_query,
     )

@@ -107,6 +107,13 @@ def season(workspace: Workspace) -> str:
     return ""
 
 
+def untried(workspace: Workspace) -> str:
+    """Say what nobody has measured, where a real flight may lead to believe it; "" for any other data."""
+    if workspace.flight is None or workspace.flight.rendered:
+        return ""
+    return "Photos of damage, such as a storm's, were never measured."
+
+
 def _seasons_differ(flight: LocatedFlight) -> bool:
     """Return whether map and photos are known to be of different seasons."""
     flown, mapped, latitude = flight.flight.day, flight.basemap.place, flight.basemap.frame.latitude

@@ -89,6 +89,8 @@ def test_the_judge_of_right_answers_is_named() -> None:
         "which a lag of 2.7 s explains, so the judge is the program's second method, which lays the photo's details over the "
         "map."
     )
+    same.flight.rendered = False
+    assert "never measured" in place_text.untried(same)
     assert place_text.season(same) == (
         "Where map and photos are of different seasons (an autumn), the first answer is right 17 of 40 times."
     )
