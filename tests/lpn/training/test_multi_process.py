@@ -51,13 +51,16 @@ def shared(places: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.slow
 def test_two_processes_train_as_one_does(places: Path, shared: Path, tmp_path: Path) -> None:
     run, threads = trainer(places, tmp_path / "alone"), torch.get_num_threads()
+    before = {name: weight.detach().clone() for name, weight in run.network.named_parameters()}
     torch.set_num_threads(1)  # as torchrun does
     run.run()
     torch.set_num_threads(threads)
     assert losses(shared / "whole") == pytest.approx(losses(tmp_path / "alone"), rel=1e-4)
     weights = torch.load(shared / "weights0.pt", weights_only=True)
-    for name, alone in run.network.named_parameters():
-        torch.testing.assert_close(weights[name], alone.detach(), rtol=1e-3, atol=1e-5)
+    # Processors sum in other orders, so single weights differ more on some; a tensor as a whole moves alike.
+    for name, parameter in run.network.named_parameters():
+        alone, together = parameter.detach(), weights[name].detach()
+        assert (together - alone).norm() <= 0.01 * (alone - before[name]).norm(), name
 
 
 @pytest.mark.slow
