@@ -59,7 +59,7 @@ class QueryPanel:
         }
         buttons = gui.add_button_group("Go to", tuple(moves))
         buttons.on_click(lambda _: change(moves.get(buttons.value, lambda state: state)))
-        laboratory = gui.add_button("Failure laboratory", icon=viser.Icon.FLASK)
+        laboratory = gui.add_button("All pictures in a table", icon=viser.Icon.FLASK)
         laboratory.on_click(lambda _: change(session_state.flip_lab))
         if workspace.has_flight:
             flight = gui.add_button("Flight over its map", icon=viser.Icon.MAP_2)

@@ -85,7 +85,7 @@ def test_page_says_what_is_shown_and_compares_a_match_chosen_by_its_row_or_its_t
     for text in ("model.onnx", "places", "n = 4", "drone → satellite", "14 queries", "14 tiles", "R@1"):
         expect(header).to_contain_text(text)
     expect(explorer.status).to_have_text("")
-    expect(explorer.page.get_by_role("button", name="Failure laboratory")).to_be_visible()
+    expect(explorer.page.get_by_role("button", name="All pictures in a table")).to_be_visible()
     # There is no second model.
     expect(explorer.page.get_by_role("button", name="Compare with the baseline")).to_have_count(0)
     before = explorer.stage(lambda picture: len(np.unique(picture.reshape(-1, 3), axis=0)) > 2000)

@@ -133,7 +133,7 @@ def test_a_note_that_is_being_saved_is_saved(seconds: float, places: Path, model
     data = shutil.copytree(places, tmp_path / "places")
     slow = SLOW_NOTES.replace("SECONDS", str(seconds))
     with Explorer(data, model_file, tmp_path / "cache", slow) as explorer, explorer.browsers(1) as talkers:
-        talkers[0].set("Failure laboratory", True)
+        talkers[0].set("All pictures in a table", True)
         talkers[0].wait(lambda: 'lab-note" data-task' in talkers[0].html())
         talkers[0].tell("lab-note", [TASK, 1, "night", "It must not be lost."])
         explorer.until(lambda: "writing" in explorer.out)

@@ -35,7 +35,7 @@ EVERY = 0.03
 # Attempts to type a number until the box shows it: a page that is redrawn between selecting the old number and typing can keep
 # a part of it.
 TYPINGS = 5
-KEYS = {"Why this answer?": "y", "Failure laboratory": "b", "Next ›": "n", "‹ Previous": "p"}
+KEYS = {"Why this answer?": "y", "All pictures in a table": "b", "Next ›": "n", "‹ Previous": "p"}
 
 
 class Chromium:

@@ -279,7 +279,7 @@ class SoakClient:
     def _laboratory(self) -> None:
         """Open or close the failure laboratory, and click through its tabs."""
         self._begin("opened or closed the laboratory")
-        self._driver.press("Failure laboratory")
+        self._driver.press("All pictures in a table")
         self._settle("laboratory", replace(self._state, lab=not self._state.lab))
         if not self._state.lab or not isinstance(self._driver, WebSocketDriver):
             return
