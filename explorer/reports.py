@@ -42,8 +42,12 @@ def of_analysis(
     analysis: StateAnalysis,
     progress: Callable[[int, int], None] | None = None,
     model: Model | None = None,
+    said: report.Said | None = None,
 ) -> tuple[str, bytes]:
     """Report on the shown query and the tile that it is compared with; returns the file's name and contents.
+
+    Args:
+        said: what the first screen says of it, which stands first.
 
     Raises:
         LPNError: when a file of the data set cannot be read.
@@ -51,7 +55,7 @@ def of_analysis(
     state, task = analysis.state, analysis.task
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
-    options = report.Options(change=state.change, compared_tile=analysis.chosen.index)
+    options = report.Options(change=state.change, compared_tile=analysis.chosen.index, said=said)
     return f"{safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
 

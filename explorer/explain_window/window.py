@@ -13,7 +13,8 @@ from typing import Any
 import viser
 
 from explorer import reports, session_state
-from explorer.compute.request_context import RequestContext
+from explorer.compute.background_jobs import ReportProgress
+from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.turned_jobs import TurnedJobs
 from explorer.compute.worker import Worker
 from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
@@ -21,6 +22,7 @@ from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.explain_window.whole_task import TurnChoice, WholeTask
+from explorer.panels.first_screen import said
 from explorer.reports import Reporter
 from explorer.session_state import StateChange, WhyTab
 from explorer.stage.viewport import EDGE, Viewport
@@ -513,9 +515,16 @@ class ExplainWindow:
         content = self._content
         if content is not None:
             self._reporter.make(
-                lambda progress, model: reports.of_analysis(self._workspace, content.analysis, progress, model),
+                partial(self._reported, content.analysis),
                 control="Save as a report (HTML)",
             )
+
+    def _reported(
+        self, analysis: StateAnalysis, progress: ReportProgress, model: QueuedModel | None
+    ) -> tuple[str, bytes]:
+        with speaking(self._workspace.vocabulary(True)):
+            told = said(analysis, self._workspace)
+        return reports.of_analysis(self._workspace, analysis, progress, model, told)
 
     def _compare(self, tile: int) -> None:
         content = self._content

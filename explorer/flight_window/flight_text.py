@@ -218,7 +218,7 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         return None
     on_earth, earth = _on_earth(view.flight, known)
     shape, shape_failed = _whole_photos(view)
-    lines = [_on_map(known), *shape, earth]
+    lines = [_on_map(view.flight, known), *shape, earth]
     audit = view.flight.audit
     if audit is not None and audit.frames:
         lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
@@ -231,12 +231,17 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
     return f"{lines[0].figure} on this map ({SIGMA}); {on_earth}.{checks}", lines
 
 
-def _on_map(known: FlightAccuracy) -> AccuracyLine:
+def _on_map(flight: LocatedFlight, known: FlightAccuracy) -> AccuracyLine:
     source = f"{capitalised(SIGMA)}, the median of {known.photos} photos."
     radius = math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
     if known.details is not None and known.map_error:
         assumed = math.sqrt(known.map_error**2 - (known.place_error or 0.0) ** 2)
-        source += f" The scatter of the details gives ± {known.details:.1f} m"
+        answers = [located.stages.get("registration") for located in flight.frames]
+        tilted = any(
+            answer is not None and answer.accepted and answer.camera and not answer.by_pose for answer in answers
+        )
+        below = " and the error assumed for the tilt that the photos tell give" if tilted else " gives"
+        source += f" The scatter of the details{below} ± {known.details:.1f} m"
         source += (
             f", and ± {error_figure(assumed)} m are assumed for the map, whose places nobody measured; lpn map --error "
             "takes what your check points show."
@@ -300,7 +305,7 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
 def _tags(audit: TagAudit) -> str:
     """Say how far the tags lie from the places on the map, and how much of that a lag or a tilted camera explains."""
     text = (
-        f"Median of {audit.frames} photos, {audit.largest:.0f} m at most, between the GPS tag and the place on this map: the "
+        f"Median of {audit.frames} photos, {audit.largest:.1f} m at most, between the GPS tag and the place on this map: the "
         "error of both together."
     )
     if not audit.has_lag or audit.lag is None:
@@ -322,7 +327,7 @@ def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyL
     within = summary.calibration[3]
     failed = ""
     if within >= CONFIRMED_SHARE:
-        verdict = "Radii and tags agree."
+        verdict = "No tag contradicts the radii; of a map that was fitted to the same tags that proves little."
     else:
         failed = f"only {within:.0f} % of the GPS tags lie within 3 radii, where {RIGHT_CALIBRATION[3]:.0f} % should"
         if flight.audit is not None and flight.audit.has_lag:

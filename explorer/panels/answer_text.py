@@ -517,7 +517,7 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"
-        return f"{look}, at most {distance(max(errors))} from {judge}."
+        return f"{look}, at most {max(errors):.1f} m from {judge}."
     elsewhere, _ = trials(workspace)
     return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
 

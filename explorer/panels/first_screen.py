@@ -10,6 +10,7 @@ from functools import lru_cache
 import cv2
 import numpy as np
 import viser
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from explorer import lab_choices, session_state
@@ -22,7 +23,7 @@ from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.coordinates import MapCoordinate
 from explorer.web.html import Html
-from explorer.web.render import call, render, run
+from explorer.web.render import SIGNS, call, render, run
 from explorer.web.style import verdict_ink
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.matching_turn import MatchingTurn, matching_turn
@@ -43,6 +44,7 @@ from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
 from lpn.maps.tag_placed import placing_sentence
+from lpn.report import Said
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
@@ -93,6 +95,23 @@ class LaidPhoto:
     camera: bool
     by_tags: bool
     sentence: str
+
+
+@dataclass(frozen=True)
+class _Verdicts:
+    """The verdicts on an answer: each whether it is right (None: unknown), a headline, and a sentence.
+
+    Attributes:
+        look: on the look alone.
+        concluded: of all methods; None without others.
+        disputed: whether GPS tag and details place the photo on two sides of the answer's edge.
+        look_errs: whether the look is known to be wrong.
+    """
+
+    look: tuple[bool | None, str, str]
+    concluded: tuple[bool | None, str, str] | None
+    disputed: bool
+    look_errs: bool
 
 
 class FirstScreen:
@@ -196,14 +215,9 @@ def page(
     """
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
-    look = answer_text.plain_verdict(analysis, workspace)
-    disputed = look[0] is not None and _lies_on_answer(analysis, workspace) is (not look[0])
-    look_errs = look[0] is False and not disputed and state.upload is None
-    look, concluded = answer_text.flight_verdict(analysis, workspace, look)
-    if disputed and concluded is not None and concluded[0]:
-        look = None, "Not graded", "Its GPS tag and its place by its details lie on two sides of this piece's border."
-    elif disputed:
-        look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
+    found = _verdicts(analysis, workspace)
+    look, concluded, disputed = found.look, found.concluded, found.disputed
+    look_errs = found.look_errs and state.upload is None
     right, headline, sentence = concluded or look
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
     lead = answer_text.lead(analysis) if state.why else None
@@ -279,6 +293,47 @@ def page(
         alterations=alterations,
         moved_on=state.task == next(iter(workspace.tasks)) and state.query != workspace.first_query,
     )
+
+
+def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
+    look = answer_text.plain_verdict(analysis, workspace)
+    disputed = look[0] is not None and _lies_on_answer(analysis, workspace) is (not look[0])
+    look_errs = look[0] is False and not disputed
+    look, concluded = answer_text.flight_verdict(analysis, workspace, look)
+    if disputed and concluded is not None and concluded[0]:
+        look = None, "Not graded", "Its GPS tag and its place by its details lie on two sides of this piece's border."
+    elif disputed:
+        look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
+    return _Verdicts(look, concluded, disputed, look_errs)
+
+
+def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
+    """Return what the screen says of an answer, for a file that is read without it, and the map with the photo's ground."""
+    verdict = _verdicts(analysis, workspace)
+    look, concluded = verdict.look, verdict.concluded
+    right, headline, sentence = concluded or look
+    own = analysis.registered is not None or analysis.own_photo is not None
+    registered = workspace.details(analysis)
+    laid = _laid(workspace.located(analysis), workspace, own)
+    details = "" if own else _details(registered, "the photo")
+    found = [f"{details}." if details else "", laid.sentence if laid else ""]
+    if laid and laid.coordinate:
+        at = f"{laid.coordinate.latitude:.5f}, {laid.coordinate.longitude:.5f}"
+        by_tags = ", on earth no better than the GPS tags by which the map was made" if laid.by_tags else ""
+        found.append(f"{'The drone was above' if laid.camera else 'The middle of the photo lies at'} {at}{by_tags}.")
+    trust = " ".join(filter(None, [answer_text.trust(analysis, workspace), radius_is_no_limit(registered, workspace)]))
+    judged = "" if analysis.state.upload else place_text.criterion(workspace, analysis.task)
+    lines = (
+        Markup(place_text.place(workspace)).striptags(),
+        f"{SIGNS[right]} {headline}. {sentence}",
+        " ".join(filter(None, found)),
+        "" if concluded is None else f"{SIGNS[look[0]]} {look[1]}. {look[2]}",
+        answer_text.next_step(analysis, workspace),
+        trust and f"How far to trust it: {trust}",
+        judged,
+        "" if analysis.state.upload else place_text.season(workspace),
+    )
+    return Said(tuple(filter(None, lines)), laid.picture if laid else "")
 
 
 def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:

@@ -558,7 +558,8 @@ def _print_surveyed(errors: Mapping[str, SurveyedErrors], told: Sequence[str], c
     console.print(table)
     right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
     sentence = (
-        f"Accepted answers count, contradicted ones too. CE90 is the distance that holds 90 % of them; right radii ({SIGMA}, "
+        "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 is the distance that "
+        f"holds 90 % of them, interpolated between photos, so that few tell little; right radii ({SIGMA}, "
         f"with the map's error) hold {right} within 1, 2, and 3."
     )
     for line in (sentence, *told):

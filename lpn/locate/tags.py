@@ -41,7 +41,7 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
         middle = (basemap.frame.latitude, basemap.frame.longitude)
         nearest = field_metrics.great_circle(flight.degrees[tagged], np.array(middle)).min() / 1000
         notes.append(
-            f"The flight is elsewhere than the map {basemap.name}: its nearest position is {nearest:.1f} km from the map's "
+            f"The flight lies elsewhere than {basemap.name}, the map: its nearest position is {nearest:.1f} km from the map's "
             "middle. The positions were left out; give the map of this flight, unless its positions are wrong."
         )
         return np.full_like(tags, np.nan), notes

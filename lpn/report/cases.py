@@ -23,6 +23,19 @@ from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True)
+class Said:
+    """What a screen says of the answer that a report is about.
+
+    Attributes:
+        sentences: paragraphs of text.
+        picture: the map with the ground that the photo shows, as a data URI; "" without one.
+    """
+
+    sentences: tuple[str, ...]
+    picture: str = ""
+
+
+@dataclass(frozen=True)
 class Options:
     """The contents of a report.
 
@@ -33,6 +46,7 @@ class Options:
         change: the change that is applied to each query first.
         compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
+        said: what the screen says of a single query; it stands first.
     """
 
     matches: int = 5
@@ -41,6 +55,7 @@ class Options:
     change: Change = UNCHANGED
     compared_tile: int | None = None
     selection: str = ""
+    said: Said | None = None
 
     def __post_init__(self) -> None:
         if self.matches < 1:

@@ -211,8 +211,8 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
         "± 1.0 m on this map (1 sigma along each axis); on earth as good as the map’s georeference, which nothing here checks. "
         "Not confirmed: only 50 % of the GPS tags lie within 3 radii, where 99 % should."
     )
-    assert "details gives ± 0.6 m, and ± 0.8 m are assumed" in of["On this map"]
-    assert of["GPS tags"].startswith("22.0 m Median of 2 photos, 45 m at most")
+    assert "the tilt that the photos tell give ± 0.6 m, and ± 0.8 m are assumed" in of["On this map"]
+    assert of["GPS tags"].startswith("22.0 m Median of 2 photos, 45.")
     assert "error of both together" in of["GPS tags"]
     assert "late" not in of["GPS tags"]
     # One of two tags lies within a radius, and tags err by more than that.
@@ -254,7 +254,7 @@ def test_a_map_made_of_photos_names_the_tags_that_place_it(
         "± 0.8 m on this map (1 sigma along each axis); ± 1.0 m on earth, as far as the tags of the map do not all err alike."
     )
     assert [line.figure for line in known[1][:2]] == ["± 0.8 m", "± 0.6 m"]
-    assert "details gives ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
+    assert "the tilt that the photos tell give ± 0.6 m, and ± 0.5 m are assumed for the map" in known[1][0].source
     # Two of three places by their neighbours, whose radii of 10 m are on the map.
     monkeypatch.delitem(flight.frames[0].stages, "registration")
     known = flight_text.accuracy(view_of(replace(flight, map_error=6.1, place_error=6.0)))
@@ -266,7 +266,7 @@ def test_a_surveyed_map_tells_its_error_on_earth(flight: LocatedFlight) -> None:
     known = flight_text.accuracy(view_of(replace(flight, map_error=0.02, place_error=0.02)))
     assert known is not None
     assert known[0].startswith("± 1.0 m on this map (1 sigma along each axis); ± 1.0 m on earth.")
-    assert "assumed" not in known[1][0].source
+    assert "are assumed for the map" not in known[1][0].source
     assert (known[1][1].figure, known[1][1].source[:25]) == ("± 0.02 m", "Its places were surveyed:")
 
 
@@ -350,7 +350,7 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, fl
     lists = page.lists(view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])))
     assert "Registration: refused. Only &lt;i&gt;4&lt;/i&gt; matches agree." in lists["refused"]
     assert "photo0" not in lists["refused"]
-    assert "up to 45 m off" in lists["audit"]
+    assert "up to 45." in lists["audit"]
     assert "Registration and tag lie 45.0 m apart" in lists["audit"]
     assert lists["notes"].count("<p>") == 2
     order = re.findall(r"<b>(.*?)</b> <span>(.*?)</span>", lists["worst"])

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from explorer import session_state
+from explorer import reports, session_state
 from explorer.cli import Explore
 from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
@@ -574,6 +574,20 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map away from its "
         "middle (3 more here)." in said
     )
+    with speaking(workspace.vocabulary(True)):
+        told = first_screen.said(analyse(workspace, state), workspace)
+    _, file = reports.of_analysis(workspace, analyse(workspace, state), said=told)
+    for sentence in (
+        "✓ Placed by its details, ± 6.1 m on earth. Its look alone agrees.",
+        "268 details of the photo lie where the map has them.",
+        "The middle of the photo lies at 30.171",
+        "Nobody measured where they really are.",
+        "± 6.1 m is no limit",
+        "Caliterra in Dripping Springs, Texas",
+        "All 30 queries of the data set together:",
+    ):
+        assert sentence in unescape(file.decode())
+    assert told.picture in file.decode()
     bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
     assert "? Placed by its details, ± 6.1 m on earth , but away from its middle it does not fit the map." in unfit

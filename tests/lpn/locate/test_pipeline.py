@@ -268,7 +268,7 @@ def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
     monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
     found = locate(town, replace(flight, frames=tuple(replace(frame, **moved) for frame in flight.frames)), None, SIFT)
     assert len(found.notes) == 1
-    assert "elsewhere than the map town" in found.notes[0]
+    assert "elsewhere than town, the map" in found.notes[0]
     assert [located.tag for located in found.frames] == [None] * 4
     assert found.stages == ["registration"]
 
