@@ -94,7 +94,8 @@ def reason(view: FlightView, frame: int) -> str:
     against = [one for one in view.contradictions if one.frame == frame and one.one == "registration"]
     error = located.error("registration")
     if error is not None and all(one.other != "tag" for one in against):
-        sentences.append(f"The place lies {error:.1f} m from {_truth(located)}.")
+        place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
+        sentences.append(f"{place} lies {error:.1f} m from {_truth(located)}.")
     return " ".join([*sentences, *(apart(view, one) for one in against)])
 
 

@@ -310,8 +310,9 @@ def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
         return ""
     tag = own.located.tag
     if own.answer.accepted:
-        if not any(one.other == "tag" for one in disagreements([own.located])):
-            return ""
+        against = {one.other for one in disagreements([own.located])}
+        if "tag" not in against:
+            return "Compare its edges with the map by eye: see it on the map, with Swipe." if "map" in against else ""
         return (
             "Compare the GPS tags of other photos of its flight: tags can be late or off. Ask for the original file, as both a "
             "GPS tag and a picture can be altered, too."

@@ -313,6 +313,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         sign, _, said = answer_text.plain_verdict(analysis, workspace)
         assert (sign is None) == doubted
         assert beside in said
+        assert answer_text.next_step(analysis, workspace).startswith("Compare its edges") == doubted
         bent = own_picture(analysis, workspace, workspace.flight)
         assert bent["own"]["doubted"] == doubted
         assert ("Red diamond with its circle" in bent["card"]) == doubted

@@ -34,7 +34,7 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
     workspace = workspace_of(DEMO_PLACE)
     html = place_text.place(workspace)
     assert text(html).startswith(
-        "A drone without GPS can find its place so: the program looks for its picture on one map of Caliterra in Dripping "
+        "A drone without GPS can find its place this way: the program looks for its picture on one map of Caliterra in Dripping "
         "Springs, Texas, 186 m by 166 m, and knows no other ground. The map's middle lies at latitude 30.17117, longitude "
         "-98.08956 (OpenStreetMap). Map and photos are of 19 Oct"
     )
@@ -46,8 +46,8 @@ def test_a_rendered_place_has_no_coordinate() -> None:
     workspace = workspace_of(DEMO_FLIGHT)
     said = text(place_text.place(workspace))
     assert said.startswith(
-        "A drone without GPS can find its place so: the program looks for its picture on one map, 720 m by 720 m, and knows no "
-        "other ground."
+        "A drone without GPS can find its place this way: the program looks for its picture on one map, 720 m by 720 m, and "
+        "knows no other ground."
     )
     assert "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14" in said
     assert "latitude" not in said
