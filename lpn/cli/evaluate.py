@@ -547,14 +547,23 @@ def _print_surveyed(errors: Mapping[str, SurveyedErrors], told: Sequence[str], c
     from lpn.core.numbers import SIGMA
     from lpn.locate.measures import RIGHT_CALIBRATION
 
-    table = Table(title="Against surveyed positions: answer minus survey, in metres")
-    columns = ("stage", "photos", "mean E", "mean N", "RMSE E", "RMSE N", "RMSE plane", "median", "CE90", "largest")
-    for name in (*columns, *(f"<= {k} {'radius' if k == 1 else 'radii'}" for k in RIGHT_CALIBRATION)):
-        table.add_column(name, justify="left" if name == "stage" else "right", no_wrap=name == "stage")
-    for stage, one in errors.items():
-        figures = (one.bias_east, one.bias_north, one.rmse_east, one.rmse_north, one.rmse, one.median, one.ce90)
-        shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for k in RIGHT_CALIBRATION]
-        table.add_row(stage, f"{one.photos}", *(f"{value:.2f}" for value in (*figures, one.largest)), *shares)
+    table = Table("", *errors, title="Against surveyed positions: answer minus survey, in metres")
+    figures = {
+        "mean east": "bias_east",
+        "mean north": "bias_north",
+        "RMSE east": "rmse_east",
+        "RMSE north": "rmse_north",
+        "RMSE in the plane": "rmse",
+        "median": "median",
+        "CE90": "ce90",
+        "largest": "largest",
+    }
+    table.add_row("photos", *(f"{one.photos}" for one in errors.values()))
+    for name, key in figures.items():
+        table.add_row(name, *(f"{getattr(one, key):.2f}" for one in errors.values()))
+    for k in RIGHT_CALIBRATION:
+        shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for one in errors.values()]
+        table.add_row(f"within {k} {'radius' if k == 1 else 'radii'}", *shares)
     console.print(table)
     right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
     sentence = (

@@ -44,6 +44,8 @@ COLUMNS = {
 _DEGREES, _METRES = ("latitude", "longitude"), ("easting", "northing")
 _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground)"
 
+# Metres from which positions are those of another place, as in a wrong UTM zone.
+_ELSEWHERE = 5000.0
 _RESIDUAL_COLUMNS = (
     *("photo", "point", "answer_is", "stage", "state"),
     *("surveyed_easting_m", "surveyed_northing_m", "easting_m", "northing_m", "crs"),
@@ -165,9 +167,9 @@ def compare_surveyed(located: LocatedFlight, surveyed: Sequence[SurveyedPosition
         out, or compared with another point than the surveyed one.
 
     Raises:
-        InputError: if no photo of the flight has a surveyed position, or one has two of the same point.
+        InputError: if no photo of the flight has a surveyed position, one has two of the same point, or all lie elsewhere.
     """
-    by_photo = _by_photo(located, surveyed)
+    by_photo, strangers = _by_photo(located, surveyed)
     contradictions = disagreements(located.frames)
     doubted = {one.frame for one in contradictions}
     rows = [
@@ -175,7 +177,13 @@ def compare_surveyed(located: LocatedFlight, surveyed: Sequence[SurveyedPosition
         for i, (frame, verdict) in enumerate(zip(located.frames, beliefs(located.frames, contradictions), strict=True))
         for position in by_photo.get(i, ())
     ]
-    return rows, _told(rows, len(located.frames) - len(by_photo))
+    apart = [row.metres for row in rows if not math.isnan(row.metres)]
+    if apart and (middle := float(np.median(apart))) > _ELSEWHERE:
+        raise InputError(
+            f"The surveyed positions lie {middle / 1000:,.0f} km from the answers in the median; check their CRS, such as the "
+            "UTM zone."
+        )
+    return rows, _told(rows, strangers, len(located.frames) - len(by_photo))
 
 
 def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, SurveyedErrors]:
@@ -287,7 +295,10 @@ def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
 def _projected(entries: Sequence[_Entry], frame: LocalFrame, crs: str | None, file: str) -> Float64Array:
     """Return eastings and northings, each in its own CRS, in the map's metres."""
     xy = np.empty((len(entries), 2))
-    told = [crs or entry.crs for entry in entries]
+    if crs and any(entry.crs for entry in entries):
+        raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
+    # Spreadsheets write a whole number as 32614.0, too.
+    told = [(crs or entry.crs).removesuffix(".0") for entry in entries]
     for text in dict.fromkeys(told):
         if not text:
             raise InputError(
@@ -298,16 +309,20 @@ def _projected(entries: Sequence[_Entry], frame: LocalFrame, crs: str | None, fi
     return xy
 
 
-def _by_photo(located: LocatedFlight, surveyed: Sequence[SurveyedPosition]) -> dict[int, list[SurveyedPosition]]:
-    """Return the surveyed positions of each frame by its number."""
+def _by_photo(
+    located: LocatedFlight, surveyed: Sequence[SurveyedPosition]
+) -> tuple[dict[int, list[SurveyedPosition]], list[str]]:
+    """Return the surveyed positions of each frame by its number, and the names of photos that are not in the flight."""
     numbers: dict[str, int] = {}
     for i, frame in reversed(list(enumerate(located.frames))):
         numbers |= {Path(frame.frame.name).stem.lower(): i, frame.frame.name.lower(): i}
     by_photo: dict[int, list[SurveyedPosition]] = {}
+    strangers: list[str] = []
     for position in surveyed:
         name = Path(position.photo.replace("\\", "/")).name.lower()
         number = numbers.get(name, numbers.get(Path(name).stem))
         if number is None:
+            strangers.append(position.photo)
             continue
         others = by_photo.setdefault(number, [])
         if any(other.point == position.point for other in others):
@@ -320,7 +335,7 @@ def _by_photo(located: LocatedFlight, surveyed: Sequence[SurveyedPosition]) -> d
             f"None of the {len(surveyed)} surveyed photos, the first being {printable(surveyed[0].photo)[:100]}, is in the "
             f"flight, whose first photo is {printable(located.frames[0].frame.name)}; expected the photos' file names."
         )
-    return by_photo
+    return by_photo, strangers
 
 
 def _residual(
@@ -364,9 +379,12 @@ def _place(
     return answer.x, answer.y, answer.radius, "camera" if answer.camera else "ground"
 
 
-def _told(rows: Sequence[Residual], without: int) -> list[str]:
+def _told(rows: Sequence[Residual], strangers: Sequence[str], without: int) -> list[str]:
     """Return sentences on photos that were not compared, or not with the surveyed point."""
     sentences = []
+    if strangers:
+        names = printable(first_few(strangers, 10))
+        sentences.append(f"{len(strangers)} surveyed photos are not in the flight, so check their names: {names}.")
     if missing := [row.photo for row in rows if row.state != "accepted"]:
         sentences.append(
             f"No answer is accepted for {len(missing)} surveyed photos: {printable(first_few(missing, 10))}."

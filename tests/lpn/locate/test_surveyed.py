@@ -59,7 +59,7 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
     found = read_surveyed(written(tmp_path, "Photo,Lat,Lon", *lines), ORIGIN)
     np.testing.assert_allclose(places(found), at, atol=1e-3)
     assert [(one.photo, one.point) for one in found] == [("a", "camera"), ("b", "camera")]
-    lines = [f"{name}\t{a:.4f}\t{b:.4f}\t32614\tground" for name, (a, b) in zip("ab", utm.tolist(), strict=True)]
+    lines = [f"{name}\t{a:.4f}\t{b:.4f}\t32614.0\tground" for name, (a, b) in zip("ab", utm.tolist(), strict=True)]
     found = read_surveyed(written(tmp_path, "image\teasting_m\tnorthing_m\tepsg\tpoint", *lines), ORIGIN)
     np.testing.assert_allclose(places(found), at, atol=1e-3)
     assert [one.point for one in found] == ["ground", "ground"]
@@ -117,6 +117,7 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     np.testing.assert_allclose(figures, (2, 2, math.sqrt(5), math.sqrt(8), math.sqrt(13), 3.0, 4.6, 5.0), rtol=1e-3)
     assert errors.within == {1: 50.0, 2: 50.0, 3: 100.0}
     assert told == [
+        "1 surveyed photos are not in the flight, so check their names: e.jpg.",
         "No answer is accepted for 1 surveyed photos: c.jpg.",
         "1 photos of the flight have no surveyed position.",
     ]
@@ -161,3 +162,11 @@ def test_photos_of_another_flight_and_second_positions_are_refused() -> None:
         compare_surveyed(located, [SurveyedPosition("z.jpg", 0.0, 0.0, "camera")])
     with pytest.raises(InputError, match=r"a\.jpg has two surveyed positions of its camera"):
         compare_surveyed(located, [SurveyedPosition("a.jpg", 0.0, 0.0, "camera")] * 2)
+    with pytest.raises(InputError, match=r"lie 457 km from the answers in the median; check their CRS"):
+        compare_surveyed(located, [SurveyedPosition("a.jpg", 457_000.0, 0.0, "ground")])
+
+
+def test_a_crs_that_is_told_twice_is_refused(tmp_path: Path) -> None:
+    file = written(tmp_path, "photo,easting,northing,epsg", "a,5,6,32614")
+    with pytest.raises(InputError, match="tells its CRS in a column; leave --crs out"):
+        read_surveyed(file, ORIGIN, "EPSG:32615")
