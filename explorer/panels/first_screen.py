@@ -324,7 +324,6 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
     trust = " ".join(filter(None, [answer_text.trust(analysis, workspace), radius_is_no_limit(registered, workspace)]))
     judged = "" if analysis.state.upload else place_text.criterion(workspace, analysis.task)
     lines = (
-        Markup(place_text.place(workspace)).striptags(),
         f"{SIGNS[right]} {headline}. {sentence}",
         " ".join(filter(None, found)),
         "" if concluded is None else f"{SIGNS[look[0]]} {look[1]}. {look[2]}",
@@ -332,6 +331,7 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         trust and f"How far to trust it: {trust}",
         judged,
         "" if analysis.state.upload else place_text.season(workspace),
+        Markup(place_text.place(workspace)).striptags(),
     )
     return Said(tuple(filter(None, lines)), laid.picture if laid else "")
 

@@ -27,7 +27,7 @@ class Said:
     """What a screen says of the answer that a report is about.
 
     Attributes:
-        sentences: paragraphs of text.
+        sentences: paragraphs of text, the verdict first.
         picture: the map with the ground that the photo shows, as a data URI; "" without one.
     """
 
