@@ -304,7 +304,7 @@ class EvaluationOfFlight:
         for file in (self.json, self.residuals):
             if file is not None:
                 check_writable(file)
-        # What is wrong with the table is told before the flight is located.
+        # The table is read first, as locating a flight takes long.
         surveyed = None
         if self.positions is not None:
             surveyed = read_surveyed(self.positions, open_map(self.map).frame, self.crs)

@@ -24,7 +24,7 @@ from lpn.tasks.task import Task
 
 @dataclass(frozen=True)
 class Said:
-    """What a screen says of the answer that a report is about.
+    """The sentences and the map by which a screen shows the answer that a report is about.
 
     Attributes:
         sentences: paragraphs of text, the verdict first.
@@ -46,7 +46,7 @@ class Options:
         change: the change that is applied to each query first.
         compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
-        said: what the screen says of a single query; it stands first.
+        said: the screen's words on a single query; they stand first.
     """
 
     matches: int = 5
