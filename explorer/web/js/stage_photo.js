@@ -1,34 +1,36 @@
 // The photo over the view through its camera on the stage's map: a swipe between the photo and the map as its pose shows it. A view
-// that is moved is no longer the photo's, so the photo goes.
+// that a person moves is no longer the photo's, so the photo goes. The server's own moves are none: they come before or after the photo.
 (() => {
   const lpn = window.lpn;
   if (lpn.stagePhoto) return;
-  // Milliseconds between two looks at the camera, and after which it stands where the server has put it.
-  const PERIOD = 150, SETTLED = 600;
+  const PERIOD = 150; // milliseconds between two looks at the stage's size
   const box = document.createElement("div");
   box.id = "lpn-stage-photo";
   box.innerHTML = '<img alt="The photo"><input type="range" min="0" max="100" value="50" aria-label="Swipe between the photo and the map" title="Photo to the left, map to the right">';
   const image = box.querySelector("img"), swipe = box.querySelector("input");
-  let photo = null, watching = 0, begun = 0, stood = "";
+  let photo = null, watching = 0, controls = null;
 
   const lay = () => (image.style.clipPath = `inset(0 ${100 - Number(swipe.value)}% 0 0)`);
   swipe.oninput = lay;
   const stop = () => {
     clearInterval(watching);
     watching = 0;
+    controls?.removeEventListener("control", away);
+    document.removeEventListener("keydown", steer);
     box.remove();
   };
+  const away = () => {
+    photo = null;
+    stop();
+    lpn.stopFlying();
+    lpn.send("stage-away");
+  };
+  const steer = ({ key, target }) => {
+    if (key.startsWith("Arrow") && !target.closest?.("input,textarea,select")) away();
+  };
   const follow = () => {
-    const size = lpn.canvas()?.getBoundingClientRect(), camera = lpn.viser.camera();
-    if (!size || !camera || !photo) return;
-    const now = camera.matrixWorld.elements.map((value) => value.toFixed(4)).join();
-    if (performance.now() - begun < SETTLED) stood = now;
-    else if (now !== stood) {
-      photo = null;
-      stop();
-      lpn.stopFlying();
-      return lpn.send("stage-away");
-    }
+    const size = lpn.canvas()?.getBoundingClientRect();
+    if (!size || !photo) return;
     if (!box.isConnected) document.body.append(box);
     // A window over the stage covers the photo as well.
     box.hidden = document.elementFromPoint(size.left + 24, size.bottom - 24) !== lpn.canvas() && !document.querySelector("#lpn-stage-map:not([hidden])");
@@ -49,8 +51,12 @@
       if (!given) return stop();
       image.src = given.source;
       lay();
-      begun = performance.now();
-      watching ||= lpn.every(PERIOD, follow);
+      if (!watching) {
+        watching = lpn.every(PERIOD, follow);
+        controls = lpn.viser.cameraControls();
+        controls?.addEventListener("control", away);
+        document.addEventListener("keydown", steer);
+      }
       follow();
     },
     { on: () => photo !== null },
