@@ -25,8 +25,10 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lpn.datasets import Dataset
+    from lpn.flights import Flight
     from lpn.locate.pose_benchmark import PoseSummary
-    from lpn.locate.surveyed import SurveyedErrors
+    from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
+    from lpn.maps import Map
     from lpn.models.base import Model
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
@@ -284,7 +286,8 @@ class EvaluationOfFlight:
     """Table (CSV) of surveyed positions of photos, which the accepted answers are compared with: photo and latitude,longitude or
     easting,northing,epsg, and point, which is camera (by default) or ground, the ground at the photo's middle."""
     crs: str | None = None
-    """Coordinate reference system of the eastings and northings in --positions, such as EPSG:32614, instead of a column."""
+    """Coordinate reference system of the coordinates in --positions, such as EPSG:32614, instead of a column; latitudes and
+    longitudes are of WGS 84 (EPSG:4326) by default."""
     residuals: Path | None = None
     """Table (CSV) to write: answer minus surveyed position, photo by photo."""
     json: Path | None = None
@@ -295,21 +298,18 @@ class EvaluationOfFlight:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_writable, printable, write_json
         from lpn.locate.options import LocateOptions
-        from lpn.locate.surveyed import compare_surveyed, read_surveyed, summarise_surveyed, write_residuals
-        from lpn.maps import open_map
+        from lpn.locate.surveyed import compare_surveyed, summarise_surveyed, survey_remarks, write_residuals
 
         for option, given in (("--crs", self.crs), ("--residuals", self.residuals)):
             if given is not None and self.positions is None:
                 raise InputError(f"{option} belongs to --positions; give both, or leave it out.")
+        self._check_files_differ()
         for file in (self.json, self.residuals):
             if file is not None:
                 check_writable(file)
-        # The table is read first, as locating a flight takes long.
-        surveyed = None
-        if self.positions is not None:
-            surveyed = read_surveyed(self.positions, open_map(self.map).frame, self.crs)
         console = wide_console()
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error, tags=self.tags)
+        survey: list[MatchedSurvey] = []
         located = locate_files(
             self.map,
             self.flight,
@@ -321,13 +321,14 @@ class EvaluationOfFlight:
             self.corrections,
             console,
             pooling=self.pooling,
+            on_opened=lambda basemap, flight: survey.extend(self._survey(basemap, flight, console)),
         )
         print_summary(located, console)
-        errors = {}
-        if surveyed is not None:
-            rows, told = compare_surveyed(located, surveyed)
+        errors = None
+        if survey:
+            rows = compare_surveyed(located, survey[0])
             errors = summarise_surveyed(rows)
-            _print_surveyed(errors, told, console)
+            _print_surveyed(errors, survey_remarks(rows, len(located.frames)), console)
             if self.residuals is not None:
                 write_residuals(self.residuals, rows, located.basemap.frame)
                 console.print(f"The residuals are in {printable(str(self.residuals))}.", soft_wrap=True, markup=False)
@@ -347,10 +348,36 @@ class EvaluationOfFlight:
                 "tags": audit,
                 "notes": located.notes,
             }
-            if surveyed is not None:
-                result["surveyed"] = {stage: asdict(summary) for stage, summary in errors.items()}
+            if errors is not None:
+                result["surveyed"] = {
+                    stage: {point: asdict(summary) for point, summary in points.items()}
+                    for stage, points in errors.items()
+                }
             # A stage without an answer has no median, which JSON cannot express as a number.
             write_json(self.json, _without_nan(result))
+
+    def _survey(self, basemap: Map, flight: Flight, console: Console) -> list[MatchedSurvey]:
+        """Return the surveyed positions, none without a table; what is wrong with them is told before the flight is located."""
+        from lpn.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
+
+        if self.positions is None:
+            return []
+        positions = read_surveyed(self.positions, basemap.frame, self.crs)
+        survey = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
+        if sentence := strangers_sentence(survey):
+            console.print(sentence, highlight=False, soft_wrap=True, markup=False)
+        return [survey]
+
+    def _check_files_differ(self) -> None:
+        """Raise InputError if two of the options name one file."""
+        from lpn.core.files import printable
+
+        seen: dict[Path, str] = {}
+        for option, file in (("--positions", self.positions), ("--residuals", self.residuals), ("--json", self.json)):
+            if file is not None and (other := seen.setdefault(file.resolve(), option)) != option:
+                raise InputError(
+                    f"{other} and {option} both name {printable(str(file))}; give {option} a file of its own."
+                )
 
 
 @dataclass(kw_only=True)
@@ -498,7 +525,7 @@ def _print_result(title: str, result: Result) -> None:
     for group, galleries in rows:
         for figures in galleries:
             facts = (result.task, *([group] if result.groups else []), str(figures.queries), figures.name)
-            table.add_row(*facts, *map(_percent, (*figures.recall.values(), figures.ap)))
+            table.add_row(*facts, *map(_figure, (*figures.recall.values(), figures.ap)))
     console = wide_console()
     console.print(table)
     console.print(result.sentence)
@@ -535,43 +562,55 @@ def _print_weathers(title: str, result: WeatherResult) -> None:
     for name, figures in result.rows():
         if name == result.MEAN:
             table.add_section()
-        table.add_row(name, *(_percent(value) for pair in figures for value in pair))
+        table.add_row(name, *(_figure(value) for pair in figures for value in pair))
     console = wide_console()
     console.print(table)
     console.print(result.sentence)
 
 
-def _print_surveyed(errors: Mapping[str, SurveyedErrors], told: Sequence[str], console: Console) -> None:
+def _print_surveyed(
+    errors: Mapping[str, Mapping[SurveyedPoint, SurveyedErrors]], remarks: Sequence[str], console: Console
+) -> None:
+    """Print the errors of each stage and point, a column each, and sentences on them."""
     from rich.table import Table
 
     from lpn.core.numbers import SIGMA
     from lpn.locate.measures import RIGHT_CALIBRATION
 
-    table = Table("", *errors, title="Against surveyed positions: answer minus survey, in metres")
-    figures = {
-        "mean east": "bias_east",
-        "mean north": "bias_north",
-        "RMSE east": "rmse_east",
-        "RMSE north": "rmse_north",
-        "RMSE in the plane": "rmse",
-        "median": "median",
-        "CE90": "ce90",
-        "largest": "largest",
-    }
-    table.add_row("photos", *(f"{one.photos}" for one in errors.values()))
-    for name, key in figures.items():
-        table.add_row(name, *(f"{getattr(one, key):.2f}" for one in errors.values()))
-    for k in RIGHT_CALIBRATION:
-        shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for one in errors.values()]
-        table.add_row(f"within {k} {'radius' if k == 1 else 'radii'}", *shares)
-    console.print(table)
-    right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
-    sentence = (
-        "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 is the distance that "
-        f"holds 90 % of them, interpolated between photos, so that few tell little; right radii ({SIGMA}, "
-        f"with the map's error) hold {right} within 1, 2, and 3."
-    )
-    for line in (sentence, *told):
+    columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
+    sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
+    if columns:
+        table = Table("", *columns, title="Against surveyed positions: answer minus survey, in metres")
+        figures = {
+            "mean east": "bias_east",
+            "mean north": "bias_north",
+            "standard deviation east": "sd_east",
+            "standard deviation north": "sd_north",
+            "RMSE east": "rmse_east",
+            "RMSE north": "rmse_north",
+            "RMSE in the plane": "rmse",
+            "median": "median",
+            "CE90": "ce90",
+            "largest": "largest",
+        }
+        table.add_row("photos", *(f"{one.photos}" for one in columns.values()))
+        for name, key in figures.items():
+            table.add_row(name, *(_figure(getattr(one, key)) for one in columns.values()))
+        table.add_row("photos with a radius", *(f"{one.radii}" for one in columns.values()))
+        for k in RIGHT_CALIBRATION:
+            shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for one in columns.values()]
+            table.add_row(f"within {k} {'radius' if k == 1 else 'radii'}", *shares)
+        console.print(table)
+        right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
+        sentences = [
+            "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 is the distance "
+            "that holds 90 % of them, interpolated between photos, so that few tell little."
+        ]
+        if any(one.radii for one in columns.values()):
+            sentences.append(f"Right radii ({SIGMA}, with the map's error) hold {right} within 1, 2, and 3.")
+        told = {title: one.bias_sentence for title, one in columns.items()}
+        sentences += [f"{title.capitalize()}: {sentence}" for title, sentence in told.items() if sentence]
+    for line in (*sentences, *remarks):
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
@@ -595,7 +634,7 @@ def _print_poses(title: str, summaries: Sequence[PoseSummary]) -> None:
     )
 
 
-def _percent(value: float) -> str:
+def _figure(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -14,11 +15,15 @@ from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from rich.console import Console
 
+    from lpn.flights import Flight
     from lpn.locate.located import LocatedFlight
     from lpn.locate.measures import ErrorSummary
     from lpn.locate.options import LocateOptions
+    from lpn.maps import Map
 
 
 @dataclass
@@ -133,12 +138,14 @@ def locate_files(
     console: Console,
     index: str | None = None,
     pooling: str | None = None,
+    on_opened: Callable[[Map, Flight], None] | None = None,
 ) -> LocatedFlight:
     """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
 
     Args:
         index: of the map's windows, see `WindowIndex`.
         kind, pooling: of the model, see `lpn.load`.
+        on_opened: called with map and flight before anything is computed; an exception that it raises stops the run.
 
     Raises:
         InputError: if the limit is below 1, a kind, a pooling, or an index is given without a model, or sizes are given beside
@@ -162,6 +169,8 @@ def locate_files(
         )
     basemap, flight = open_map(map_path), open_flight(flight_path)
     flight = replace(flight, frames=flight.frames[:limit])
+    if on_opened is not None:
+        on_opened(basemap, flight)
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind, pooling=pooling)
     indexed = None if index is None or network is None else WindowIndex(index, network, basemap)
@@ -169,11 +178,43 @@ def locate_files(
         return locate(basemap, flight, network, options, report, kept, indexed)
 
 
+def _share(percent: float) -> str:
+    return "-" if math.isnan(percent) else f"{percent:.0f} %"
+
+
 def _in_words(summary: ErrorSummary) -> str:
     """Return median, 90th percentile, and shares within radii in words."""
     return (
         f"a median of {summary.median:.1f} m, 90 % within {summary.p90:.1f} m, and {summary.calibration_shares} of its errors "
         f"within 1, 2, and 3 radii, of {summary.frames} frames whose tags can be moved"
+    )
+
+
+def _truth_sentence(located: LocatedFlight, known: bool) -> str:
+    """Say what errors are against, and what the shares of the table are of.
+
+    Args:
+        known: whether some frame has a truth.
+    """
+    if not known:
+        return "No frame has a tag on the map, or a correction by hand, so no error is known."
+    corrected = sum(frame.by_hand is not None for frame in located.frames)
+    truth = (
+        f"corrections by hand ({corrected}), and the tags of the other frames"
+        if corrected
+        else "the tags of the flight"
+    )
+    if located.audit is not None and located.audit.has_lag:
+        lag = "a lag in them" + (f" (or {located.audit.looks_ahead})" if located.audit.looks_ahead else "")
+        truth += (
+            ", moved by their lag"
+            if located.tags_corrected
+            else f", which are no exact truth, as the registration finds {lag}"
+        )
+    return (
+        f"Errors are against {truth}; shares are of all frames with such a truth; 'no false' is the share that can be "
+        "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
+        "ranks windows and verifies none."
     )
 
 
@@ -203,35 +244,17 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
         table.add_column(name, justify="left" if name == "stage" else "right")
     for stage, summary in summaries.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
-        shares = [f"{summary.within[m]:.0f} %" for m in sorted(summary.within)]
+        shares = [_share(summary.within[m]) for m in sorted(summary.within)]
         numbers = [f"{value:.1f}" if summary.answered else "-" for value in (summary.median, summary.p90)]
         table.add_row(
             stage,
             "not verified" if stage == "retrieval" else f"{accepted}",
             *numbers,
             *shares,
-            f"{summary.coverage_at_zero:.0f} %",
+            _share(summary.coverage_at_zero),
         )
     console.print(table)
-    corrected = sum(frame.by_hand is not None for frame in located.frames)
-    truth = (
-        f"corrections by hand ({corrected}), and the tags of the other frames"
-        if corrected
-        else "the tags of the flight"
-    )
-    if located.audit is not None and located.audit.has_lag:
-        lag = "a lag in them" + (f" (or {located.audit.looks_ahead})" if located.audit.looks_ahead else "")
-        truth += (
-            ", moved by their lag"
-            if located.tags_corrected
-            else f", which are no exact truth, as the registration finds {lag}"
-        )
-    console.print(
-        f"Errors are against {truth}; shares are of all frames with such a truth; 'no false' is the share that can be "
-        "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
-        "ranks windows and verifies none.",
-        soft_wrap=True,
-    )
+    console.print(_truth_sentence(located, any(summary.frames for summary in summaries.values())), soft_wrap=True)
     for stage, summary in summaries.items():
         if (sentence := summary.calibration_sentence(stage)) is not None:
             console.print(sentence, soft_wrap=True)

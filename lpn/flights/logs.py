@@ -117,6 +117,22 @@ def path_parts(path: str) -> tuple[str, ...]:
     return tuple(part.strip().casefold() for part in path.replace("\\", "/").split("/") if part.strip()) or ("",)
 
 
+def nearest_in_folders(path: Sequence[str], candidates: Sequence[Sequence[str]]) -> list[int]:
+    """Return the numbers of the candidates that share most folders with a path, counted from its end; all are by `path_parts`.
+
+    Names themselves are not compared, as one of them may lack its suffix.
+    """
+    shared = [_common_tail(path[:-1], candidate[:-1]) for candidate in candidates]
+    return [i for i, count in enumerate(shared) if count == max(shared)]
+
+
+def _common_tail(a: Sequence[str], b: Sequence[str]) -> int:
+    count = 0
+    while count < min(len(a), len(b)) and a[-1 - count] == b[-1 - count]:
+        count += 1
+    return count
+
+
 def moments(log: Log) -> tuple[list[TelemetryEntry], str | None]:
     """Return the entries of a log that have a clock, with their clock as their time; and a note about moments listed twice.
 

@@ -353,18 +353,10 @@ def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[L
     if not named:
         return None
     parts = logs.path_parts(str(file))
-    agreeing = [_common_tail(logs.path_parts(row.file or ""), parts) for row in named]
-    named = [row for row, count in zip(named, agreeing, strict=True) if count == max(agreeing)]
+    named = [named[i] for i in logs.nearest_in_folders(parts, [logs.path_parts(row.file or "") for row in named])]
     distances = [_metres_apart(photo.frame, row.entry) for row in named]
     known = [(metres, i) for i, metres in enumerate(distances) if metres is not None]
     return named[min(known)[1] if known else 0], named
-
-
-def _common_tail(a: Sequence[str], b: Sequence[str]) -> int:
-    count = 0
-    while count < min(len(a), len(b)) and a[-1 - count] == b[-1 - count]:
-        count += 1
-    return count
 
 
 def _metres_apart(frame: Frame | TelemetryEntry, entry: TelemetryEntry) -> float | None:

@@ -9,7 +9,7 @@ from itertools import combinations
 
 from lpn.drawing.words import capitalised, plain
 from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord
-from lpn.locate.tracks import TrackPoint
+from lpn.locate.tracks import TrackPoint, TrackState
 
 # 1-sigma radius in metres of a tag by a consumer's receiver in the open.
 TAG_RADIUS = 5.0
@@ -45,6 +45,25 @@ class Belief:
     summary: str
     reason: str
     stage: str | None = None
+
+
+@dataclass(frozen=True)
+class BestAnswer:
+    """The answer for one frame that counts.
+
+    Attributes:
+        stage: that gave it, or `BY_HAND`; the last stage that ran where there is no position.
+        answer: its answer; a refused one without a position where no stage has one.
+        state: "contradicted" for a registration that the verdict doubts, else the answer's own.
+        doubt: the answers that contradict it: "tag", stages, or "map".
+        verdict: of all stages; a correction by hand stands above it.
+    """
+
+    stage: str
+    answer: StageRecord
+    state: TrackState
+    doubt: tuple[str, ...]
+    verdict: Belief
 
 
 @dataclass(frozen=True)
@@ -141,32 +160,37 @@ def full_track(flight: LocatedFlight) -> list[TrackPoint]:
     return [replace(point, doubt=doubts.get((numbers[point.frame], point.stage), ())) for point in flight.track()]
 
 
-def best_track(flight: LocatedFlight) -> list[TrackPoint]:
-    """Return one point a frame: its correction by hand, or the answer of the stage that counts.
-
-    State and reason are those of the verdict: a registration that it doubts is "contradicted". A frame without a position has
-    none.
-    """
-    points = []
+def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
+    """Return the answer that counts for each frame: its correction by hand, or that of the stage that the verdict names."""
     contradictions = disagreements(flight.frames)
     doubts = _doubts(flight.frames, contradictions)
+    best = []
     for i, (located, verdict) in enumerate(zip(flight.frames, beliefs(flight.frames, contradictions), strict=True)):
+        stage, answer = flight.stages[-1] if flight.stages else "", StageRecord("refused", verdict.reason)
         if located.by_hand is not None:
-            points.append(flight.point(located, BY_HAND, located.by_hand))
-            continue
-        stage, answer = flight.stages[-1], StageRecord("refused", verdict.reason)
-        if verdict.stage is not None:
+            stage, answer = BY_HAND, located.by_hand
+        elif verdict.stage is not None:
             stage, answer = verdict.stage, located.stages[verdict.stage]
-        point = flight.point(located, stage, answer)
-        points.append(
-            replace(
+        is_doubted = stage == "registration" and answer.accepted and verdict.sign is None
+        state: TrackState = "contradicted" if is_doubted else answer.state
+        best.append(BestAnswer(stage, answer, state, doubts.get((i, stage), ()), verdict))
+    return best
+
+
+def best_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return one point a frame, that of the answer that counts, see `best_answers`; state and reason are those of the verdict."""
+    points = []
+    for located, best in zip(flight.frames, best_answers(flight), strict=True):
+        point = flight.point(located, best.stage, best.answer)
+        if best.stage != BY_HAND:
+            point = replace(
                 point,
-                state="contradicted" if verdict.sign is None and stage == "registration" else point.state,
-                doubt=doubts.get((i, stage), ()),
-                reason=f"{verdict.summary}.",
-                note=verdict.reason,
+                state=best.state,
+                doubt=best.doubt,
+                reason=f"{best.verdict.summary}.",
+                note=best.verdict.reason,
             )
-        )
+        points.append(point)
     return points
 
 

@@ -64,6 +64,8 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
         place_error: the part of it that is the error of the map's place on earth, as the map tells it; 0 if it does not.
         agreement: of places beside the photo's middle with the map; None while they are not compared.
+        middle_radius: 1-sigma radius in metres of the ground at the photo's middle, where the position is the camera's; with the
+            map's error, as `radius` has it. None where it is not known.
     """
 
     state: State
@@ -82,6 +84,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     map_error: float = 0.0
     place_error: float = 0.0
     agreement: MapAgreement | None = None
+    middle_radius: float | None = None
 
     @property
     def on_earth(self) -> bool:

@@ -27,9 +27,9 @@ class ErrorSummary:
         frames: frames with a tag.
         answered: those of them with an accepted position.
         median, p90: errors in metres of the answered ones; NaN without any.
-        within: share in percent of all frames answered within so many metres.
+        within: share in percent of all frames answered within so many metres; NaN without frames.
         coverage_at_zero: share in percent of all frames that can be accepted, most confident first, before the first one
-            that is farther off than the limit.
+            that is farther off than the limit; NaN without frames.
         limit: metres from which an accepted frame counts as false.
         calibration: share in percent of answers with a radius whose error is at most 1, 2, and 3 times the radius; empty without
             radii. Radii of normal errors are right at `RIGHT_CALIBRATION`.
@@ -82,7 +82,7 @@ def summarise(
     own = (missing if radii is None else _vector(radii, len(values)))[answered]
     order = own if scores is None else -_vector(scores, len(values))[answered]
     known_radius = own > 0
-    share = 100 / max(len(values), 1)
+    share = 100 / len(values) if len(values) else math.nan
     return ErrorSummary(
         len(values),
         len(known),

@@ -53,7 +53,7 @@ from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
 # Answers in the cache have poses of this version.
-_POSES = 4
+_POSES = 5
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
@@ -188,8 +188,9 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
         parts = [f"± {error_figure(on_map)} m are assumed for the map"] if on_map else []
         parts += [f"± {error_figure(place_error)} m are the error of the map's place"] if on_earth else []
         sentence += f", of which {' and '.join(parts)}." if parts else "."
+    middle = None if answer.middle_radius is None else math.hypot(answer.middle_radius, map_error)
     return msgspec.structs.replace(
-        answer, radius=radius, sentence=sentence, map_error=map_error, place_error=place_error
+        answer, radius=radius, middle_radius=middle, sentence=sentence, map_error=map_error, place_error=place_error
     )
 
 
@@ -564,6 +565,7 @@ def _record(
         registration.inliers,
         [float(value) for value in registration.homography.ravel()],
         pose=solution,
+        middle_radius=registration.radius if camera else None,
     )
 
 

@@ -3,31 +3,33 @@
     photo,easting,northing,epsg,point
     DJI_0012.JPG,612345.21,3338010.87,32614,camera
 
-Latitude and longitude (WGS 84) may stand in place of easting, northing, and their EPSG code. `point` is what was surveyed:
-"camera", or "ground" for the ground at the photo's middle.
+Latitude and longitude may stand in place of easting and northing; they are of WGS 84 where no CRS is told. `point` is what was
+surveyed: "camera", or "ground" for the ground at the photo's middle.
 """
 
 from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePath
+from typing import Any, Literal
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array
+from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.csv_cells import csv_bytes, decode_text, delimited, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
-from lpn.locate.belief import beliefs, disagreements
+from lpn.core.numbers import distance
+from lpn.flights.logs import nearest_in_folders, path_parts
+from lpn.locate.belief import BestAnswer, best_answers
 from lpn.locate.camera_place import below_camera
-from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import RIGHT_CALIBRATION
-from lpn.locate.tracks import State
-from lpn.maps import LocalFrame
+from lpn.locate.tracks import TrackState
+from lpn.maps import LocalFrame, Map
 from lpn.maps.sources import parse_crs
 
 SurveyedPoint = Literal["camera", "ground"]
@@ -43,11 +45,15 @@ COLUMNS = {
 }
 _DEGREES, _METRES = ("latitude", "longitude"), ("easting", "northing")
 _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and, if you like, point (camera or ground)"
-
-# Metres from which positions are those of another place, as in a wrong UTM zone.
-_ELSEWHERE = 5000.0
+# The CRS of degrees where no other one is told.
+_WGS84 = "EPSG:4326"
+# Names in one sentence at most.
+_MOST_NAMES = 10
+# Photos from which a mean is compared with its standard error, and the multiple of it beyond which chance hardly explains it.
+_LEAST_FOR_BIAS = 5
+_BIAS = 3.0
 _RESIDUAL_COLUMNS = (
-    *("photo", "point", "answer_is", "stage", "state"),
+    *("photo", "point", "answer_is", "stage", "state", "doubt"),
     *("surveyed_easting_m", "surveyed_northing_m", "easting_m", "northing_m", "crs"),
     *("east_m", "north_m", "distance_m", "radius_m", "radii"),
 )
@@ -64,6 +70,19 @@ class SurveyedPosition:
 
 
 @dataclass(frozen=True)
+class MatchedSurvey:
+    """Surveyed positions of a flight's photos.
+
+    Attributes:
+        by_frame: positions by the number of their frame in the flight.
+        strangers: names in the table that are no photo of the flight.
+    """
+
+    by_frame: Mapping[int, Sequence[SurveyedPosition]]
+    strangers: Sequence[str]
+
+
+@dataclass(frozen=True)
 class Residual:
     """An answer minus the surveyed position of its photo.
 
@@ -72,8 +91,8 @@ class Residual:
         point: what was surveyed.
         answered: what the answer is of, the camera or the ground at the photo's middle; another than `point` where the answer
             tells no more. None without an answer.
-        stage, state: of the answer; a contradicted one is accepted, too.
-        contradicted: whether other answers contradict it.
+        stage, state: of the answer that counts, see `lpn.locate.belief.best_answers`.
+        doubt: the answers that contradict it.
         surveyed: metres in the map's frame.
         east, north: metres along the axes of the map's UTM zone, answer minus survey; NaN without an answer.
         radius: 1-sigma radius of the answer in metres, with the map's error; NaN if unknown.
@@ -83,8 +102,8 @@ class Residual:
     point: SurveyedPoint
     answered: SurveyedPoint | None
     stage: str
-    state: State
-    contradicted: bool
+    state: TrackState
+    doubt: tuple[str, ...]
     surveyed: tuple[float, float]
     east: float = math.nan
     north: float = math.nan
@@ -95,17 +114,30 @@ class Residual:
         """The distance in the plane."""
         return math.hypot(self.east, self.north)
 
+    @property
+    def radii(self) -> float:
+        """The distance in radii; NaN without a radius, or where the answer is not of the surveyed point."""
+        return self.metres / self.radius if self.answered == self.point and self.radius > 0 else math.nan
+
+    @property
+    def counts(self) -> bool:
+        """True if the answer is accepted, contradicted or not."""
+        return self.state in ("accepted", "contradicted")
+
 
 @dataclass(frozen=True)
 class SurveyedErrors:
-    """Errors of a stage's accepted answers against surveyed positions, in metres.
+    """Errors of a stage's accepted answers against surveyed positions of one point, in metres.
 
     Attributes:
-        photos: with an accepted answer and a surveyed position; a photo whose camera and ground were surveyed counts twice.
+        photos: with an accepted answer and a surveyed position.
         rmse_east, rmse_north, rmse: root mean squares along both axes and in the plane.
         bias_east, bias_north: means, answer minus survey.
+        sd_east, sd_north: standard deviations about these means, of n - 1 photos; NaN for one photo.
         median, ce90, largest: distances in the plane; `ce90` is the circular error that holds 90 % of them.
-        within: share in percent within 1, 2, and 3 radii; empty without radii. Right radii have `measures.RIGHT_CALIBRATION`.
+        radii: photos whose answer has a radius and is of the surveyed point.
+        within: of these, the share in percent within 1, 2, and 3 radii; empty without any. Right radii have
+            `measures.RIGHT_CALIBRATION`.
     """
 
     photos: int
@@ -114,10 +146,32 @@ class SurveyedErrors:
     rmse: float
     bias_east: float
     bias_north: float
+    sd_east: float
+    sd_north: float
     median: float
     ce90: float
     largest: float
+    radii: int
     within: dict[int, float]
+
+    @property
+    def bias_sentence(self) -> str:
+        """Say if the means are more than chance; "" where too few photos tell."""
+        if self.photos < _LEAST_FOR_BIAS:
+            return ""
+        root = math.sqrt(self.photos)
+        errors = {"east": (self.bias_east, self.sd_east / root), "north": (self.bias_north, self.sd_north / root)}
+        means = " and ".join(f"{mean:.2f} m {axis} (± {error:.2f})" for axis, (mean, error) in errors.items())
+        beyond = [axis for axis, (mean, error) in errors.items() if abs(mean) > _BIAS * error]
+        verdict = (
+            f"{' and '.join(beyond)} it is more than {_BIAS:g} times that, a systematic error rather than chance"
+            if beyond
+            else f"neither is more than {_BIAS:g} times that, so chance may explain both"
+        )
+        return (
+            f"The mean is {means}, with its standard error, the standard deviation over the root of {self.photos} photos: "
+            f"{verdict}, as far as photos err independently."
+        )
 
 
 def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list[SurveyedPosition]:
@@ -125,11 +179,11 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
 
     Args:
         frame: of the map; positions come in its metres.
-        crs: coordinate reference system of eastings and northings, such as EPSG:32614, where no column tells it.
+        crs: coordinate reference system of the coordinates, such as EPSG:32614, where no column tells it.
 
     Raises:
         DataError: if the file cannot be read, or is no such table; the message names the line.
-        InputError: if a CRS is none, or is needed and missing.
+        InputError: if a CRS is none, does not fit the columns, is told twice, or is needed and missing.
     """
     name = printable(file.name)
     try:
@@ -145,63 +199,76 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
         raise DataError(f"{name} is not a text file of comma-separated values in UTF-8; save it as such.") from error
     if not entries:
         raise DataError(f"{name} has no position below its first line; add a line for each photo.")
-    if "latitude" in header:
-        xy = frame.xy(*np.array([entry.numbers for entry in entries]).T)
-    else:
-        xy = _projected(entries, frame, crs, name)
-    for entry, place in zip(entries, xy, strict=True):
-        if not np.isfinite(place).all():
-            raise DataError(
-                f"{entry.line} has a position that its CRS does not hold; check the coordinates and the CRS."
-            )
+    xy = _in_metres(entries, "latitude" in header, frame, crs, name)
     return [
         SurveyedPosition(entry.photo, x, y, entry.point) for entry, (x, y) in zip(entries, xy.tolist(), strict=True)
     ]
 
 
-def compare_surveyed(located: LocatedFlight, surveyed: Sequence[SurveyedPosition]) -> tuple[list[Residual], list[str]]:
-    """Compare the answers that count with surveyed positions, matched by the photos' names, with or without a suffix.
+def match_surveyed(names: Sequence[str], surveyed: Sequence[SurveyedPosition], basemap: Map) -> MatchedSurvey:
+    """Find the frames of surveyed positions by the photos' names, with or without folders and a suffix.
 
-    Returns:
-        A residual for each surveyed position whose photo is in the flight, in the flight's order, and sentences on what was left
-        out, or compared with another point than the surveyed one.
+    Args:
+        names: of the flight's frames, in its order.
 
     Raises:
-        InputError: if no photo of the flight has a surveyed position, one has two of the same point, or all lie elsewhere.
+        InputError: if no photo of the flight has a surveyed position, a name may be two photos, a photo has two positions of one
+            point, or most positions lie farther off the map than its longer side.
     """
-    by_photo, strangers = _by_photo(located, surveyed)
-    contradictions = disagreements(located.frames)
-    doubted = {one.frame for one in contradictions}
-    rows = [
-        _residual(frame, position, verdict.stage, i in doubted and verdict.sign is None, located.basemap.frame)
-        for i, (frame, verdict) in enumerate(zip(located.frames, beliefs(located.frames, contradictions), strict=True))
-        for position in by_photo.get(i, ())
-    ]
-    apart = [row.metres for row in rows if not math.isnan(row.metres)]
-    if apart and (middle := float(np.median(apart))) > _ELSEWHERE:
+    frames = _Names(names)
+    by_frame: dict[int, list[SurveyedPosition]] = {}
+    strangers: list[str] = []
+    for position in surveyed:
+        number = frames.number(position.photo)
+        if number is None:
+            strangers.append(position.photo)
+            continue
+        others = by_frame.setdefault(number, [])
+        if any(other.point == position.point for other in others):
+            raise InputError(
+                f"The photo {printable(position.photo)[:100]} has two surveyed positions of its {position.point}; keep one."
+            )
+        others.append(position)
+    if not by_frame:
         raise InputError(
-            f"The surveyed positions lie {middle / 1000:,.0f} km from the answers in the median; check their CRS, such as the "
-            "UTM zone."
+            f"None of the {len(surveyed)} surveyed photos, the first being {printable(surveyed[0].photo)[:100]}, is in the "
+            f"flight, whose first photo is {printable(names[0])}; expected the photos' file names."
         )
-    return rows, _told(rows, strangers, len(located.frames) - len(by_photo))
+    off = np.array([basemap.metres_off(np.array([one.x, one.y])) for group in by_frame.values() for one in group])
+    west, south, east, north = basemap.bounds
+    if (middle := float(np.median(off))) > max(east - west, north - south):
+        raise InputError(
+            f"The surveyed positions lie {distance(middle)} from the map in the median; check their CRS, such as the UTM zone, "
+            "and that map and survey are of one place."
+        )
+    return MatchedSurvey(by_frame, strangers)
 
 
-def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, SurveyedErrors]:
-    """Summarise the residuals of accepted answers, stage by stage."""
-    known: dict[str, list[Residual]] = {}
+def compare_surveyed(located: LocatedFlight, matched: MatchedSurvey) -> list[Residual]:
+    """Return the answers that count minus the surveyed positions, in the flight's order."""
+    return [
+        _residual(frame, position, best, located.basemap.frame)
+        for i, (frame, best) in enumerate(zip(located.frames, best_answers(located), strict=True))
+        for position in matched.by_frame.get(i, ())
+    ]
+
+
+def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint, SurveyedErrors]]:
+    """Summarise the residuals of accepted answers by their stage, and by what was surveyed."""
+    known: dict[str, dict[SurveyedPoint, list[Residual]]] = {}
     for row in rows:
-        if row.state == "accepted":
-            known.setdefault(row.stage, []).append(row)
-    return {stage: _summary(chosen) for stage, chosen in known.items()}
+        if row.counts:
+            known.setdefault(row.stage, {}).setdefault(row.point, []).append(row)
+    return {stage: {point: _summary(chosen) for point, chosen in points.items()} for stage, points in known.items()}
 
 
 def _summary(rows: Sequence[Residual]) -> SurveyedErrors:
     off = np.array([(row.east, row.north) for row in rows])
     metres = np.linalg.norm(off, axis=1)
-    radii = np.array([row.radius for row in rows])
-    told = radii > 0
+    radii = np.array([row.radii for row in rows if not math.isnan(row.radii)])
     rmse_east, rmse_north = np.sqrt((off**2).mean(axis=0)).tolist()
     bias_east, bias_north = off.mean(axis=0).tolist()
+    sd_east, sd_north = off.std(axis=0, ddof=1).tolist() if len(rows) > 1 else (math.nan, math.nan)
     return SurveyedErrors(
         len(rows),
         rmse_east,
@@ -209,10 +276,13 @@ def _summary(rows: Sequence[Residual]) -> SurveyedErrors:
         math.hypot(rmse_east, rmse_north),
         bias_east,
         bias_north,
+        sd_east,
+        sd_north,
         float(np.median(metres)),
         float(np.quantile(metres, 0.9)),
         float(metres.max()),
-        {k: 100 * float((metres[told] <= k * radii[told]).mean()) for k in RIGHT_CALIBRATION if told.any()},
+        len(radii),
+        {k: 100 * float((radii <= k).mean()) for k in RIGHT_CALIBRATION if len(radii)},
     )
 
 
@@ -226,11 +296,10 @@ def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> 
     for row in rows:
         easting, northing = frame.utm([row.surveyed])[0].tolist()
         places = (easting, northing, easting + row.east, northing + row.north)
-        figures = [*places, f"EPSG:{frame.utm_zone}", row.east, row.north, row.metres, row.radius]
-        figures.append(row.metres / row.radius if row.radius > 0 else math.nan)
-        state = "contradicted" if row.contradicted else row.state
+        figures = [*places, f"EPSG:{frame.utm_zone}", row.east, row.north, row.metres, row.radius, row.radii]
         told = [value if isinstance(value, str) else _rounded(value) for value in figures]
-        cells.append([row.photo, row.point, row.answered or "", row.stage, state, *told])
+        doubt = ", ".join(row.doubt)
+        cells.append([row.photo, row.point, row.answered or "", row.stage, row.state, doubt, *told])
     write_atomic(file, csv_bytes([_RESIDUAL_COLUMNS, *cells]))
 
 
@@ -253,12 +322,18 @@ def _header(names: Sequence[str], file: str) -> dict[str, int]:
     header = {
         key: next(given[one] for one in known if one in given) for key, known in COLUMNS.items() if {*known} & {*given}
     }
-    pair = next((pair for pair in (_DEGREES, _METRES) if {*pair} <= {*header}), None)
-    if "photo" not in header or pair is None:
+    pairs = [pair for pair in (_DEGREES, _METRES) if {*pair} <= {*header}]
+    if len(pairs) > 1:
+        both = " and ".join(",".join(names[header[key]].strip() for key in pair) for pair in pairs)
+        raise DataError(
+            f"The first line of {file} has {printable(both)[:200]}, and only one of the two can be the survey; take the other "
+            "one away."
+        )
+    if "photo" not in header or not pairs:
         found = printable(",".join(names))[:200] or "empty"
         semicolons = " Where semicolons separate values, put the line sep=; above it." if ";" in found else ""
         raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{semicolons}")
-    other = _METRES if pair is _DEGREES else _DEGREES
+    other = _METRES if pairs[0] is _DEGREES else _DEGREES
     return {key: column for key, column in header.items() if key not in other}
 
 
@@ -292,74 +367,109 @@ def _number(text: str, key: str, line: str, decimal_comma: bool) -> float:
     return value
 
 
-def _projected(entries: Sequence[_Entry], frame: LocalFrame, crs: str | None, file: str) -> Float64Array:
-    """Return eastings and northings, each in its own CRS, in the map's metres."""
+def _in_metres(entries: Sequence[_Entry], degrees: bool, frame: LocalFrame, crs: str | None, file: str) -> Float64Array:
+    """Return coordinates, each in its own CRS, in the map's metres, (N, 2)."""
     xy = np.empty((len(entries), 2))
     if crs and any(entry.crs for entry in entries):
         raise InputError(f"{file} tells its CRS in a column; leave --crs out, or take the column away.")
     # Spreadsheets write a whole number as 32614.0, too.
-    told = [(crs or entry.crs).removesuffix(".0") for entry in entries]
+    told = [(crs or entry.crs or (_WGS84 if degrees else "")).removesuffix(".0") for entry in entries]
     for text in dict.fromkeys(told):
         if not text:
             raise InputError(
                 f"{file} has eastings and northings without their CRS; add a column epsg, or give it, such as --crs EPSG:32614."
             )
+        system = parse_crs(text)
+        _check_kind(text, system, degrees, file)
         chosen = [i for i, one in enumerate(told) if one == text]
-        xy[chosen] = frame.from_crs(parse_crs(text), np.array([entries[i].numbers for i in chosen]))
+        # A geographic CRS has its longitude first here.
+        numbers = np.array([entries[i].numbers for i in chosen])[:, :: -1 if degrees else 1]
+        placed = frame.from_crs(system, numbers)
+        if not np.isfinite(placed).all():  # one position that the projection cannot place makes all of them NaN
+            placed = np.concatenate([frame.from_crs(system, [row]) for row in numbers])
+            _refuse_unplaced([entries[i].line for i in chosen], np.isfinite(placed).all(axis=1), text)
+        xy[chosen] = placed
     return xy
 
 
-def _by_photo(
-    located: LocatedFlight, surveyed: Sequence[SurveyedPosition]
-) -> tuple[dict[int, list[SurveyedPosition]], list[str]]:
-    """Return the surveyed positions of each frame by its number, and the names of photos that are not in the flight."""
-    numbers: dict[str, int] = {}
-    for i, frame in reversed(list(enumerate(located.frames))):
-        numbers |= {Path(frame.frame.name).stem.lower(): i, frame.frame.name.lower(): i}
-    by_photo: dict[int, list[SurveyedPosition]] = {}
-    strangers: list[str] = []
-    for position in surveyed:
-        name = Path(position.photo.replace("\\", "/")).name.lower()
-        number = numbers.get(name, numbers.get(Path(name).stem))
-        if number is None:
-            strangers.append(position.photo)
-            continue
-        others = by_photo.setdefault(number, [])
-        if any(other.point == position.point for other in others):
-            raise InputError(
-                f"The photo {printable(position.photo)[:100]} has two surveyed positions of its {position.point}; keep one."
-            )
-        others.append(position)
-    if not by_photo:
+def _check_kind(text: str, crs: Any, degrees: bool, file: str) -> None:
+    """Raise InputError unless a CRS is geographic for degrees, or projected for metres."""
+    if crs.is_geographic if degrees else crs.is_projected:
+        return
+    columns, kind, such = (
+        ("latitudes and longitudes", "geographic", _WGS84)
+        if degrees
+        else ("eastings and northings", "projected", "EPSG:32614")
+    )
+    raise InputError(
+        f"The CRS {printable(text)[:100]} is not {kind}, and {file} has {columns}; expected one such as {such}."
+    )
+
+
+def _refuse_unplaced(lines: Sequence[str], placed: BoolArray, crs: str) -> None:
+    """Raise DataError about the lines whose position has no place on the map's plane."""
+    if not placed.any():
         raise InputError(
-            f"None of the {len(surveyed)} surveyed photos, the first being {printable(surveyed[0].photo)[:100]}, is in the "
-            f"flight, whose first photo is {printable(located.frames[0].frame.name)}; expected the photos' file names."
+            f"The CRS {printable(crs)[:100]} cannot be brought to the map's plane for any position; check the CRS."
         )
-    return by_photo, strangers
+    failed = [line for line, known in zip(lines, placed, strict=True) if not known]
+    raise DataError(
+        f"{first_few(failed, _MOST_NAMES)}: the CRS {printable(crs)[:100]} has no such position; check the coordinates."
+    )
 
 
-def _residual(
-    located: LocatedFrame, position: SurveyedPosition, stage: str | None, contradicted: bool, frame: LocalFrame
-) -> Residual:
+class _Names:
+    """The names of a flight's frames, found by what a table calls them."""
+
+    def __init__(self, names: Sequence[str]) -> None:
+        self._names = names
+        self._whole = {name: i for i, name in enumerate(names)}
+        self._parts = [path_parts(name) for name in names]
+        self._by_name: dict[str, list[int]] = {}
+        self._by_stem: dict[str, list[int]] = {}
+        for i, parts in enumerate(self._parts):
+            self._by_name.setdefault(parts[-1], []).append(i)
+            self._by_stem.setdefault(PurePath(parts[-1]).stem, []).append(i)
+
+    def number(self, path: str) -> int | None:
+        """Return the number of a frame: of its whole path, else its name, else its name without suffix, by the most folders.
+
+        Raises:
+            InputError: if several frames fit equally well.
+        """
+        if (number := self._whole.get(path.replace("\\", "/"))) is not None:
+            return number
+        parts = path_parts(path)
+        near = (
+            self._by_name.get(parts[-1])
+            or self._by_stem.get(parts[-1])
+            or self._by_stem.get(PurePath(parts[-1]).stem, [])
+        )
+        if len(near) > 1:
+            near = [i for i in near if self._parts[i] == parts] or [
+                near[k] for k in nearest_in_folders(parts, [self._parts[i] for i in near])
+            ]
+        if len(near) > 1:
+            either = " or ".join(printable(self._names[i]) for i in near[:2])
+            raise InputError(
+                f"The surveyed photo {printable(path)[:100]} may be {either} of the flight; write the name as the flight has it."
+            )
+        return near[0] if near else None
+
+
+def _residual(located: LocatedFrame, position: SurveyedPosition, best: BestAnswer, frame: LocalFrame) -> Residual:
     at = (position.x, position.y)
-    name = located.frame.name
-    if stage is None and located.by_hand is None:
-        return Residual(name, position.point, None, "", "refused", False, at)
-    answer = located.by_hand if stage is None or located.by_hand is not None else located.stages[stage]
-    assert answer is not None
-    x, y, radius, point = _place(located, answer, position.point)
+    unanswered = Residual(located.frame.name, position.point, None, best.stage, best.state, best.doubt, at)
+    if best.answer.x is None:
+        return unanswered
+    x, y, radius, point = _place(located, best.answer, position.point)
     there, here = frame.utm([at, (x, y)]).tolist()
-    return Residual(
-        name,
-        position.point,
-        point,
-        BY_HAND if answer is located.by_hand else stage or "",
-        answer.state,
-        contradicted,
-        at,
-        here[0] - there[0],
-        here[1] - there[1],
-        math.nan if radius is None else radius,
+    return replace(
+        unanswered,
+        answered=point,
+        east=here[0] - there[0],
+        north=here[1] - there[1],
+        radius=math.nan if radius is None else radius,
     )
 
 
@@ -369,7 +479,7 @@ def _place(
     """Return an answer's place, its radius, and what it is of: the wanted point where the answer tells it."""
     if point == "ground" and answer.camera and answer.homography is not None:
         x, y = located.middle(answer).tolist()
-        return x, y, answer.radius, "ground"
+        return x, y, answer.middle_radius, "ground"
     if point == "camera" and not answer.camera:
         if answer.pose is not None:
             return answer.pose.east, answer.pose.north, math.hypot(answer.pose.radius, answer.map_error), "camera"
@@ -379,25 +489,50 @@ def _place(
     return answer.x, answer.y, answer.radius, "camera" if answer.camera else "ground"
 
 
-def _told(rows: Sequence[Residual], strangers: Sequence[str], without: int) -> list[str]:
-    """Return sentences on photos that were not compared, or not with the surveyed point."""
+def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
+    """Return sentences on photos that do not count, are contradicted, or are not compared with the surveyed point.
+
+    Args:
+        photos: of the flight.
+    """
     sentences = []
-    if strangers:
-        names = printable(first_few(strangers, 10))
-        sentences.append(f"{len(strangers)} surveyed photos are not in the flight, so check their names: {names}.")
-    if missing := [row.photo for row in rows if row.state != "accepted"]:
+    if missing := _names_of(row for row in rows if not row.counts):
         sentences.append(
-            f"No answer is accepted for {len(missing)} surveyed photos: {printable(first_few(missing, 10))}."
+            f"No answer is accepted for {_photos(missing)}, which {'does' if len(missing) == 1 else 'do'} not count: "
+            f"{_listed(missing)}."
         )
-    if doubted := [row.photo for row in rows if row.contradicted]:
-        sentences.append(f"Contradicted, and counted all the same: {printable(first_few(doubted, 10))}.")
+    if doubted := _names_of(row for row in rows if row.state == "contradicted"):
+        sentences.append(f"Contradicted by other answers, and counted all the same: {_listed(doubted)}.")
     for point, other in (("camera", "ground at the photo's middle"), ("ground", "camera")):
-        moved = sum(row.state == "accepted" and row.point == point != row.answered for row in rows)
+        moved = sum(row.counts and row.point == point != row.answered for row in rows)
         if moved:
             sentences.append(
-                f"{moved} surveyed positions of the {point} are compared with the {other}, as the answer tells no more; a "
-                "tilted camera keeps the two apart."
+                f"{moved} surveyed position{'s' * (moved > 1)} of the {point} {'are' if moved > 1 else 'is'} compared with the "
+                f"{other}, as the answer tells no more; a tilted camera keeps the two apart, so the shares within radii leave "
+                f"{'them' if moved > 1 else 'it'} out."
             )
-    if without:
-        sentences.append(f"{without} photos of the flight have no surveyed position.")
+    if without := photos - len(_names_of(rows)):
+        has = "photos of the flight have" if without > 1 else "photo of the flight has"
+        sentences.append(f"{without} {has} no surveyed position.")
     return sentences
+
+
+def strangers_sentence(matched: MatchedSurvey) -> str:
+    """Name the surveyed photos that are not in the flight; "" if all are."""
+    names = list(dict.fromkeys(matched.strangers))
+    if not names:
+        return ""
+    return f"{_photos(names)} {'is' if len(names) == 1 else 'are'} not in the flight, so check the names: {_listed(names)}."
+
+
+def _names_of(rows: Iterable[Residual]) -> list[str]:
+    """Return the photos of rows, each once."""
+    return list(dict.fromkeys(row.photo for row in rows))
+
+
+def _photos(names: Sequence[str]) -> str:
+    return f"{len(names)} surveyed photo{'s' * (len(names) > 1)}"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return printable(first_few(list(names), _MOST_NAMES))

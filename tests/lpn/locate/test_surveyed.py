@@ -9,28 +9,51 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import msgspec
 import numpy as np
 import pytest
 
 from lpn.core.errors import DataError, InputError
-from lpn.flights import Frame
+from lpn.flights import Flight, Frame
+from lpn.locate.belief import best_track
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.surveyed import (
+    MatchedSurvey,
+    Residual,
     SurveyedPosition,
     compare_surveyed,
+    match_surveyed,
     read_surveyed,
+    strangers_sentence,
     summarise_surveyed,
+    survey_remarks,
     write_residuals,
 )
-from lpn.maps import LocalFrame
+from lpn.maps import LocalFrame, Map
+from lpn.maps.map import metres_off
 
 # On the middle of UTM zone 14, whose grid shortens metres by 0.04 %.
 ORIGIN = LocalFrame(30.17, -99.0)
 
 
+# Lays the middle of a photo of 80 x 60 pixels 1 m north of the origin.
+LAID = [1.0, 0, -39.5, 0, -1, 30.5, 0, 0, 1]
+# A map of 2 by 1 km about the origin.
+BOUNDS = (-1000.0, -500.0, 1000.0, 500.0)
+BASEMAP = cast(Map, SimpleNamespace(frame=ORIGIN, bounds=BOUNDS, metres_off=lambda point: metres_off(BOUNDS, point)))
+
+
 def flight(*frames: LocatedFrame) -> LocatedFlight:
-    return cast(LocatedFlight, SimpleNamespace(frames=list(frames), basemap=SimpleNamespace(frame=ORIGIN)))
+    return LocatedFlight(Flight("monday", tuple(one.frame for one in frames)), BASEMAP, list(frames), None, [], None)
+
+
+def matched(located: LocatedFlight, surveyed: Sequence[SurveyedPosition]) -> MatchedSurvey:
+    return match_surveyed([one.frame.name for one in located.frames], surveyed, BASEMAP)
+
+
+def compared(located: LocatedFlight, surveyed: Sequence[SurveyedPosition]) -> list[Residual]:
+    return compare_surveyed(located, matched(located, surveyed))
 
 
 def photo(name: str, answer: StageRecord | None) -> LocatedFrame:
@@ -81,6 +104,15 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
         (("photo,easting,northing", "a,5,6"), r"without their CRS; add a column epsg"),
         (("photo,easting,northing,epsg", "a,5,6,no"), r"There is no CRS 'no'"),
         (("photo,lat,lon", '"a,5,6'), r"not a text file of comma-separated values"),
+        (("photo,Lat,lon,x,y", "a,5,6,7,8"), r"has Lat,lon and x,y, and only one of the two can be the survey"),
+        (("photo,lat,lon,epsg", "a,5,6,32614"), r"The CRS 32614 is not geographic, and survey.csv has latitudes"),
+        (("photo,e,n,epsg", "a,5,6,4326"), r"The CRS 4326 is not projected, and survey.csv has eastings"),
+        (("photo,lat,lon,epsg", "a,5,6,4978"), r"The CRS 4978 is not geographic"),
+        (
+            ("photo,e,n,epsg", "a,500000,3338000,32614", "b,9e9,9e9,32614", "c,9e9,9e9,32614"),
+            r"^Line 3 of survey.csv, Line 4 of survey.csv: the CRS 32614 has no such position; check the coordinates",
+        ),
+        (("photo,e,n,epsg", "a,9e9,9e9,32614"), r"The CRS 32614 cannot be brought to the map's plane for any position"),
     ],
 )
 def test_a_bad_table_gets_one_sentence(tmp_path: Path, lines: tuple[str, ...], sentence: str) -> None:
@@ -93,6 +125,15 @@ def test_a_missing_table_gets_one_sentence(tmp_path: Path) -> None:
         read_surveyed(tmp_path / "none.csv", ORIGIN)
 
 
+def test_degrees_of_another_datum_are_brought_to_the_maps(tmp_path: Path) -> None:
+    old = read_surveyed(written(tmp_path, "photo,lat,lon,epsg", "a,30.17,-99,4267"), ORIGIN)
+    (away,) = places(old)
+    assert 20 < math.hypot(*away) < 60, "NAD27 lies some 40 m from WGS 84 there"
+    file = written(tmp_path, "photo,lat,lon", "a,30.17,-99")
+    assert read_surveyed(file, ORIGIN, "EPSG:4267") == old
+    np.testing.assert_allclose(places(read_surveyed(file, ORIGIN)), [(0, 0)], atol=1e-6)
+
+
 def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path: Path) -> None:
     located = flight(
         photo("a.jpg", accepted(3.0, 4.0, 2.0)),
@@ -100,13 +141,15 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
         photo("c.jpg", StageRecord("refused", "Too few matches.")),
         photo("d.jpg", accepted(0.0, 0.0)),
     )
-    surveyed = [SurveyedPosition(name, 0.0, 0.0, "ground") for name in ("photos/A.JPG", "b", "c.jpg", "e.jpg")]
-    rows, told = compare_surveyed(located, surveyed)
-    errors = summarise_surveyed(rows)["registration"]
-    assert errors.photos == 2
+    surveyed = [SurveyedPosition(name, 0.0, 0.0, "ground") for name in ("photos/A.JPG", "b", "c.jpg", "e.jpg", "e.jpg")]
+    rows = compared(located, surveyed)
+    errors = summarise_surveyed(rows)["registration"]["ground"]
+    assert errors.photos == errors.radii == 2
     figures = (
         errors.bias_east,
         errors.bias_north,
+        errors.sd_east,
+        errors.sd_north,
         errors.rmse_east,
         errors.rmse_north,
         errors.rmse,
@@ -114,13 +157,16 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
         errors.ce90,
         errors.largest,
     )
-    np.testing.assert_allclose(figures, (2, 2, math.sqrt(5), math.sqrt(8), math.sqrt(13), 3.0, 4.6, 5.0), rtol=1e-3)
+    roots = [math.sqrt(square) for square in (2, 8, 5, 8, 13)]
+    np.testing.assert_allclose(figures, (2, 2, *roots, 3.0, 4.6, 5.0), rtol=1e-3)
     assert errors.within == {1: 50.0, 2: 50.0, 3: 100.0}
-    assert told == [
-        "1 surveyed photos are not in the flight, so check their names: e.jpg.",
-        "No answer is accepted for 1 surveyed photos: c.jpg.",
-        "1 photos of the flight have no surveyed position.",
+    assert errors.bias_sentence == "", "two photos tell nothing of chance"
+    assert survey_remarks(rows, 4) == [
+        "No answer is accepted for 1 surveyed photo, which does not count: c.jpg.",
+        "1 photo of the flight has no surveyed position.",
     ]
+    stranger = "1 surveyed photo is not in the flight, so check the names: e.jpg."
+    assert strangers_sentence(matched(located, surveyed)) == stranger
     write_residuals(tmp_path / "residuals.csv", rows, ORIGIN)
     with (tmp_path / "residuals.csv").open(newline="") as file:
         written_rows = list(csv.DictReader(file))
@@ -133,37 +179,100 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     )
 
 
+def test_a_mean_that_is_more_than_chance_is_called_systematic() -> None:
+    names = [f"{i}.jpg" for i in range(6)]
+    located = flight(*(photo(name, accepted((-1.0) ** i, -3.0 + 0.1 * i)) for i, name in enumerate(names)))
+    rows = compared(located, [SurveyedPosition(name, 0.0, 0.0, "ground") for name in names])
+    sentence = summarise_surveyed(rows)["registration"]["ground"].bias_sentence
+    assert "0.00 m east (± 0.45) and -2.75 m north (± 0.08)" in sentence
+    assert "north it is more than 3 times that, a systematic error rather than chance" in sentence
+
+
 def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> None:
     pose = CameraPose(
         7.0, 1.0, 50.0, 50.0, 0.0, -80.0, 0.0, 70.0, "told", True, 90, np.diag([9.0, 9, 9, 1, 1, 1]).ravel().tolist()
     )
+    laid = accepted(4.0, 1.0, 5.0, camera=True, homography=LAID, middle_radius=0.5)
     located = flight(
         photo("a.jpg", accepted(2.0, 1.0, pose=pose, map_error=4.0)),
         photo("b.jpg", accepted(2.0, 1.0)),
+        photo("c.jpg", laid),
+        photo("d.jpg", msgspec.structs.replace(laid, middle_radius=None)),
     )
     surveyed = [
         SurveyedPosition("a.jpg", 6.0, 1.0, "camera"),
         SurveyedPosition("a.jpg", 2.0, 0.0, "ground"),
         SurveyedPosition("b.jpg", 0.0, 1.0, "camera"),
+        SurveyedPosition("c.jpg", 0.0, 0.0, "ground"),
+        SurveyedPosition("d.jpg", 0.0, 0.0, "ground"),
     ]
-    rows, told = compare_surveyed(located, surveyed)
-    assert [row.answered for row in rows] == ["camera", "ground", "ground"]
+    rows = compared(located, surveyed)
+    assert [row.answered for row in rows] == ["camera", "ground", "ground", "ground", "ground"]
     figures = [(row.east, row.north, row.radius) for row in rows]
-    np.testing.assert_allclose(figures, [(1, 0, 5), (0, 1, 1), (2, 0, 1)], atol=2e-3)
-    assert told == [
-        "1 surveyed positions of the camera are compared with the ground at the photo's middle, as the answer tells no more; a "
-        "tilted camera keeps the two apart."
+    expected = [(1, 0, 5), (0, 1, 1), (2, 0, 1), (0, 1, 0.5), (0, 1, math.nan)]
+    np.testing.assert_allclose(figures, expected, atol=2e-3)
+    points = summarise_surveyed(rows)["registration"]
+    assert {point: (one.photos, one.radii, one.within) for point, one in points.items()} == {
+        "camera": (2, 1, {1: 100.0, 2: 100.0, 3: 100.0}),
+        "ground": (3, 2, {1: 50.0, 2: 100.0, 3: 100.0}),
+    }
+    assert survey_remarks(rows, 4) == [
+        "1 surveyed position of the camera is compared with the ground at the photo's middle, as the answer tells no more; a "
+        "tilted camera keeps the two apart, so the shares within radii leave it out."
     ]
 
 
-def test_photos_of_another_flight_and_second_positions_are_refused() -> None:
-    located = flight(photo("a.jpg", accepted(0.0, 0.0)))
+def test_state_and_doubt_are_those_of_the_best_track() -> None:
+    far = accepted(60.0, 0.0)
+    frames = [
+        LocatedFrame(photo("a.jpg", None).frame, np.zeros(2), {"registration": far}),
+        LocatedFrame(
+            photo("b.jpg", None).frame, np.zeros(2), {"registration": far}, by_hand=accepted(0.0, 0.0, homography=LAID)
+        ),
+        LocatedFrame(photo("c.jpg", None).frame, np.zeros(2), {"sequence": far}),
+    ]
+    located = flight(*frames)
+    surveyed = [SurveyedPosition(f"{name}.jpg", 0.0, 0.0, point) for name in "abc" for point in ("camera", "ground")]
+    rows = compared(located, surveyed)
+    of_best = [(point.stage, point.state, point.doubt) for point in best_track(located)]
+    assert of_best == [
+        ("registration", "contradicted", ("tag",)),
+        ("by hand", "accepted", ()),
+        ("sequence", "accepted", ("tag",)),
+    ]
+    assert [(row.stage, row.state, row.doubt) for row in rows[::2]] == of_best
+    assert "Contradicted by other answers, and counted all the same: a.jpg." in survey_remarks(rows, 3)
+
+
+def test_names_are_found_by_path_then_folders_then_name_then_stem() -> None:
+    names = ["1.JPG", "A/1.JPG", "B/1.JPG", "B/1.png", "2.JPG", "IMG.3.jpg"]
+
+    def number(name: str) -> int:
+        (found,) = match_surveyed(names, [SurveyedPosition(name, 0.0, 0.0, "camera")], BASEMAP).by_frame
+        return found
+
+    found = {
+        "1.JPG": 0,
+        "1.jpg": 0,
+        "B/1.JPG": 2,
+        "C:\\flights\\b\\1.jpg": 2,
+        "A/1": 1,
+        "photos/2.tif": 4,
+        "IMG.3": 5,
+    }
+    assert {name: number(name) for name in found} == found
+    for name, either in (("C/1.JPG", "1.JPG or A/1.JPG"), ("B/1", "B/1.JPG or B/1.png")):
+        with pytest.raises(InputError, match=rf"The surveyed photo {name} may be {either} of the flight"):
+            number(name)
+
+
+def test_photos_of_another_flight_or_place_and_second_positions_are_refused() -> None:
     with pytest.raises(InputError, match=r"None of the 1 surveyed photos, the first being z\.jpg, is in the flight"):
-        compare_surveyed(located, [SurveyedPosition("z.jpg", 0.0, 0.0, "camera")])
+        match_surveyed(["a.jpg"], [SurveyedPosition("z.jpg", 0.0, 0.0, "camera")], BASEMAP)
     with pytest.raises(InputError, match=r"a\.jpg has two surveyed positions of its camera"):
-        compare_surveyed(located, [SurveyedPosition("a.jpg", 0.0, 0.0, "camera")] * 2)
-    with pytest.raises(InputError, match=r"lie 457 km from the answers in the median; check their CRS"):
-        compare_surveyed(located, [SurveyedPosition("a.jpg", 457_000.0, 0.0, "ground")])
+        match_surveyed(["a.jpg"], [SurveyedPosition("a.jpg", 0.0, 0.0, "camera")] * 2, BASEMAP)
+    with pytest.raises(InputError, match=r"lie 456 km from the map in the median; check their CRS"):
+        match_surveyed(["a.jpg"], [SurveyedPosition("a.jpg", 457_000.0, 0.0, "ground")], BASEMAP)
 
 
 def test_a_crs_that_is_told_twice_is_refused(tmp_path: Path) -> None:
