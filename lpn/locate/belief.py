@@ -157,7 +157,11 @@ def full_track(flight: LocatedFlight) -> list[TrackPoint]:
     """Return the points of all stages, each with the answers that contradict it."""
     doubts = _doubts(flight.frames, disagreements(flight.frames))
     numbers = {located.frame.name: i for i, located in enumerate(flight.frames)}
-    return [replace(point, doubt=doubts.get((numbers[point.frame], point.stage), ())) for point in flight.track()]
+    return [_doubted(point, doubts.get((numbers[point.frame], point.stage), ())) for point in flight.track()]
+
+
+def _doubted(point: TrackPoint, doubt: tuple[str, ...]) -> TrackPoint:
+    return replace(point, doubt=doubt, checked="contradicted" if "map" in doubt else point.checked)
 
 
 def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
@@ -184,9 +188,8 @@ def best_track(flight: LocatedFlight) -> list[TrackPoint]:
         point = flight.point(located, best.stage, best.answer)
         if best.stage != BY_HAND:
             point = replace(
-                point,
+                _doubted(point, best.doubt),
                 state=best.state,
-                doubt=best.doubt,
                 reason=f"{best.verdict.summary}.",
                 note=best.verdict.reason,
             )

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -277,13 +277,15 @@ class LocatedFlight:
 
     def point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
         """Return the track's point of a frame's answer by a stage."""
-        latitude = longitude = easting = northing = projection = None
+        latitude = longitude = easting = northing = projection = apart = east = north = None
+        frame = self.basemap.frame
         if answer.x is not None and answer.y is not None:
-            frame = self.basemap.frame
             latitude, longitude = frame.degrees([(answer.x, answer.y)])[0].tolist()
             easting, northing = frame.utm([(answer.x, answer.y)])[0].tolist()
             projection = frame.utm_zone
-        off = self._from_tag(located, answer)
+            if (tag := self._told_tag(located)) is not None:
+                apart = answer.distance(tag)
+                east, north = ((easting, northing) - frame.utm([tag])[0]).tolist()
         reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
         return TrackPoint(
             located.frame.name,
@@ -297,28 +299,28 @@ class LocatedFlight:
             answer.radius_on_map,
             answer.radius if answer.on_earth else None,
             answer.heading,
-            math.hypot(*off) if off else None,
+            apart,
             note=note,
             easting=easting,
             northing=northing,
             projection=projection,
             misfit=None if answer.agreement is None else answer.agreement.median,
             largest_misfit=None if answer.agreement is None else answer.agreement.largest,
-            east_from_tag=off[0] if off else None,
-            north_from_tag=off[1] if off else None,
+            east_from_tag=east,
+            north_from_tag=north,
             tag_latitude=located.frame.latitude,
             tag_longitude=located.frame.longitude,
+            checked=_checked(answer) if stage == "registration" and answer.accepted else "",
             **_of_pose(answer.pose, self.basemap),
         )
 
-    def _from_tag(self, located: LocatedFrame, answer: StageRecord) -> tuple[float, float] | None:
-        """Return an answer minus the tag in the frame's file, without the lag or with it: metres east and north."""
-        tag, frame = located.tag, located.frame
+    def _told_tag(self, located: LocatedFrame) -> Float64Array | None:
+        """Return the tag in the frame's file in metres, (2,), which is late where the tags have a lag; None without one."""
+        frame = located.frame
         if self.tags_corrected and frame.latitude is not None and frame.longitude is not None:
-            tag = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
-        if tag is None or answer.x is None or answer.y is None:
-            return None
-        return answer.x - float(tag[0]), answer.y - float(tag[1])
+            place: Float64Array = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
+            return place
+        return located.tag
 
     def without_lag(self) -> LocatedFlight:
         """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""
@@ -402,14 +404,19 @@ def short_reason(text: str) -> tuple[str, str]:
     return (f"{first}.", rest) if end else (text, "")
 
 
+def _checked(answer: StageRecord) -> Literal["yes", "no"]:
+    """Return "yes" if places beside the photo's middle are enough to check it by the map; they may contradict it."""
+    return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
+
+
 def _of_pose(pose: CameraPose | None, basemap: Map) -> dict[str, Any]:
     """Return the entries of a track's point that a pose has."""
     if pose is None:
         return {}
     latitude, longitude = basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
     return {
-        "camera_latitude": latitude,
-        "camera_longitude": longitude,
+        "pose_latitude": latitude,
+        "pose_longitude": longitude,
         "altitude": None if pose.flat else pose.altitude,
         "height": pose.height,
         "yaw": pose.heading,

@@ -387,7 +387,7 @@ def _in_metres(entries: Sequence[_Entry], degrees: bool, frame: LocalFrame, crs:
         placed = frame.from_crs(system, numbers)
         if not np.isfinite(placed).all():  # one position that the projection cannot place makes all of them NaN
             placed = np.concatenate([frame.from_crs(system, [row]) for row in numbers])
-            _refuse_unplaced([entries[i].line for i in chosen], np.isfinite(placed).all(axis=1), text)
+            _refuse_unplaced([entries[i].line for i in chosen], np.isfinite(placed[:, 0]), text)
         xy[chosen] = placed
     return xy
 

@@ -52,14 +52,16 @@ class TrackPoint:
         radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
-        east_from_tag, north_from_tag: the same along both axes, position minus tag.
+        east_from_tag, north_from_tag: position minus tag along the axes of the projected system.
         tag_latitude, tag_longitude: of that tag in degrees; None without one.
         doubt: the answers that contradict this one, "tag", stages, or "map": what the map has beside the photo's middle.
         note: further sentences.
         easting, northing, projection: metres in the projected system of an EPSG code; None without a position.
         misfit, largest_misfit: median and most of the metres from places beside the photo's middle to where the map has them;
             None where they were not compared, or too few tell.
-        camera_latitude, camera_longitude: of the camera by its pose, in degrees; None without one.
+        checked: "yes" if places beside a registered photo's middle lie where the map has them, "contradicted" if not, "no" if
+            too few were found to tell; "" for other answers.
+        pose_latitude, pose_longitude: of the camera by its pose, in degrees; None without one.
         altitude: of the camera by its pose, metres above the datum of the map's elevation; None without one.
         height: of the camera by its pose, metres above ground; None where that is unknown.
         yaw, pitch, roll: of the camera by its pose, in degrees; a pitch of -90 looks straight down, one below it beyond that.
@@ -91,8 +93,9 @@ class TrackPoint:
     north_from_tag: float | None = None
     tag_latitude: float | None = None
     tag_longitude: float | None = None
-    camera_latitude: float | None = None
-    camera_longitude: float | None = None
+    checked: Literal["yes", "no", "contradicted", ""] = ""
+    pose_latitude: float | None = None
+    pose_longitude: float | None = None
     altitude: float | None = None
     height: float | None = None
     yaw: float | None = None
@@ -111,16 +114,16 @@ class TrackPoint:
 _ALWAYS = ("frame", "stage", "state", "latitude", "longitude", "reason")
 # The entries of a pose by their columns, and the digits behind the point.
 _POSE_COLUMNS = {
-    "camera_latitude": ("camera_latitude", 7),
-    "camera_longitude": ("camera_longitude", 7),
-    "altitude": ("altitude_m", 2),
-    "height": ("height_m", 2),
-    "yaw": ("yaw_deg", 2),
-    "pitch": ("pitch_deg", 2),
-    "roll": ("roll_deg", 2),
-    "fov": ("fov_deg", 2),
-    **{f"sigma_{axis}": (f"sigma_{axis}_m", 2) for axis in POSE_AXES[:3]},
-    **{f"sigma_{axis}": (f"sigma_{axis}_deg", 3) for axis in POSE_AXES[3:]},
+    "pose_latitude": ("pose_latitude", 7),
+    "pose_longitude": ("pose_longitude", 7),
+    "altitude": ("pose_altitude_m", 2),
+    "height": ("pose_height_m", 2),
+    "yaw": ("pose_yaw_deg", 2),
+    "pitch": ("pose_pitch_deg", 2),
+    "roll": ("pose_roll_deg", 2),
+    "fov": ("pose_fov_deg", 2),
+    **{f"sigma_{axis}": (f"pose_sigma_{axis}_m", 2) for axis in POSE_AXES[:3]},
+    **{f"sigma_{axis}": (f"pose_sigma_{axis}_deg", 3) for axis in POSE_AXES[3:]},
 }
 
 
@@ -282,6 +285,7 @@ def _row(point: TrackPoint) -> dict[str, Any]:
         "projected_crs": "" if point.projection is None else f"EPSG:{point.projection}",
         "radius_on_map_m": _rounded(point.radius, 2),
         "radius_on_earth_m": _rounded(point.radius_on_earth, 2),
+        "checked_beside_middle": point.checked,
         "misfit_median_m": _rounded(point.misfit, 2),
         "misfit_max_m": _rounded(point.largest_misfit, 2),
         "metres_from_tag": _rounded(point.metres_from_tag, 1),

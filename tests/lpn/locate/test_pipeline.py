@@ -108,7 +108,8 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
     points = found.track()
     assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
-    assert points[0].metres_from_tag == pytest.approx(math.hypot(points[0].east_from_tag, points[0].north_from_tag))
+    off = math.hypot(points[0].east_from_tag, points[0].north_from_tag)
+    assert points[0].metres_from_tag == pytest.approx(off, rel=1e-3), "the grid shortens metres"
     assert points[0].tag_latitude == flight.frames[0].latitude
 
 
@@ -750,7 +751,7 @@ def test_a_cut_is_north_up_and_shows_its_share() -> None:
 
 
 def test_the_commands_write_a_track_and_measures(
-    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from lpn.cli.main import main
     from lpn.flights import write_flight
@@ -788,9 +789,18 @@ def test_the_commands_write_a_track_and_measures(
     compared += ["--crs", "32632", "--residuals", str(tmp_path / "residuals.csv"), "--json", str(tmp_path / "all.json")]
     assert main(["evaluate", "flight", *where, *compared]) == 0
     assert "Against surveyed positions" in capsys.readouterr().out
-    (errors,) = json.loads((tmp_path / "all.json").read_text())["surveyed"].values()
+    errors = json.loads((tmp_path / "all.json").read_text())["surveyed"]["registration"]["camera"]
     assert errors["bias_east"] == pytest.approx(1.0, abs=0.6)
     assert len((tmp_path / "residuals.csv").read_text().splitlines()) == 3
+    monkeypatch.setattr(
+        pipeline, "locate", lambda *_: pytest.fail("the flight was located before its survey was checked")
+    )
+    survey.write_text(survey.read_text() + "x.png,5,5\n0.png,5,5\n")
+    assert main(["evaluate", "flight", *where, *compared]) == 2
+    assert "has two surveyed positions of its camera" in capsys.readouterr().err
+    same = ["--positions", str(survey), "--residuals", str(tmp_path / "flight" / ".." / "survey.csv")]
+    assert main(["evaluate", "flight", *where, *same]) == 2
+    assert "--positions and --residuals both name" in capsys.readouterr().err
     assert main(["evaluate", "flight", *where, "--crs", "32632"]) == 2
     assert "--crs belongs to --positions" in capsys.readouterr().err
     for alone in (["--no-register"], ["--map-error", "2"]):

@@ -82,7 +82,7 @@ def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:
     assert [row["point"] for row in rows] == ["camera", "", "ground", "ground", "ground"]
     assert [row["time_utc"] for row in rows[:2]] == ["2014-05-13T16:53:20.000Z", "2014-05-13T16:53:22.500Z"]
     assert [row["seconds"] for row in rows] == ["", "", "", "12.0", "13.0"], "seconds of a video are no time of day"
-    assert "pitch_deg" not in rows[0], "no frame has a pose"
+    assert "pose_pitch_deg" not in rows[0], "no frame has a pose"
     assert not {"misfit_median_m", "easting_m", "note", "doubt"} & rows[0].keys()
     assert rows[1]["latitude"] == ""
     assert float(rows[0]["longitude"]) == -91.25
@@ -94,13 +94,15 @@ def test_a_doubt_stands_in_state_and_column_and_degrees_have_seven_decimals(tmp_
         "a.jpg", "registration", "contradicted", "", None, 46.123456789, 7.0, radius=1.024,
         radius_on_earth=6.14, heading=359.97, metres_from_tag=33.41, doubt=("tag", "sequence"), pitch=-88.0,
         note="Further sentences.", easting=512345.678, northing=5112345.6, projection=32632, misfit=6.249, largest_misfit=10.391,
+        checked="contradicted",
     )  # fmt: skip
     write_track(tmp_path / "track.csv", "monday", [point])
     with (tmp_path / "track.csv").open(newline="", encoding="utf-8-sig") as file:
         (row,) = csv.DictReader(file)
-    figures = ("radius_on_map_m", "radius_on_earth_m", "metres_from_tag", "heading_deg", "pitch_deg")
+    figures = ("radius_on_map_m", "radius_on_earth_m", "metres_from_tag", "heading_deg", "pose_pitch_deg")
     assert (row["state"], row["doubt"], row["latitude"]) == ("contradicted", "tag, sequence", "46.1234568")
     assert (row["easting_m"], row["northing_m"], row["projected_crs"]) == ("512345.68", "5112345.6", "EPSG:32632")
+    assert row["checked_beside_middle"] == "contradicted"
     assert (row["misfit_median_m"], row["misfit_max_m"], row["note"]) == ("6.25", "10.39", "Further sentences.")
     assert [float(row[name]) for name in figures] == [1.02, 6.14, 33.4, 0.0, -88.0], "a heading is below 360"
 
