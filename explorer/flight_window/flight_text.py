@@ -11,7 +11,7 @@ import numpy as np
 from explorer.flight_window.service import FlightView
 from explorer.web.coordinates import describe_point
 from lpn.core.files import printable
-from lpn.core.numbers import SIGMA, error_figure
+from lpn.core.numbers import SIGMA, error_figure, upper_bound
 from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
@@ -203,7 +203,7 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
 def _tilt(pose: CameraPose) -> str:
     tilt = pose.tilt
     if tilt.degrees < tilt.error:
-        return f"Its camera looked straight down, to within {tilt.error:.1f}°."
+        return f"Its camera looked straight down, to within {upper_bound(tilt.error)}°."
     where = compass(tilt.azimuth)
     return f"Its camera looked {tilt.degrees:.1f}° {_error(tilt.error, '°')} away from straight down, to the {where}."
 
@@ -264,12 +264,13 @@ def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
     if not compared:
         return [], ""
     metres = np.concatenate([one.metres for one in compared])
+    reach = math.floor(10 * min(one.reach for one in compared)) / 10
     unfit = sum(one.other == "map" for one in view.contradictions)
     unchecked = sum(bool(answer and answer.agreement and answer.agreement.unchecked) for answer in answers)
     source = (
         f"Median of {len(metres)} places of {len(compared)} photos that were found on the map one by one, "
-        f"{metres.max():.1f} m at most: what one transformation of a photo leaves, where the map or the ground is uneven. They "
-        f"were looked for within ± {min(one.reach for one in compared):.1f} m at least. The radius is that of a photo's middle."
+        f"{upper_bound(metres.max())} m at most: what one transformation of a photo leaves, where the map or the ground is "
+        f"uneven. They were looked for within ± {reach:.1f} m at least. The radius is that of a photo's middle."
     )
     if unchecked:
         source += f" In {unchecked} further photos too few places were found to tell."
@@ -306,8 +307,8 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
 def _tags(audit: TagAudit) -> str:
     """Say how far the tags lie from the places on the map, and how much of that a lag or a tilted camera explains."""
     text = (
-        f"Median of {audit.frames} photos, {audit.largest:.1f} m at most, between the GPS tag and the place on this map: the "
-        "error of both together."
+        f"Median of {audit.frames} photos, {upper_bound(audit.largest)} m at most, between the GPS tag and the place on this "
+        "map: the error of both together."
     )
     if not audit.has_lag or audit.lag is None:
         return text

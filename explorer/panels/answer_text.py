@@ -10,7 +10,7 @@ from explorer.compute.ranking_job import TaskRanking
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
-from lpn.core.numbers import distance
+from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
@@ -518,7 +518,7 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"
-        return f"{look}, at most {max(errors):.1f} m from {judge}."
+        return f"{look}, at most {upper_bound(max(errors))} m from {judge}."
     elsewhere, _ = trials(workspace)
     return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
 

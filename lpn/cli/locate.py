@@ -11,6 +11,7 @@ import lpn
 from lpn.core.demo import own_file
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
+from lpn.core.numbers import upper_bound
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
@@ -185,8 +186,8 @@ def _share(percent: float) -> str:
 def _in_words(summary: ErrorSummary) -> str:
     """Return median, 90th percentile, and shares within radii in words."""
     return (
-        f"a median of {summary.median:.1f} m, 90 % within {summary.p90:.1f} m, and {summary.calibration_shares} of its errors "
-        f"within 1, 2, and 3 radii, of {summary.frames} frames whose tags can be moved"
+        f"a median of {summary.median:.1f} m, 90 % within {upper_bound(summary.p90)} m, and {summary.calibration_shares} of its "
+        f"errors within 1, 2, and 3 radii, of {summary.frames} frames whose tags can be moved"
     )
 
 

@@ -39,6 +39,12 @@ def distance(metres: float) -> str:
     return f"{metres:,.0f} m" if metres < 10_000 else f"{metres / 1000:,.0f} km"
 
 
+def upper_bound(value: float, digits: int = 1) -> str:
+    """Return a number that is stated as a bound, such as the metres within which errors lie, rounded up to some digits."""
+    # What a float lacks of a decimal is no digit of its own.
+    return f"{math.ceil(round(value * 10**digits, 6)) / 10**digits:,.{digits}f}"
+
+
 def error_figure(metres: float) -> str:
     """Return an error in metres with one digit behind the point, below 10 cm with two that are not 0."""
     return f"{metres:.1f}" if metres >= 0.1 or metres == 0 else f"{metres:.2g}"

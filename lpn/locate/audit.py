@@ -9,6 +9,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
+from lpn.core.numbers import upper_bound
 
 # A position that is not known.
 UNKNOWN = (float("nan"), float("nan"))
@@ -66,7 +67,7 @@ class TagAudit:
         """The finding in one sentence."""
         if not self.frames:
             return "No frame has both a tag and a registered position, so the tags were not checked."
-        off = f"up to {self.largest:.1f} m off, {self.median:.1f} m in the median"
+        off = f"up to {upper_bound(self.largest)} m off, {self.median:.1f} m in the median"
         if self.lag is None or not self.has_lag:
             return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
         word = "lag" if self.lag > 0 else "are early"

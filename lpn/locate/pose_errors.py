@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.numbers import wrap_degrees
+from lpn.core.numbers import upper_bound, wrap_degrees
 from lpn.datasets.rendered import TruePose, true_poses
 from lpn.flights.cameras import rotation
 from lpn.locate.located import LocatedFlight
@@ -50,8 +50,9 @@ class PoseErrors:
         kind = "position in the plane" if self.flat else "position"
         (metres, most), heading, pitch = np.quantile(self.position, (0.5, 0.9)), self.heading, self.pitch
         return (
-            f"{share}; median errors: {kind} {metres:.2f} m (90 % within {most:.2f} m), heading {np.median(heading):.2f} "
-            f"degrees, pitch {np.median(pitch):.2f} degrees; {self.beyond} beyond 3 sigmas and {_TOLERANCE:g} m."
+            f"{share}; median errors: {kind} {metres:.2f} m (90 % within {upper_bound(most, 2)} m), heading "
+            f"{np.median(heading):.2f} degrees, pitch {np.median(pitch):.2f} degrees; {self.beyond} beyond 3 sigmas and "
+            f"{_TOLERANCE:g} m."
         )
 
 

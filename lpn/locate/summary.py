@@ -9,7 +9,7 @@ from pathlib import PurePath
 from statistics import median
 
 from lpn.core.files import printable
-from lpn.core.numbers import distance
+from lpn.core.numbers import upper_bound
 from lpn.drawing.verdicts import listed
 from lpn.drawing.words import plain
 from lpn.locate.belief import Belief
@@ -96,7 +96,7 @@ def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) 
     errors = [frame.error(one.stage) for frame, one in pairs if one.stage in PLACED]
     if known := [error for error in errors if error is not None]:
         sentences.append(
-            f"Half of the placed ones lie within {distance(median(known))} of their GPS tags, which is the error of both "
+            f"Half of the placed ones lie within {upper_bound(median(known))} m of their GPS tags, which is the error of both "
             "together."
         )
     stems = {PurePath(frame.frame.name).stem for frame in frames}

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from lpn.core.numbers import upper_bound
+
 _BEGINNING = "Place and scale are those of the GPS tags"
 
 
 def describe_placing(median: float, largest: float) -> str:
     """Say that GPS tags place a map, and how many metres they lie from the middles of its photos."""
     return (
-        f"{_BEGINNING}, which lie {median:.1f} m from the photos' middles on it in the median, {largest:.1f} m at most."
+        f"{_BEGINNING}, which lie {median:.1f} m from the photos' middles on it in the median, {upper_bound(largest)} m at "
+        "most."
     )
 
 

@@ -64,7 +64,7 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     guessed = describe_flight(view.flight.frames, verdicts)
     assert guessed == (
         "A drone took 3 photos over this map: 1 placed (1 by registration), 1 only guessed by retrieval, 1 refused. Half of "
-        "the placed ones lie within 1 m of their GPS tags, which is the error of both together."
+        "the placed ones lie within 1.0 m of their GPS tags, which is the error of both together."
     ), "a guess counts for nothing"
     with speaking(Vocabulary(plain=True)):
         assert ": 1 placed (1 by their details), 1 only guessed by their look, 1" in describe_flight(

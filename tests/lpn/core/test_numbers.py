@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lpn.core.numbers import rounded_to_sum, signed, wrap_degrees
+from lpn.core.numbers import rounded_to_sum, signed, upper_bound, wrap_degrees
 
 
 @pytest.mark.parametrize(
@@ -11,6 +11,17 @@ from lpn.core.numbers import rounded_to_sum, signed, wrap_degrees
 )
 def test_a_sign_is_plus_or_the_minus_sign(value: float, digits: int, text: str) -> None:
     assert signed(value, digits) == text
+
+
+def test_a_bound_is_never_rounded_down() -> None:
+    assert [upper_bound(value) for value in (1.1024, 1.1, 0.7 + 0.1 + 0.1, 3.0, 0.0)] == [
+        "1.2",
+        "1.1",
+        "0.9",
+        "3.0",
+        "0.0",
+    ]
+    assert upper_bound(1.5401, 2) == "1.55"
 
 
 def test_angles_are_wrapped_to_half_a_turn() -> None:
