@@ -134,6 +134,8 @@ class SurveyedErrors:
         rmse_east, rmse_north, rmse: root mean squares along both axes and in the plane.
         bias_east, bias_north: means, answer minus survey.
         sd_east, sd_north: standard deviations about these means, of n - 1 photos; NaN for one photo.
+        independent_east, independent_north: photos that err independently and tell as much as all of them, by the correlation of
+            neighbours in the flight; the standard error of a mean is its standard deviation over the root of this number.
         median, ce90, largest: distances in the plane; `ce90` is the circular error that holds 90 % of them.
         radii: photos whose answer has a radius and is of the surveyed point.
         within: of these, the share in percent within 1, 2, and 3 radii; empty without any. Right radii have
@@ -148,6 +150,8 @@ class SurveyedErrors:
     bias_north: float
     sd_east: float
     sd_north: float
+    independent_east: float
+    independent_north: float
     median: float
     ce90: float
     largest: float
@@ -159,18 +163,23 @@ class SurveyedErrors:
         """Say if the means are more than chance; "" where too few photos tell."""
         if self.photos < _LEAST_FOR_BIAS:
             return ""
-        root = math.sqrt(self.photos)
-        errors = {"east": (self.bias_east, self.sd_east / root), "north": (self.bias_north, self.sd_north / root)}
+        errors = {
+            "east": (self.bias_east, self.sd_east / math.sqrt(self.independent_east)),
+            "north": (self.bias_north, self.sd_north / math.sqrt(self.independent_north)),
+        }
         means = " and ".join(f"{mean:.2f} m {axis} (± {error:.2f})" for axis, (mean, error) in errors.items())
         beyond = [axis for axis, (mean, error) in errors.items() if abs(mean) > _BIAS * error]
         verdict = (
-            f"{' and '.join(beyond)} it is more than {_BIAS:g} times that, a systematic error rather than chance"
+            f"to the {' and '.join(beyond)} it is more than {_BIAS:g} times that, a systematic error rather than chance"
             if beyond
             else f"neither is more than {_BIAS:g} times that, so chance may explain both"
         )
+        sentence = f"The mean is {means}, with its standard error: {verdict}."
+        if min(self.independent_east, self.independent_north) > self.photos - 0.5:
+            return sentence
         return (
-            f"The mean is {means}, with its standard error, the standard deviation over the root of {self.photos} photos: "
-            f"{verdict}, as far as photos err independently."
+            f"{sentence} Photos that follow each other err alike, so the {self.photos} count as {self.independent_east:.0f} "
+            f"independent ones to the east and {self.independent_north:.0f} to the north."
         )
 
 
@@ -278,12 +287,25 @@ def _summary(rows: Sequence[Residual]) -> SurveyedErrors:
         bias_north,
         sd_east,
         sd_north,
+        _independent(off[:, 0]),
+        _independent(off[:, 1]),
         float(np.median(metres)),
         float(np.quantile(metres, 0.9)),
         float(metres.max()),
         len(radii),
         {k: 100 * float((radii <= k).mean()) for k in RIGHT_CALIBRATION if len(radii)},
     )
+
+
+def _independent(errors: Float64Array) -> float:
+    """Return how many errors that do not depend on each other tell as much of the mean as these, (n,), in the flight's order.
+
+    With a correlation r of neighbours these are n (1 - r) / (1 + r) (Bayley and Hammersley, 1946); r below 0 counts as 0.
+    """
+    off = errors - errors.mean()
+    squares = float((off**2).sum())
+    alike = max(float((off[1:] * off[:-1]).sum()) / squares, 0.0) if squares else 0.0
+    return max(len(errors) * (1 - alike) / (1 + alike), 1.0)
 
 
 def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> None:

@@ -180,12 +180,21 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
 
 
 def test_a_mean_that_is_more_than_chance_is_called_systematic() -> None:
-    names = [f"{i}.jpg" for i in range(6)]
-    located = flight(*(photo(name, accepted((-1.0) ** i, -3.0 + 0.1 * i)) for i, name in enumerate(names)))
-    rows = compared(located, [SurveyedPosition(name, 0.0, 0.0, "ground") for name in names])
-    sentence = summarise_surveyed(rows)["registration"]["ground"].bias_sentence
-    assert "0.00 m east (± 0.45) and -2.75 m north (± 0.08)" in sentence
-    assert "north it is more than 3 times that, a systematic error rather than chance" in sentence
+    def sentence(*norths: float) -> str:
+        names = [f"{i}.jpg" for i in range(len(norths))]
+        frames = [
+            photo(name, accepted((-1.0) ** i, north)) for i, (name, north) in enumerate(zip(names, norths, strict=True))
+        ]
+        rows = compared(flight(*frames), [SurveyedPosition(name, 0.0, 0.0, "ground") for name in names])
+        return summarise_surveyed(rows)["registration"]["ground"].bias_sentence
+
+    scattered = sentence(-3.0, -2.5, -2.9, -2.6, -2.8, -2.7)
+    assert "0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error" in scattered
+    assert scattered.endswith("to the north it is more than 3 times that, a systematic error rather than chance.")
+    one_leg = sentence(*[0.0] * 6, *[-3.0] * 6, *[0.0] * 6)
+    assert "-1.00 m north (± 0.85)" in one_leg, "a leg errs as one"
+    assert "neither is more than 3 times that, so chance may explain both" in one_leg
+    assert "so the 18 count as 18 independent ones to the east and 3 to the north" in one_leg
 
 
 def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> None:
