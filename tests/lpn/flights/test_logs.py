@@ -10,7 +10,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
-from lpn.flights.logs import for_video, moments, read_log, rows_by_name
+from lpn.flights.logs import for_video, moments, nearest_in_folders, path_parts, read_log, rows_by_name
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
 
@@ -588,3 +588,10 @@ def test_a_line_of_other_names_is_not_taken_for_none(tmp_path: Path) -> None:
             read_log(tmp_path / "cameras.txt")
     (tmp_path / "cameras.txt").write_text("# exported by hand, 2024\na.jpg,47.312345,8.512345,450\n")
     assert read_log(tmp_path / "cameras.txt").rows[0].entry.latitude == 47.312345
+
+
+def test_folders_tell_apart_names_with_and_without_a_suffix() -> None:
+    named = [path_parts(path) for path in ("A/1", "B/1", "C\\B\\1", "1")]
+    assert nearest_in_folders(path_parts("/flights/b/1.JPG"), named) == [1, 2]
+    assert nearest_in_folders(path_parts("c/b/1.JPG"), named) == [2]
+    assert nearest_in_folders(path_parts("1.JPG"), named) == [0, 1, 2, 3]
