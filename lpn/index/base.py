@@ -191,6 +191,21 @@ class Index(ABC):
     def close(self) -> None:
         """Release files, threads, and connections."""
 
+    @property
+    def expected_windows(self) -> dict[float, float]:
+        """Return the overlap of the windows of a map that `expect_windows` announced, by their side in metres."""
+        return {}
+
+    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
+        """Keep which windows of a map will be added, so that a partial index is known as one; Milvus keeps nothing.
+
+        Args:
+            sizes, overlap: see `Map.pyramid`; they replace the overlap of a size that was announced before.
+
+        Raises:
+            StoreError: when they cannot be written.
+        """
+
     def check_model(self, fingerprint: str) -> None:
         """Raise StoreError unless the descriptors are of this model."""
         if fingerprint != self.kind.fingerprint:

@@ -19,7 +19,7 @@ import os
 import re
 import zlib
 from abc import abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from dataclasses import replace as replace_fields
@@ -95,6 +95,8 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         settings: settings of the engine.
         next: number of the next folder or file to be written.
         segments: oldest first.
+        windows: sides in metres and overlaps of a map's windows, see `Index.expect_windows`; empty for other tiles, and in an
+            index of an earlier version, whose checksum is not of them.
         checksum: CRC-32 of all other values.
     """
 
@@ -107,6 +109,7 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     settings: dict[str, str] = {}
     next: int = 1
     segments: tuple[ManifestEntry, ...] = ()
+    windows: tuple[tuple[float, float], ...] = ()
     checksum: int | None = None
 
     @property
@@ -143,6 +146,8 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     def _crc(self) -> int:
         values = msgspec.to_builtins(self)
         del values["checksum"]
+        if not self.windows:
+            del values["windows"]
         return crc_of_values(values)
 
 
@@ -271,17 +276,23 @@ class FolderIndex(Index):
         vectors = self.kind.checked(descriptors)
         names = check_names(ids, len(vectors))
         batch = TileBatch(names, vectors, check_positions(positions, len(vectors)))
-        if not names:
-            return
-        try:
-            with exclusive_lock(self.folder, wait=True):
-                self._state = self._read(self._state.segments)
-                self._clear()
-                write_atomic(self.folder / MANIFEST, self._write(batch).to_json())
-                self._state = self._read(self._state.segments)
-                self._clear()
-        except (OSError, OutputError) as error:
-            raise _unwritable(self.folder, error) from error
+        if names:
+            self._change(lambda: self._write(batch))
+
+    @property
+    def expected_windows(self) -> dict[float, float]:
+        """See `Index.expected_windows`."""
+        return dict(self._current().manifest.windows)
+
+    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
+        """See `Index.expect_windows`."""
+
+        def announced() -> IndexManifest:
+            manifest = self._state.manifest
+            windows = {**dict(manifest.windows), **{float(size): float(overlap) for size in sizes}}
+            return replace(manifest, windows=tuple(sorted(windows.items())))
+
+        self._change(announced)
 
     def extent(self) -> DegreeBox | None:
         """See `Index.extent`."""
@@ -325,6 +336,18 @@ class FolderIndex(Index):
     @abstractmethod
     def _finish(self, folder: Path, rows: int) -> None:
         """Write the engine's own file into a new segment's folder."""
+
+    def _change(self, change: Callable[[], IndexManifest]) -> None:
+        """Replace the manifest by what `change` returns for the newest one; processes take turns."""
+        try:
+            with exclusive_lock(self.folder, wait=True):
+                self._state = self._read(self._state.segments)
+                self._clear()
+                write_atomic(self.folder / MANIFEST, change().to_json())
+                self._state = self._read(self._state.segments)
+                self._clear()
+        except (OSError, OutputError) as error:
+            raise _unwritable(self.folder, error) from error
 
     def _current(self) -> IndexSnapshot:
         """Return the newest version of the index, whichever process wrote it."""

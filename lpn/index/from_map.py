@@ -58,6 +58,7 @@ def index_windows(
         PictureError: if a file of the map is damaged where a window lies.
         StoreError: if the index cannot be written.
     """
+    index.expect_windows(sizes, overlap)
     total = basemap.count_pyramid(sizes, overlap) * turns
     done = added = 0
     on_progress(0, total)

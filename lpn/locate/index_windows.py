@@ -24,7 +24,7 @@ from lpn.models.base import Model, normalise
 # below it. Quantized descriptors, positions rounded to a centimetre, and another execution provider stay above it.
 _CHECKED = 4
 _ALIKE = 0.95
-# The least share of the map's windows by which an index counts as whole; the overlap that it was made with is only measured.
+# The least share of the map's windows by which an index counts as whole where the overlap of its windows is only measured.
 _WHOLE = 0.9
 # Windows by which the overlap is measured.
 _SAMPLE = 100
@@ -88,6 +88,7 @@ class WindowIndex:
             self._count = index.count()
             if not self._count:
                 raise InputError("The index holds no window; fill it with lpn index --map, or leave --index out.")
+            self._expected = index.expected_windows
             self._all = self._count <= min(MOST, index.most or MOST)
             shape = (1 if self._all else _PROBES, model.n_parts, model.embedding)
             drawn = normalise(np.random.default_rng(0).standard_normal(shape).astype(np.float32))
@@ -130,16 +131,25 @@ class WindowIndex:
             raise _unfinished(missing)
         vectors = np.stack([[read[name] for name in some] for some in names])
         found = IndexedWindows(self._on_map(places), vectors.astype(np.float32, copy=False), notes)
-        if self._every is None:
-            return found
-        whole = self._map.count_pyramid(self.sizes, found.overlap)
-        if len(places) >= _WHOLE * whole:
-            return found
-        note = (
-            f"The index holds {len(places):,} of some {whole:,} windows of the map, and no photo is found where it holds none; "
+        return replace(found, notes=(*notes, *self._partial(found)))
+
+    def _partial(self, found: IndexedWindows) -> list[str]:
+        """Return a sentence if the index is known to lack windows of the map."""
+        held, of = self._count // len(self.turns), ""
+        if self._expected:
+            whole = sum(self._map.count_pyramid([size], overlap) for size, overlap in self._expected.items())
+            least = whole
+        elif self._every is not None:
+            whole, of = self._map.count_pyramid(self.sizes, found.overlap), "some "
+            least = _WHOLE * whole
+        else:
+            return []
+        if held >= least:
+            return []
+        return [
+            f"The index holds {held:,} of {of}{whole:,} windows of the map, and no photo is found where it holds none; "
             "if it should hold all, let lpn index --map go on to its end."
-        )
-        return replace(found, notes=(*notes, note))
+        ]
 
     def _nearest(self, described: Float32Array) -> tuple[list[NamedWindow], dict[str, Float32Array]]:
         """Return the windows nearest to descriptions, north up and each once, and the descriptors of all their turns by name."""

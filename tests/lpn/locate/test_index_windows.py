@@ -87,6 +87,20 @@ def test_an_index_that_is_still_being_filled_is_told(town: Map, tmp_path: Path) 
             index.add(names[half:], plain.windows_described[half:])
 
 
+def test_an_index_that_stopped_between_two_sizes_is_told(town: Map, tmp_path: Path) -> None:
+    model, sizes = GridModel(), [40.0, 51.0, 102.0]
+    describe = window_describer(model, town)  # type: ignore[arg-type]
+    where, frame = tmp_path / "index", np.ones((1, 2, 16), np.float32)
+    with create_index(where, KIND) as index:
+        for held in (1, 2, 3):
+            fill_index(index, town, describe, sizes[:held], turns=2)
+            index.expect_windows(sizes, 0.5)
+            indexed = WindowIndex(str(where), model, town)  # type: ignore[arg-type]
+            told = f"The index holds {town.count_pyramid(sizes[:held])} of {town.count_pyramid(sizes)} windows of the map"
+            assert [note[: len(told)] for note in indexed.near(frame).notes] == ([told] if held < 3 else [])
+        assert index.expected_windows == dict.fromkeys(sizes, 0.5)
+
+
 def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(town: Map, tmp_path: Path) -> None:
     windows = town.pyramid([60.0], 0.5)
     names = [one.name for one in NamedWindow.all_of(windows, town.frame)]
