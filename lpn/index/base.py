@@ -196,8 +196,9 @@ class Index(ABC):
         """Return the overlap of the windows of a map that `expect_windows` announced, by their side in metres."""
         return {}
 
+    @abstractmethod
     def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
-        """Keep which windows of a map will be added, so that a partial index is known as one; Milvus keeps nothing.
+        """Keep which windows of a map will be added, so that a partial index is known as one.
 
         Args:
             sizes, overlap: see `Map.pyramid`; they replace the overlap of a size that was announced before.

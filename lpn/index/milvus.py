@@ -226,6 +226,9 @@ class MilvusIndex(Index):
         """See `Index.count`."""
         return self._call(lambda client: self._counted(client, "", "Strong"))
 
+    def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
+        """A collection keeps none: Milvus writes its description only once."""
+
     def close(self) -> None:
         """See `Index.close`."""
         self._disconnect()

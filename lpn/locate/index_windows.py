@@ -138,7 +138,7 @@ class WindowIndex:
         held, of = self._count // len(self.turns), ""
         if self._expected:
             whole = sum(self._map.count_pyramid([size], overlap) for size, overlap in self._expected.items())
-            least = whole
+            least = float(whole)
         elif self._every is not None:
             whole, of = self._map.count_pyramid(self.sizes, found.overlap), "some "
             least = _WHOLE * whole

@@ -96,7 +96,9 @@ def test_an_index_that_stopped_between_two_sizes_is_told(town: Map, tmp_path: Pa
             fill_index(index, town, describe, sizes[:held], turns=2)
             index.expect_windows(sizes, 0.5)
             indexed = WindowIndex(str(where), model, town)  # type: ignore[arg-type]
-            told = f"The index holds {town.count_pyramid(sizes[:held])} of {town.count_pyramid(sizes)} windows of the map"
+            told = (
+                f"The index holds {town.count_pyramid(sizes[:held])} of {town.count_pyramid(sizes)} windows of the map"
+            )
             assert [note[: len(told)] for note in indexed.near(frame).notes] == ([told] if held < 3 else [])
         assert index.expected_windows == dict.fromkeys(sizes, 0.5)
 
