@@ -9,6 +9,7 @@ shows its page.
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import shutil
 import sys
@@ -23,6 +24,7 @@ from lpn.core import images
 from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
+from lpn.datasets.city_model import PACKED
 from lpn.descriptors import STORES, Precision
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
@@ -35,7 +37,7 @@ QUALITY = {"drone": 62, "satellite": 72}
 """Quality of WebP; sensor noise does not survive it, and is most of what a better one would cost."""
 
 LARGEST_CITY = 2_800_000
-"""Bytes of city.glb."""
+"""Bytes of city.glb, uncompressed."""
 
 SAME = {"query_drone": "gallery_drone", "gallery_satellite": "query_satellite"}
 """The other role of each folder's pictures, so that satellite-to-drone is offered too, see `linked_folder`."""
@@ -70,7 +72,8 @@ def main() -> None:
     write_atomic(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
     atlas = make_atlas(Settings(**plan["settings"]))
     pack_ground(atlas.ground_csv(), kept, out)
-    write_atomic(out / "city.glb", city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY))
+    model_3d = city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY)
+    write_atomic(out / PACKED, gzip.compress(model_3d, 9, mtime=0))
     pack_model(model, "lpn", out, out / STORES)
     pack_model(baseline, "baseline", out, out / STORES / "baseline")
     pack_calibration(out)

@@ -1,7 +1,7 @@
-"""The 3-D model of a data set's city: `city.glb` beside `geo.csv`.
+"""The 3-D model of a data set's city: `city.glb` beside `geo.csv`, or `city.glb.gz`, the same file compressed by gzip.
 
-A self-contained binary glTF file of at most 4 MB, in metres: y is up, x is east, -z is north. The extras of its scene or
-asset record the latitude and longitude (WGS 84 degrees) of its origin:
+The uncompressed file is a self-contained binary glTF of at most 4 MB, in metres: y is up, x is east, -z is north. The extras
+of its scene or asset record the latitude and longitude (WGS 84 degrees) of its origin:
 
     "scenes": [{"nodes": [0], "extras": {"latitude": 46.2, "longitude": -31.4}}]
 
@@ -10,8 +10,10 @@ asset record the latitude and longitude (WGS 84 degrees) of its origin:
 
 from __future__ import annotations
 
+import gzip
 import json
 import struct
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +22,8 @@ from lpn.core.errors import DataError
 from lpn.datasets.geo import Position
 
 NAME = "city.glb"
-# The largest file in bytes; every browser that opens the map loads it.
+PACKED = f"{NAME}.gz"
+# The largest model in bytes; every browser that opens the map loads it.
 MAX_BYTES = 4_000_000
 
 _MAGIC, _JSON, _BINARY = b"glTF", b"JSON", b"BIN\0"
@@ -32,7 +35,7 @@ class CityModel:
     """A 3-D model.
 
     Attributes:
-        data: the file.
+        data: the file, uncompressed.
         origin: the position of the model's origin.
         base: metres above the datum of heights at which the model's height is 0.
         top: height of the model in metres above which tiles and lines are drawn.
@@ -45,25 +48,27 @@ class CityModel:
 
 
 def city_model(root: Path) -> CityModel | None:
-    """Read the city model of a data set's folder; None if it has no `city.glb`.
+    """Read the city model of a data set's folder; None if it has neither `city.glb` nor `city.glb.gz`.
 
     Raises:
         DataError: if the file cannot be used.
     """
-    path = root / NAME
-    if not path.is_file():
+    path = next((root / name for name in (NAME, PACKED) if (root / name).is_file()), None)
+    if path is None:
         return None
     try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise DataError(
-                f"{NAME} has {size / 1e6:.1f} MB; expected at most {MAX_BYTES / 1e6:g} MB, so leave detail out."
-            )
-        data = path.read_bytes()
+        with path.open("rb") if path.name == NAME else gzip.open(path) as file:
+            data = file.read(MAX_BYTES + 1)
     except OSError as error:
         raise DataError(
             f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
         ) from error
+    except (EOFError, zlib.error) as error:
+        raise DataError(f"{path} is damaged: it cannot be uncompressed ({error}); copy it again.") from error
+    if len(data) > MAX_BYTES:
+        raise DataError(
+            f"{path.name} has more than {MAX_BYTES / 1e6:g} MB; expected at most as many, so leave detail out."
+        )
     return CityModel(data, _origin(_header(data)))
 
 

@@ -7,6 +7,7 @@ seeds are the contents, which the reader packs into a whole file again; otherwis
 from __future__ import annotations
 
 import argparse
+import gzip
 import io
 import json
 import os
@@ -529,6 +530,11 @@ def cities(folder: Path) -> list[FuzzCase]:
         (folder / "city.glb").write_bytes(data)
         city_model(folder)
 
+    def read_packed(data: bytes) -> None:
+        (folder / "city.glb").unlink(missing_ok=True)
+        (folder / "city.glb.gz").write_bytes(data)
+        city_model(folder)
+
     whole = small_worlds.city()
     size = int.from_bytes(whole[12:16], "little")
 
@@ -538,7 +544,11 @@ def cities(folder: Path) -> list[FuzzCase]:
         total = 20 + len(text) + len(rest)
         read(whole[:8] + total.to_bytes(4, "little") + len(text).to_bytes(4, "little") + whole[16:20] + text + rest)
 
-    return [FuzzCase([whole], read), FuzzCase([whole[20 : 20 + size]], header)]
+    return [
+        FuzzCase([whole], read),
+        FuzzCase([whole[20 : 20 + size]], header),
+        FuzzCase([gzip.compress(whole)], read_packed),
+    ]
 
 
 def flights(folder: Path) -> list[FuzzCase]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import struct
@@ -17,7 +18,7 @@ import trimesh
 from lpn.core.errors import DataError, InputError
 from lpn.core.glb import Primitive, glb
 from lpn.datasets import geo
-from lpn.datasets.city_model import MAX_BYTES, NAME, city_model
+from lpn.datasets.city_model import MAX_BYTES, NAME, PACKED, city_model
 from lpn.datasets.geo import Position
 from lpn.world import model3d
 from lpn.world.atlas import Atlas, Settings, make_atlas
@@ -76,6 +77,25 @@ def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: b
     assert read is not None
     assert read.data == data
     assert read.origin == Position(atlas.site.latitude, atlas.site.longitude)
+
+
+def test_a_model_may_be_compressed(tmp_path: Path) -> None:
+    whole = small_worlds.city()
+    packed = gzip.compress(whole)
+    for name, data in ((PACKED, packed), (NAME, whole)):
+        (tmp_path / name).write_bytes(data)
+        read = city_model(tmp_path)
+        assert read is not None
+        assert read.data == whole
+        (tmp_path / name).unlink()
+    damaged = packed[:20] + bytes(20) + packed[40:]
+    for data, error in ((packed[:-9], "damaged"), (damaged, "damaged"), (whole, "Not a gzipped file")):
+        (tmp_path / PACKED).write_bytes(data)
+        with pytest.raises(DataError, match=error):
+            city_model(tmp_path)
+    (tmp_path / PACKED).write_bytes(gzip.compress(bytes(MAX_BYTES + 1)))
+    with pytest.raises(DataError, match=r"city\.glb\.gz has more than 4 MB"):
+        city_model(tmp_path)
 
 
 @pytest.mark.slow
@@ -214,7 +234,7 @@ def _with_second_header() -> bytes:
         (_with_second_header(), "more than a header"),
         (_changed(lambda h: h["scenes"][0].update(extras={"latitude": 10**400, "longitude": 0})), "expected degrees"),
         (_changed(lambda h: h.update(extensionsUsed=["KHR_draco_mesh_compression"])), "compressed with Draco"),
-        (bytes(MAX_BYTES + 1), "4.0 MB; expected at most 4 MB"),
+        (bytes(MAX_BYTES + 1), "has more than 4 MB"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_refused_in_one_sentence(tmp_path: Path, data: bytes, said: str) -> None:
