@@ -277,7 +277,8 @@ class EvaluationOfFlight:
     """1-sigma error of the map's places in metres, part of the radii; by default 3 pixels, at least 1 m, and
     what the map tells of itself."""
     tags: Literal["told", "corrected"] = "told"
-    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds."""
+    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag comes
+    from the answers that are measured, so corrected errors may hide a bias that these share."""
     register: bool = True
     """Lay each photo over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
     corrections: bool = True

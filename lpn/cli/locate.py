@@ -71,7 +71,8 @@ class LocateCommand:
     corrections: bool = True
     """Take a frame's position from corrections.csv in the flight's folder where a person corrected it."""
     tags: Literal["told", "corrected"] = "told"
-    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds."""
+    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag comes
+    from the answers that are measured, so corrected errors may hide a bias that these share."""
     limit: int | None = None
     """Number of frames, the first ones of the flight; by default all."""
     best: bool = False
