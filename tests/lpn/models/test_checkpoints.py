@@ -24,6 +24,7 @@ from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
 from lpn.models.weight_storage import WeightType
 from tools.fixtures import seeded, small_worlds
+from tools.fixtures.trainings import make_resnets_shallow
 
 
 @pytest.mark.parametrize("case", ["n4", pytest.param("n1_baseline", marks=pytest.mark.slow)])
@@ -273,7 +274,8 @@ def test_descriptors_bring_only_parts_back_from_the_device(monkeypatch: pytest.M
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("default")  # of torch about itself
-def test_compiled_backbones_give_the_same_descriptors(tmp_path: Path) -> None:
+def test_compiled_backbones_give_the_same_descriptors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_resnets_shallow(monkeypatch)
     save(small_worlds.make_network(), tmp_path / "model.safetensors")
     pictures = seeded.pictures(1, 3, 64, 64)
     eager = load_torch(tmp_path / "model.safetensors")
