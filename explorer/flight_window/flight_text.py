@@ -16,7 +16,7 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import ENDS, SIGMAS, TAG_RADIUS, Disagreement, on_what
+from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
@@ -69,19 +69,6 @@ def refusals(located: LocatedFrame) -> list[str]:
     return [text for stage in located.stages if (text := refusal(located, stage)) is not None]
 
 
-def judge(flight: LocatedFlight) -> str:
-    """Return what the page's other panels grade a photo's look by, see `LocatedFlight.photographed`."""
-    return "its GPS tag" if flight.late_tags is None else "its details"
-
-
-def apart(view: FlightView, one: Disagreement) -> str:
-    """Return two answers that contradict each other in words: how far apart they lie, and which of them errs if that is known."""
-    if plain() and view.beliefs[one.frame].sign:  # tag and details agree, and the neighbours alone differ
-        place = "here" if one.one == "registration" else ENDS[one.other]
-        return f"Its neighbours would place it {one.metres:.1f} m from {place}."
-    return one.told
-
-
 def reason(view: FlightView, frame: int) -> str:
     """Return the grounds of the verdict on a frame; "" where they are those of a stage that refuses."""
     located, verdict = view.flight.frames[frame], view.beliefs[frame]
@@ -96,7 +83,7 @@ def reason(view: FlightView, frame: int) -> str:
     if error is not None and all(one.other != "tag" for one in against):
         place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
         sentences.append(f"{place} lies {error:.1f} m from {_truth(located)}.")
-    return " ".join([*sentences, *(apart(view, one) for one in against)])
+    return " ".join([*sentences, *(one.told(verdict) for one in against)])
 
 
 def _truth(located: LocatedFrame) -> str:
@@ -188,9 +175,7 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
         place = f"{describe_point(flight, (pose.east, pose.north))} {_error(radius, f' m {on_what(answer)}')}"
         if located.tag is not None:
             metres = math.hypot(pose.east - located.tag[0], pose.north - located.tag[1])
-            place += (
-                f", {metres:.1f} m from its GPS tag, where {SIGMAS * math.hypot(radius, TAG_RADIUS):.1f} m are allowed"
-            )
+            place += f", {metres:.1f} m from its GPS tag"
     height = pose.altitude if pose.flat else pose.height
     if height is not None:
         place += f", {height:.0f} m above the ground {_error(pose.sigmas[2], ' m', 0)}"

@@ -83,6 +83,7 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "methods": flight_text.methods(flight.stages),
         "bar": overlays.png_data_uri(overlays.heat_cells(np.linspace(0, 1, 128)[None], 0, 1)),
         "plain": plain(),
+        "elsewhere": flight.elsewhere,
         "signs": [verdict.sign for verdict in view.beliefs],
         "stages": [verdict.stage for verdict in view.beliefs],
         "main": _main_stage(view),
@@ -129,7 +130,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     if name == "registration":
         for one in view.contradictions:
             if one.one == name and view.beliefs[one.frame].sign is None:
-                reasons[one.frame] = " ".join(filter(None, (reasons[one.frame], one.told)))
+                reasons[one.frame] = " ".join(filter(None, (reasons[one.frame], one.told(view.beliefs[one.frame]))))
     track["reason"] = reasons
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
@@ -185,7 +186,7 @@ def card(
         height=located.frame.flying_height,
         corrected=_correction(view, frame, place),
         look_right=retrieval_right if stage in PLACED else None,
-        judge=flight_text.judge(view.flight),
+        judge=view.flight.judge,
     )
 
 
@@ -259,7 +260,7 @@ def _comparison() -> str:
 def sentence(view: FlightView, running: bool) -> str:
     """Say how the flight's photos were placed; `running` says that a registration goes on."""
     more = f" {_comparison()} is still running, so these numbers change." if running else ""
-    return f"{describe_flight(view.flight.frames, view.beliefs)}{more}"
+    return f"{describe_flight(view.flight, view.beliefs)}{more}"
 
 
 def accuracy(view: FlightView) -> str:
@@ -317,7 +318,7 @@ def lists(view: FlightView) -> dict[str, str]:
         if view.beliefs[i].stage in PLACED and (texts := flight_text.refusals(located))
     ]
     apart = [
-        (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.apart(view, one)])
+        (one.frame, printable(flight.frames[one.frame].frame.name), [one.told(view.beliefs[one.frame])])
         for one in view.contradictions
     ]
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]

@@ -18,6 +18,7 @@ from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
+from lpn.locate.summary import other_map
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.maps.tag_placed import placing_sentence
@@ -35,6 +36,8 @@ OWN_KEPT = (
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
 ELSEWHERE = ("Not one of these", "Probably none of these")
+# The headline of a picture that probably lies beyond the map.
+_OTHER_MAP = "Probably not on this map"
 _UNPROVEN = "It may show the same place; pictures of other places can look as close."
 _ANY = "Every picture gets an answer, and nothing measured here tells if yours shows one of these places."
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
@@ -85,6 +88,8 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
     if analysis.ranking.relevant is None:
         gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
+            if workspace.flight is not None and workspace.flight.elsewhere:
+                return None, _OTHER_MAP, f"{workspace.flight.elsewhere}; {gap}."
             return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
         if (of_map := _on_map(analysis, workspace)) is not None:
             right, headline, sentence = of_map
@@ -125,7 +130,10 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
                 f"{elsewhere}, so no answer can be right. The one beside it is merely the most similar.",
             )
         far = _far(analysis, workspace)
-        place = _beside_tag(analysis, workspace, "this one") or "The true place is not known here, so it is not graded"
+        place = _beside_tag(analysis, workspace, "this one")
+        if not place and not analysis.state.upload and workspace.flight is not None and workspace.flight.elsewhere:
+            place = f"{workspace.flight.elsewhere}, so it is not graded"
+        place = place or "The true place is not known here, so it is not graded"
         text = f"{text} {place}."
         if _off_tag(analysis, workspace):
             return None, "Elsewhere by its GPS tag", text
@@ -141,24 +149,29 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         details = workspace.flight is not None and workspace.flight.late_tags is not None
         place = "where details place the photo" if details else "the place photographed"
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
-        return True, "Right", f"The model compared {pictures} and found the right one{off}.{_limit(analysis)}"
+        return (
+            True,
+            "Right",
+            f"The model compared {pictures} and found the right one{off}.{_limit(analysis, workspace)}",
+        )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
-        f"The model compared {pictures} and chose {away}; the right one {rank}.{_limit(analysis)}",
+        f"The model compared {pictures} and chose {away}; the right one {rank}.{_limit(analysis, workspace)}",
     )
 
 
-def _limit(analysis: StateAnalysis) -> str:
+def _limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say what a graded piece of a map is right or wrong by, as pieces differ in width; "" where the answer is none."""
     first = analysis.matches[0]
     cut = analysis.task.gallery[first.index].cut
     if not isinstance(cut, WindowCut):
         return ""
+    judge = "its GPS tag" if workspace.flight is None else workspace.flight.judge
     lies = "on it" if first.true else "beyond its edge"
-    return f" This piece is {cut.window.size:.0f} m wide, and the photo's middle lies {lies}."
+    return f" The chosen piece is {cut.window.size:.0f} m wide; by {judge}, the photo's middle lies {lies}."
 
 
 def flight_verdict(
@@ -175,13 +188,17 @@ def flight_verdict(
         look = None, "Not graded", sentence
     elif right is not None:
         look = right, f"{'Right' if right else 'Wrong'} by its look", sentence
-    located = workspace.flight.frames[analysis.state.query]
-    if "registration" not in located.stages:
+    located, elsewhere = workspace.flight.frames[analysis.state.query], other_map(workspace.flight)
+    registered = "registration" in located.stages
+    if not registered and not elsewhere:
         return look, None
-    verdict = belief(located, disagreements([located]))
-    if verdict.stage != "registration":
-        return look, (verdict.sign, verdict.headline, "Its details fit nowhere well enough.")
-    return look, (verdict.sign, verdict.headline, _beside_look(analysis, look[0]))
+    verdict = belief(located)
+    if verdict.stage == "registration":
+        beside = _beside_look(analysis, look[0])
+        return look, (verdict.sign, verdict.headline, " ".join(filter(None, (elsewhere, beside))))
+    nowhere = "Its details fit nowhere well enough." if registered else ""
+    headline = _OTHER_MAP if elsewhere else verdict.headline
+    return look, (verdict.sign, headline, " ".join(filter(None, (elsewhere, nowhere))))
 
 
 def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
@@ -245,21 +262,21 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
             sentence = f"Its details fit {where}, and its GPS tag lies {where_tag}. {merely}"
             if own.whole_map and far:
                 return False, "Not on this map", sentence
-            return None, "Probably not on this map", sentence
+            return None, _OTHER_MAP, sentence
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     contradictions = disagreements([own.located])
-    sign, against_tag = belief(own.located, contradictions).sign, any(one.other == "tag" for one in contradictions)
+    concluded, against_tag = belief(own.located, contradictions), any(one.other == "tag" for one in contradictions)
     fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
     against, headline = "", "On this map"
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
-    doubts = [unchecked, *(one.told for one in contradictions if one.other == "map")]
+    doubts = [unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")]
     if against_tag:
         against = ", more than the errors of both allow, so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
-    elif not sign:
+    elif not concluded.sign:
         headline = "On this map, but away from its middle it does not fit"
     off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
     look = " Its look alone agrees."
@@ -269,7 +286,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         metres = distance(math.hypot(answer.x - cut.window.x, answer.y - cut.window.y))
         look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
     beside = "".join(f" {text}" for text in doubts if text)
-    return sign, headline, f"{fits}{against}.{beside}{look}{details}"
+    return concluded.sign, headline, f"{fits}{against}.{beside}{look}{details}"
 
 
 def _usual(workspace: Workspace) -> str:

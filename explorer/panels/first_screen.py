@@ -436,8 +436,11 @@ def _because(
     known = f"{_details(details, photo) or 'They fit this map'}: they place it."
     if not details.accepted:
         known = "They fit nowhere on this map well enough to place it."
-    contradictions = [] if located is None else disagreements([located])
-    doubts = [one.told for one in contradictions if one.one == "registration"]
+    doubts = []
+    if located is not None:
+        contradictions = disagreements([located])
+        concluded = belief(located, contradictions)
+        doubts = [one.told(concluded) for one in contradictions if one.one == "registration"]
     return [("By its details", [known, *doubts]), (f"By its look{', which errs' if errs else ''}", sentences)]
 
 
@@ -527,10 +530,10 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         cells: NDArray[np.int32] = np.rint(shares * (width, height) + (left, top)).astype(np.int32)
         return cells
 
-    for colour, thickness in (((0, 0, 0), 6), (theme.TRUE_COLOUR, 3)):
-        cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
     contradictions = disagreements([located])
-    sign = belief(located, contradictions).sign
+    concluded = belief(located, contradictions)
+    for colour, thickness in (((0, 0, 0), 6), (theme.placed_colour(concluded.sign), 3)):
+        cv2.polylines(drawn, [pixels(ground.corners)], True, colour, thickness, cv2.LINE_AA)
     at = answer.x, answer.y
     sentence = ""
     if located.tag is not None:
@@ -543,11 +546,11 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         sentence += "."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(
-        filter(None, [sentence, unchecked, *(one.told for one in contradictions if one.other == "map")])
+        filter(None, [sentence, unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")])
     )
     return LaidPhoto(
         overlays.data_uri(drawn, 85),
-        sign,
+        concluded.sign,
         describe_offset(*at),
         None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, at),
         answer.camera,

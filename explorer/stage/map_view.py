@@ -27,6 +27,7 @@ from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme
 from lpn.flights import Frame
 from lpn.flights.cameras import rotation
+from lpn.locate.belief import belief
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.coverage import crossing, outline
 from lpn.locate.frustums import border
@@ -404,15 +405,16 @@ class GalleryMap:
         located = self._workspace.located(analysis)
         ground = None if located is None else outline(located)
         frame: list[_Segment] = []
-        if ground is not None and ground.registered:
+        if located is not None and ground is not None and ground.registered:
             points = self._from_map(np.vstack([ground.corners, crossing(ground.corners)]), places)
             *corners, middle = [self._to_stage(point, 0.0, lift) for point in points]
-            frame = _outline(corners, theme.TRUE_COLOUR)
+            colour = theme.placed_colour(belief(located).sign)
+            frame = _outline(corners, colour)
             basemap = self._workspace.basemap
             if city and basemap is not None and basemap.elevation is not None:  # it lies on the relief
                 draped = border(ground.corners, basemap.heights, _PIECES) + np.array([0, 0, LIFT])
                 ends = self._from_altitudes(places, draped.reshape(-1, 3)).reshape(-1, 2, 3)
-                frame = [(one, other, theme.TRUE_COLOUR) for one, other in ends]
+                frame = [(one, other, colour) for one, other in ends]
             start = middle if camera is None else camera
             self._here.text = "your picture" if own is not None else f"{analysis.name}, by its details"
             self._here.position = max(corners, key=lambda corner: float(corner[1]))

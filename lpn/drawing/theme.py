@@ -81,6 +81,11 @@ def verdict_colour(true: bool | None) -> Colour:
     return UNKNOWN_COLOUR if true is None else TRUE_COLOUR if true else FALSE_COLOUR
 
 
+def placed_colour(sign: bool | None) -> Colour:
+    """Return the colour of the ground where details place a photo: that of a right answer, or of a contradicted one (None)."""
+    return TRUE_COLOUR if sign else COLOURS["contradicted"]
+
+
 def variables(palette: Palette) -> str:
     """Return the table as CSS variables for one palette: `--lpn-NAME` for texts, `--mark-NAME` for bars and lines."""
     inks = [f"--lpn-{name}:{css(palette.ink(colour))}" for name, colour in COLOURS.items()]

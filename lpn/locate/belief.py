@@ -90,16 +90,21 @@ class Disagreement:
         """The finding in the field's words, as files have it."""
         if self.other == "map":
             return (
-                f"Places beside the photo's middle lie {self.metres:.1f} m from where the map has them in the median, and "
-                f"{self.allowed:.1f} m are allowed: three times the radius on this map, which may hold for the middle alone."
+                f"Away from its middle, the photo lies {self.metres:.1f} m off the map in the median; its radius allows "
+                f"{self.allowed:.1f} m. Its middle may still be right."
             )
         return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
 
-    @property
-    def told(self) -> str:
-        """The finding in the words that are spoken. A contradiction of the map reads alike in all of them."""
+    def told(self, verdict: Belief) -> str:
+        """Return the finding in the words that are spoken, with what the verdict on the frame makes of it.
+
+        A contradiction of the map reads alike in all words.
+        """
         if not plain() or self.other == "map":
             return self.sentence
+        if verdict.sign:  # tag and details agree, and the neighbours alone differ
+            place = "here" if self.one == "registration" else ENDS[self.other]
+            return f"Its neighbours would place it {self.metres:.1f} m from {place}."
         tilt = f", and {self.tilt:.1f} m as a tilted camera looks aside" if self.tilt else ""
         return (
             f"{capitalised(ENDS[self.one])} and {ENDS[self.other]} lie {self.metres:.1f} m apart, and {self.allowed:.1f} m are "
@@ -209,14 +214,16 @@ def _doubts(
     return doubts
 
 
-def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] = ()) -> Belief:
+def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None) -> Belief:
     """Return the verdict on a frame.
 
     A registration is believed unless its tag contradicts it, the map beside its middle does, or, without a tag, the sequence.
 
     Args:
-        contradictions: those of this frame.
+        contradictions: those of this frame; by default they are looked for.
     """
+    if contradictions is None:
+        contradictions = disagreements([located])
     registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
     why = "" if registration is None else registration.sentence
     if registration is not None and registration.accepted:

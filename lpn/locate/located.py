@@ -13,6 +13,7 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array
 from lpn.core.homography import apply_homography, middle_pixel
+from lpn.core.numbers import distance
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.flights import Flight, Frame
 from lpn.locate import measures
@@ -214,6 +215,8 @@ class LocatedFlight:
         tags_corrected: whether the frames have these as their tags.
         map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
         place_error: the part of it that is the error of the map's place on earth, see `Map.place_error`.
+        tags_away: metres from the map's middle to the nearest tag where all lie far off the map, so that they were left out;
+            None where they do not.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """
 
@@ -228,6 +231,12 @@ class LocatedFlight:
     tags_corrected: bool = False
     map_error: float | None = None
     place_error: float = 0.0
+    tags_away: float | None = None
+
+    @property
+    def elsewhere(self) -> str:
+        """Say that all GPS tags lie far off the map, and so how far; "" where they do not."""
+        return "" if self.tags_away is None else f"The flight's GPS tags lie {distance(self.tags_away)} from this map"
 
     @property
     def stages(self) -> list[str]:
@@ -246,6 +255,11 @@ class LocatedFlight:
         places = np.array([UNKNOWN if a is None or not a.accepted or a.x is None else (a.x, a.y) for a in answers])
         audit = audit_tags(self.flight.times, tag_positions(self.frames), places.astype(np.float64), middles=True)
         return audit if audit.has_lag else None
+
+    @property
+    def judge(self) -> str:
+        """The words for what a photo's look is graded by, see `photographed`."""
+        return "its GPS tag" if self.late_tags is None else "its details"
 
     @cached_property
     def photographed(self) -> list[Float64Array | None]:

@@ -69,7 +69,7 @@ def locate(
         raise InputError(
             "There is nothing to do without a model and without registration; give --model, or allow --register."
         )
-    tags, notes = tags_on_map(basemap, flight)
+    tags, notes, tags_away = tags_on_map(basemap, flight)
     frames = [
         LocatedFrame(frame, None if np.isnan(tag).any() else tag)
         for frame, tag in zip(flight.frames, tags, strict=True)
@@ -101,7 +101,7 @@ def locate(
         elif options.sequence:
             notes += enter_sequence(retrieval, flight, frames, options)
     registrations = {} if answers is None else answers.registration
-    located = LocatedFlight(flight, basemap, frames, None, notes, retrieval, registrations)
+    located = LocatedFlight(flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away)
     return registered(located, model, options, on_progress) if options.register else located
 
 

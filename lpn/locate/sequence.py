@@ -149,10 +149,10 @@ class SequenceResult:
     log_likelihood: float
 
     def sentence(self, frame: int) -> str:
-        """Say how far the neighbours moved a frame."""
+        """Say how far the place lies from the frame's own answer; the sentence holds for a refused place, too."""
         moved = self.moved[frame]
         if self.likeliest[frame] == self.own[frame]:
-            return "The neighbours agree with the picture's own answer."
+            return "The picture's own answer is the same place."
         return f"It was moved by {moved:.0f} m from the picture's own answer, outvoted by its neighbours."
 
 

@@ -72,16 +72,25 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
     )
 
 
-def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) -> str:
+def other_map(flight: LocatedFlight) -> str:
+    """Say that the map is probably not of the flight's place, as all tags lie far off it, and what to do; else ""."""
+    if not flight.elsewhere:
+        return ""
+    return f"{flight.elsewhere}, so it is probably not that of this flight. Give the map of that place unless the tags are wrong."
+
+
+def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
-    Contradicted photos, and those that could not be checked beside their middle, are named.
+    Contradicted photos, and those that could not be checked beside their middle, are named. A flight whose tags lie far off the
+    map begins with that.
 
     A photo is placed where registration or sequence is accepted, and guessed where there is a most similar window alone.
 
     Args:
         verdicts: of the frames, see `lpn.locate.belief.beliefs`.
     """
+    frames = flight.frames
     counts = {stage: sum(verdict.stage == stage for verdict in verdicts) for stage in (*PLACED, "retrieval")}
     ways = [f"{counts[stage]:,} {of[0 if plain() else 1]}" for stage, of in PLACED.items() if counts[stage]]
     placed = counts["registration"] + counts["sequence"]
@@ -91,7 +100,9 @@ def describe_flight(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) 
         pieces.append(f"{guessed:,} only guessed {'by their look' if plain() else 'by retrieval'}")
     if refused:
         pieces.append(f"{refused:,} refused")
-    sentences = [f"A drone took {len(frames):,} photos over this map: {', '.join(pieces)}."]
+    over = "" if flight.elsewhere else " over this map"
+    sentences = [other_map(flight)] if flight.elsewhere else []
+    sentences.append(f"A drone took {len(frames):,} photos{over}: {', '.join(pieces)}.")
     pairs = list(zip(frames, verdicts, strict=True))
     errors = [frame.error(one.stage) for frame, one in pairs if one.stage in PLACED]
     if known := [error for error in errors if error is not None]:

@@ -20,8 +20,12 @@ from lpn.maps import Map
 from lpn.retrieval import field_metrics
 
 
-def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
-    """Return positions of a flight in metres of the map's frame, (N, 2), NaN where none is of use, and sentences about them."""
+def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], float | None]:
+    """Return the positions of a flight on the map, sentences about them, and how far away they are.
+
+    Positions are in metres of the map's frame, (N, 2), NaN where none is of use. If all of them lie far off the map, none is of
+    use, and the third value is the metres from the map's middle to the nearest; else it is None.
+    """
     total = len(flight.frames)
     tags = basemap.frame.xy(*flight.degrees.T)
     tagged = ~np.isnan(flight.degrees).any(axis=1)
@@ -33,22 +37,22 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str]]:
     if missing := total - int(tagged.sum()):
         notes.append(f"{missing} of {total} frames have no position, so no error is known for them.")
     if not tagged.any():
-        return tags, notes
+        return tags, notes, None
     west, south, east, north = basemap.bounds
     margin = max(east - west, north - south)
     off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
         middle = (basemap.frame.latitude, basemap.frame.longitude)
-        nearest = field_metrics.great_circle(flight.degrees[tagged], np.array(middle)).min() / 1000
+        nearest = float(field_metrics.great_circle(flight.degrees[tagged], np.array(middle)).min())
         notes.append(
-            f"The flight lies elsewhere than {basemap.name}, the map: its nearest position is {nearest:.1f} km from the map's "
-            "middle. The positions were left out; give the map of this flight, unless its positions are wrong."
+            f"The flight lies elsewhere than {basemap.name}, the map: its nearest position is {nearest / 1000:.1f} km from the "
+            "map's middle. The positions were left out; give the map of this flight, unless its positions are wrong."
         )
-        return np.full_like(tags, np.nan), notes
+        return np.full_like(tags, np.nan), notes, nearest
     blank = basemap.valid_shares(tags[known], basemap.resolution) == 0
     if outside := int(blank.sum()) + int((tagged & ~known).sum()):
         notes.append(f"{outside} of {total} frames have a position off the map.")
-    return tags, notes
+    return tags, notes, None
 
 
 def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Mapping[str, Correction]) -> list[str]:

@@ -39,6 +39,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError, PictureError
+from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight, StageRecord
@@ -187,6 +188,25 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     assert np.flatnonzero(np.isnan(places.value.queries[:, 0])).tolist() == [0]
 
 
+def test_a_flight_whose_tags_lie_far_off_the_map_is_told_so_first(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert workspace.flight is not None
+    analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
+    analysis = replace(analysis, ranking=replace(analysis.ranking, relevant=None))
+    monkeypatch.setattr(workspace, "flight", replace(workspace.flight, tags_away=1.929e6))
+    with speaking(workspace.vocabulary(True)):
+        look = answer_text.plain_verdict(analysis, workspace)
+        assert look[2].endswith("The flight's GPS tags lie 1,929 km from this map, so it is not graded.")
+        _, concluded = answer_text.flight_verdict(analysis, workspace, look)
+    assert concluded is not None
+    assert concluded[:2] == (None, "Probably not on this map")
+    assert concluded[2].startswith(
+        "The flight's GPS tags lie 1,929 km from this map, so it is probably not that of this flight."
+    )
+    assert answer_text.verdict(analysis, workspace)[1] == "Probably not on this map"
+
+
 def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace: Workspace) -> None:
     task = workspace.tasks[TASK]
     assert task.truth is not None
@@ -306,7 +326,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     before = stages["registration"]
     for places, doubted, beside in (
         (1, False, "Beside its middle only 1 place of the photo could be found on the map"),
-        (3, True, "Places beside the photo's middle lie 50.0 m from where the map has them"),
+        (3, True, "Away from its middle, the photo lies 50.0 m off the map"),
     ):
         rows = [(0.1, 0.1, 0.0, 50.0)] * places
         stages["registration"] = msgspec.structs.replace(before, agreement=MapAgreement(rows, 60.0))

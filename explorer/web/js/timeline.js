@@ -49,7 +49,7 @@
     }
     pen.textAlign = "center";
     pen.globalAlpha = 1;
-    if (!values.length) pen.fillText(EMPTY[plot], width / 2, (head + foot) / 2);
+    if (!values.length) pen.fillText((plot === "error" && data.elsewhere && data.elsewhere + ", so they were left out.") || EMPTY[plot], width / 2, (head + foot) / 2);
     for (const { name, values: known, state, colour: ink, line } of lines) {
       pen.strokeStyle = pen.fillStyle = ink;
       pen.beginPath();

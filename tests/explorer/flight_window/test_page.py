@@ -61,16 +61,22 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
-    guessed = describe_flight(view.flight.frames, verdicts)
+    guessed = describe_flight(view.flight, verdicts)
     assert guessed == (
         "A drone took 3 photos over this map: 1 placed (1 by registration), 1 only guessed by retrieval, 1 refused. Half of "
         "the placed ones lie within 1.0 m of their GPS tags, which is the error of both together."
     ), "a guess counts for nothing"
     with speaking(Vocabulary(plain=True)):
         assert ": 1 placed (1 by their details), 1 only guessed by their look, 1" in describe_flight(
-            view.flight.frames, verdicts
+            view.flight, verdicts
         )
     assert page.sentence(view, running=True).endswith("Registration is still running, so these numbers change.")
+    away = view_of(replace(view.flight, tags_away=1.929e6))
+    assert page.sentence(away, running=False).startswith(
+        "The flight's GPS tags lie 1,929 km from this map, so it is probably not that of this flight. Give the map of that "
+        "place unless the tags are wrong. A drone took 3 photos: 3 placed"
+    )
+    assert page.data(away, "x/")["elsewhere"] == "The flight's GPS tags lie 1,929 km from this map"
 
 
 def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightView) -> None:
@@ -176,9 +182,9 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert view.beliefs[0].sign is None
     card = page.card(view, 0, "x/", agreement=view.flight.frames[0].stages["registration"].agreement)
     assert "? Placed by its details, ± 1.0 m on this map, but away from its middle it does not fit the map" in card
-    assert "lie 4.0 m from where the map has them in the median, and 3.0 m are allowed" in card
+    assert "the photo lies 4.0 m off the map in the median; its radius allows 3.0 m." in card
     lists = page.lists(view)
-    assert lists["audit"].count("Places beside the photo&#39;s middle lie 4.0 m") == 1
+    assert lists["audit"].count("Away from its middle, the photo lies 4.0 m") == 1
     assert page.sentence(view, running=False).endswith(
         "2 are contradicted by GPS tag, neighbours, or the map beside the middle: photo0 and photo1."
     )
@@ -273,11 +279,11 @@ def test_a_surveyed_map_tells_its_error_on_earth(flight: LocatedFlight) -> None:
 @pytest.mark.usefixtures("plainly")
 def test_contradictions_say_what_is_allowed_and_what_nothing_tells(view: FlightView) -> None:
     (one,) = [one for one in view.contradictions if one.other == "tag"]
-    assert flight_text.apart(view, one) == (
+    assert one.told(view.beliefs[1]) == (
         "Its place by its details and its GPS tag lie 45.0 m apart, and 15.3 m are allowed: three times the error of both. "
         "Nothing here tells which of the two errs."
     )
-    assert "and 6.0 m as a tilted camera looks aside" in flight_text.apart(view, replace(one, tilt=6.0))
+    assert "and 6.0 m as a tilted camera looks aside" in replace(one, tilt=6.0).told(view.beliefs[1])
     assert flight_text.reason(view, 1).startswith(
         "40 details of the photo agree with the map. Its place by its details and"
     )
@@ -309,14 +315,14 @@ def test_the_drone_has_a_place_and_a_tilt_that_a_person_would_say(flight: Locate
 
     said = drone(camera=False)
     assert (
-        "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, where 15.3 m are allowed, "
+        "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, "
         "40 m above the ground (±\N{NO-BREAK SPACE}2 m)" in said
     )
     # 3 degrees to the back, which is north, and 4 to the side.
     assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
     assert "The map has no heights" in said
     # The pose is 1 m off on the map, whose own error is 2.4 m; the tag lies at (-20, 0).
-    assert "(±\N{NO-BREAK SPACE}2.6 m on earth), 21.1 m from its GPS tag, where 16.9 m are allowed" in drone(
+    assert "(±\N{NO-BREAK SPACE}2.6 m on earth), 21.1 m from its GPS tag, 40 m above" in drone(
         camera=False, map_error=2.4, place_error=2.0
     )
     assert drone(x=1.0, y=2.0).startswith("there, 40 m above the ground")

@@ -535,7 +535,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     said = text(page)
     assert "a place that the model was not trained on" in said
     assert "✓ Right by its look." in said
-    assert re.search(r"This piece is \d+ m wide, and the photo's middle lies on it\.", said)
+    assert re.search(r"The chosen piece is \d+ m wide; by its details, the photo's middle lies on it\.", said)
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ Placed by its details, ± 6.1 m on earth . Its look alone agrees. By its details : 268 details of the photo lie where "
@@ -591,8 +591,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
     assert "? Placed by its details, ± 6.1 m on earth , but away from its middle it does not fit the map." in unfit
-    (misfit,) = (one.told for one in disagreements(flight.frames) if (one.frame, one.other) == (bent, "map"))
-    assert misfit.startswith("Places beside the photo's middle lie 6.")
+    (misfit,) = (one.sentence for one in disagreements(flight.frames) if (one.frame, one.other) == (bent, "map"))
+    assert misfit.startswith("Away from its middle, the photo lies 6.")
     assert misfit in unfit
     no_limit = (
         "± 6.1 m is no limit: it should hold for 39 of 100 photos, and twice as much for 86, which the check of this"
@@ -600,6 +600,26 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert f"{no_limit} flight does not confirm." in unfit
     reasons = text(first_screen.page(analyse(workspace, replace(state, query=bent, why=True)), workspace))
     assert f"they place it. {misfit}" in reasons
+    # The box on the map has the colour of the verdict.
+    for frame, other, colour in ((workspace.first_query, bent, "right"), (bent, workspace.first_query, "contradicted")):
+        laid = first_screen._laid(flight.frames[frame], workspace, own=False)
+        assert laid is not None
+        encoded = np.frombuffer(b64decode(laid.picture.partition(",")[2]), np.uint8)
+        drawn = cv2.imdecode(encoded, cv2.IMREAD_COLOR)[..., ::-1].astype(int)
+        near = {
+            name: int((np.abs(drawn - theme.COLOURS[name]).max(axis=2) < 60).sum())
+            for name in ("right", "contradicted")
+        }
+        assert near[colour] == max(near.values()) > 200, (other, near)
+    # Where tag and details agree, neighbours that differ leave no doubt which of the answers errs.
+    settled = flight.frames[workspace.first_query]
+    before = settled.stages["sequence"]
+    settled.stages["sequence"] = msgspec.structs.replace(before, state="accepted", x=500.0, y=0.0, radius=1.0)
+    with speaking(workspace.vocabulary(True)):
+        reasons = text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
+    assert "Its neighbours would place it" in reasons
+    assert "Nothing here tells" not in reasons
+    settled.stages["sequence"] = before
     unchecked = flight_names.index("IMG_9365.webp")
     said = text(first_screen.page(analyse(workspace, replace(state, query=unchecked)), workspace))
     assert "Beside its middle only 1 place of the photo could be found on the map, and 3 are needed" in said
@@ -626,7 +646,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
             assert "✗ Wrong by its look. The model compared 224 pieces of the map and chose a place " in said
-            assert re.search(r"This piece is \d+ m wide, and the photo's middle lies beyond its edge\.", said)
+            assert re.search(
+                r"The chosen piece is \d+ m wide; by its details, the photo's middle lies beyond its edge\.", said
+            )
             assert f"{sign} {headline} The model's own guess, by its look alone, was wrong, " in said
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why

@@ -36,7 +36,11 @@ def test_answers_disagree_beyond_three_times_their_common_radius() -> None:
     assert [(one.frame, one.one, one.other) for one in found] == [(1, "registration", "tag")]
     assert found[0].metres == pytest.approx(allowed + 0.1)
     assert found[0].allowed == pytest.approx(allowed)
-    assert found[0].sentence == found[0].told == "Registration and tag lie 15.4 m apart; their radii allow 15.3 m."
+    assert (
+        found[0].sentence
+        == found[0].told(belief(located()))
+        == "Registration and tag lie 15.4 m apart; their radii allow 15.3 m."
+    )
 
 
 def test_the_error_of_the_map_counts_against_a_tag_alone() -> None:

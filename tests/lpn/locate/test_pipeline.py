@@ -270,6 +270,8 @@ def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
     found = locate(town, replace(flight, frames=tuple(replace(frame, **moved) for frame in flight.frames)), None, SIFT)
     assert len(found.notes) == 1
     assert "elsewhere than town, the map" in found.notes[0]
+    assert found.tags_away is not None
+    assert f"is {found.tags_away / 1000:.1f} km from" in found.notes[0]
     assert [located.tag for located in found.frames] == [None] * 4
     assert found.stages == ["registration"]
 
@@ -279,6 +281,7 @@ def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatc
     frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
     found = locate(town, replace(flight, frames=frames), None, SIFT)
     assert found.notes == ["1 of 4 frames have a position off the map."]
+    assert found.tags_away is None
     assert [located.tag is None for located in found.frames] == [True, False, False, False]
 
 

@@ -182,7 +182,7 @@ def test_neighbours_outvote_a_frame_that_jumps() -> None:
     assert abs(found.likeliest[9] - truth[9]) <= 1
     assert found.moved[9] > 1000
     assert "outvoted by its neighbours" in found.sentence(9)
-    assert found.sentence(3) == "The neighbours agree with the picture's own answer."
+    assert found.sentence(3) == "The picture's own answer is the same place."
 
 
 def test_headings_tell_two_equal_places_apart() -> None:
