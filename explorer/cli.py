@@ -18,6 +18,7 @@ import tyro
 from explorer.parameters import DATA
 from lpn.cli import by_source
 from lpn.cli.live import LiveInput
+from lpn.cli.locate import MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -116,6 +117,7 @@ class ExploreFlight(ExploreSource):
     source: Flown
     register: bool = True
     """Lay each photo of the flight over the map; this goes on in the background, and its answers are kept."""
+    map_error: MapError = None
     query: str | None = None
     """Name of the frame to open with, as the picker shows it; by default the first that can be read."""
     beside: tuple[Path, ...] = ()
@@ -144,6 +146,7 @@ class ExploreFlight(ExploreSource):
                 beside_kinds=kinds,
                 pooling=model.pooling,
                 beside_poolings=poolings,
+                map_error=self.map_error,
             )
         )
 

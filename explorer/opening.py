@@ -296,6 +296,7 @@ def open_flight_over(
     shipped: Path | None = None,
     pooling: str | None = None,
     beside_poolings: Sequence[str | None] = (),
+    map_error: float | None = None,
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
 
@@ -316,6 +317,7 @@ def open_flight_over(
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
         pooling: of the tokens of `model`, see `lpn.load`.
         beside_poolings: those of `beside`; None for models that have parts of their own.
+        map_error: 1-sigma error of the map's places in metres, which radii hold, see `LocateOptions.map_error`.
 
     Raises:
         LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.
@@ -323,12 +325,14 @@ def open_flight_over(
     kinds, poolings = beside_kinds or [None] * len(beside), beside_poolings or [None] * len(beside)
     _check_different([(model, kind, pooling)], zip(beside, kinds, poolings, strict=True))
     name, names = _names(model, (kind, pooling), beside, kinds, poolings)
+    locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
     options = ModelOptions(model=model, kind=kind, pooling=pooling, provider=provider)
     source = Flown(map=map_path, flight=flight_path, model=options)
     opened = _open_flown(source, name, overlap, report, shipped)
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
     assert network is not None
+    workspace.own_photos = OwnPhotoJobs(located.basemap, map_error)
     if shipped is None:  # the flight window shows them, too
         _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
@@ -341,7 +345,7 @@ def open_flight_over(
         opens.append(_opens_flown(replace(source, model=options), other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
     if register:
-        _begin_registration(workspace, located, network, LocateOptions(register=False, overlap=overlap))
+        _begin_registration(workspace, located, network, locating)
     return workspace
 
 

@@ -84,10 +84,13 @@ class OwnPhotoJobs:
 
     A picture's job is known by its key, else by its pixels and by what its file tells. It is computed once for all clients, and
     forgotten with its answer when the last of them has left it.
+
+    Args:
+        map_error: 1-sigma error of the map's places in metres, see `lpn.locate.options.LocateOptions`.
     """
 
-    def __init__(self, basemap: Map) -> None:
-        self.basemap = basemap
+    def __init__(self, basemap: Map, map_error: float | None = None) -> None:
+        self.basemap, self._map_error = basemap, map_error
         self._features: list[MapFeatures] = []
         self._turns = _Turns()
         self._jobs = BackgroundJobs()
@@ -128,7 +131,7 @@ class OwnPhotoJobs:
             if not self._features:
                 self._features = [MapFeatures(self.basemap, matcher) for matcher in open_matchers()]
             return register_own_photo(
-                self.basemap, self._features, picture.picture, picture.frame, windows, on_progress
+                self.basemap, self._features, picture.picture, picture.frame, windows, on_progress, self._map_error
             )
         finally:
             self._turns.give_back(turn)

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 import tyro
 
 from lpn.cli.by_source import FOLDED
+from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
@@ -273,9 +274,7 @@ class EvaluationOfFlight:
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     prior: float | None = None
     """Metres around each frame's own position that it is registered in without --model; by default the whole map."""
-    map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of the radii; by default 3 pixels, at least 1 m, and
-    what the map tells of itself."""
+    map_error: MapError = None
     tags: Literal["told", "corrected"] = "told"
     """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag comes
     from the answers that are measured, so corrected errors may hide a bias that these share."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Literal
 
 import lpn
+from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
 from lpn.core.resources import ProviderName
@@ -52,9 +53,7 @@ class LiveInput:
     """Sides of the map's windows in metres; by default the ground that the first frame of known height shows."""
     speed: float = 10.0
     """Metres a second that the flight moves, one standard deviation."""
-    map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at
-    least 1 m, and what the map tells of itself."""
+    map_error: MapError = None
     fov: float | None = None
     """Horizontal field of view in degrees, for frames of videos, cameras, and streams."""
     idle: float | None = None

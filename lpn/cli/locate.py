@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
 
 import lpn
 from lpn.core.demo import own_file
@@ -25,6 +27,15 @@ if TYPE_CHECKING:
     from lpn.locate.measures import ErrorSummary
     from lpn.locate.options import LocateOptions
     from lpn.maps import Map
+
+MapError = Annotated[
+    float | None,
+    tyro.conf.arg(
+        help="Error of the map's places in metres, 1 sigma along each axis, which is part of each registration's radius in this "
+        "run. By default it is what lpn map --error keeps in the map. A map without that has the root of the sum of two squares: "
+        "3 pixels, at least 1 m, and the error that the map tells of itself."
+    ),
+]
 
 
 @dataclass
@@ -59,9 +70,7 @@ class LocateCommand:
     """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, and sift for what it cannot place."""
     prior: float | None = None
     """Metres around each frame's own position that registration searches without a model; by default the whole map."""
-    map_error: float | None = None
-    """1-sigma error of the map's places in metres, part of each registration's radius; by default 3 pixels, at
-    least 1 m, and what the map tells of itself."""
+    map_error: MapError = None
     size: tuple[float, ...] | None = None
     """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
     speed: float | None = None

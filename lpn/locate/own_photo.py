@@ -43,6 +43,7 @@ def register_own_photo(
     frame: Frame | None,
     windows: Sequence[Window],
     on_progress: CountProgress | None = None,
+    map_error: float | None = None,
 ) -> OwnPhoto:
     """Register a photo of which nothing needs to be known: neither its place nor its heading, height, or field of view.
 
@@ -57,6 +58,7 @@ def register_own_photo(
             than the map is wide: then either the photo is of another place, or what it tells is of another photo.
         windows: the most similar ones, about which a large map is searched.
         on_progress: called before each try with the number of those made, and of all; what it raises ends the search.
+        map_error: see `LocateOptions.map_error`.
     """
     height, width = photo.shape[:2]
     frame = replace(frame or Frame("photo", Path("photo"), width, height), width=width, height=height)
@@ -77,5 +79,7 @@ def register_own_photo(
         basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
     )
     answer = compared(basemap, register_photo(search), plain)
-    located.stages["registration"] = with_map_error(answer, basemap.default_error, basemap.place_error(None))
+    located.stages["registration"] = with_map_error(
+        answer, basemap.total_error(map_error), basemap.place_error(map_error)
+    )
     return OwnPhoto(located, whole_map)

@@ -133,11 +133,12 @@ def test_registration_replaces_the_flight_when_it_is_done(
 
     def register(*arguments: Any, **options: Any) -> LocatedFlight:
         assert may_end.wait(60)
+        assert arguments[2].map_error == 7.0
         return _register(*arguments, **options)
 
     monkeypatch.setattr(opening, "registered", register)
     monkeypatch.setattr(opening, "REGISTRATION_WAIT", 0.0)
-    workspace = open_flight_over(*files, model_file)
+    workspace = open_flight_over(*files, model_file, map_error=7.0)
     before, job = workspace.flight, workspace.registration
     assert before is not None
     assert job is not None
@@ -234,6 +235,10 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
         (
             ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--port", "0"],
             "There is no file a.tif",
+        ),
+        (
+            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--map-error", "-1"],
+            "The map's error is -1 m; expected 0 or more metres.",
         ),
     ],
 )

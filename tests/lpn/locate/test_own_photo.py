@@ -90,8 +90,10 @@ def test_a_large_map_is_searched_about_the_most_similar_windows(
     town: Map, features: list[MapFeatures], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(ground, "MAX_BLOCKS", 3)
-    near = register_own_photo(town, features, photo(), None, [Window(25.0, -35.0, 60.0)])
-    assert (near.answer.accepted, near.whole_map) == (True, False)
+    near = register_own_photo(town, features, photo(), None, [Window(25.0, -35.0, 60.0)], map_error=7.0)
+    assert (near.answer.accepted, near.whole_map, near.answer.map_error) == (True, False, 7.0)
+    assert near.answer.radius is not None
+    assert near.answer.radius > 7
 
 
 def test_what_the_progress_raises_ends_the_search(town: Map, features: list[MapFeatures]) -> None:
