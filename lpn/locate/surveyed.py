@@ -456,6 +456,8 @@ class _Names:
     def number(self, path: str) -> int | None:
         """Return the number of a frame: of its whole path, else its name, else its name without suffix, by the most folders.
 
+        A frame of another folder is none; a flight names the folders of its photos only where names repeat.
+
         Raises:
             InputError: if several frames fit equally well.
         """
@@ -467,10 +469,10 @@ class _Names:
             or self._by_stem.get(parts[-1])
             or self._by_stem.get(PurePath(parts[-1]).stem, [])
         )
-        if len(near) > 1:
-            near = [i for i in near if self._parts[i] == parts] or [
-                near[k] for k in nearest_in_folders(parts, [self._parts[i] for i in near])
-            ]
+        near = [i for i in near if self._parts[i][-2:-1] in (parts[-2:-1], ()) or len(parts) == 1]
+        near = [i for i in near if self._parts[i] == parts] or [
+            near[k] for k in nearest_in_folders(parts, [self._parts[i] for i in near])
+        ]
         if len(near) > 1:
             either = " or ".join(printable(self._names[i]) for i in near[:2])
             raise InputError(

@@ -254,7 +254,7 @@ def test_state_and_doubt_are_those_of_the_best_track() -> None:
 
 
 def test_names_are_found_by_path_then_folders_then_name_then_stem() -> None:
-    names = ["1.JPG", "A/1.JPG", "B/1.JPG", "B/1.png", "2.JPG", "IMG.3.jpg"]
+    names = ["1.JPG", "A/1.JPG", "B/1.JPG", "B/1.png", "2.JPG", "B/3.JPG", "IMG.4.jpg"]
 
     def number(name: str) -> int:
         (found,) = match_surveyed(names, [SurveyedPosition(name, 0.0, 0.0, "camera")], BASEMAP).by_frame
@@ -267,10 +267,13 @@ def test_names_are_found_by_path_then_folders_then_name_then_stem() -> None:
         "C:\\flights\\b\\1.jpg": 2,
         "A/1": 1,
         "photos/2.tif": 4,
-        "IMG.3": 5,
+        "3": 5,
+        "IMG.4": 6,
     }
     assert {name: number(name) for name in found} == found
-    for name, either in (("C/1.JPG", "1.JPG or A/1.JPG"), ("B/1", "B/1.JPG or B/1.png")):
+    with pytest.raises(InputError, match=r"None of the 1 surveyed photos, the first being A/3\.JPG"):
+        number("A/3.JPG")
+    for name, either in (("B/1", "B/1.JPG or B/1.png"), ("1", "1.JPG or A/1.JPG")):
         with pytest.raises(InputError, match=rf"The surveyed photo {name} may be {either} of the flight"):
             number(name)
 
