@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,7 +13,9 @@ from typing import cast
 import msgspec
 import numpy as np
 import pytest
+from rich.console import Console
 
+from lpn.cli.evaluate import _print_surveyed
 from lpn.core.errors import DataError, InputError
 from lpn.flights import Flight, Frame
 from lpn.locate.belief import best_track
@@ -228,6 +231,18 @@ def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> 
     assert survey_remarks(rows, 4) == [
         "1 surveyed position of the camera is compared with the ground at the photo's middle, as the answer tells no more; a "
         "tilted camera keeps the two apart, so the shares within radii leave it out."
+    ]
+
+
+def test_without_an_accepted_answer_no_table_is_printed() -> None:
+    located = flight(photo("a.jpg", StageRecord("refused", "Too few matches.")))
+    rows = compared(located, [SurveyedPosition("a.jpg", 0.0, 0.0, point) for point in ("camera", "ground")])
+    _print_surveyed(
+        summarise_surveyed(rows), survey_remarks(rows, 1), Console(file=(written := io.StringIO()), width=140)
+    )
+    assert written.getvalue().splitlines() == [
+        "No surveyed photo has an accepted answer, so there is nothing to compare.",
+        "No answer is accepted for 1 surveyed photo, which does not count: a.jpg.",
     ]
 
 
