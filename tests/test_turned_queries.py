@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,14 +14,14 @@ from lpn.descriptors import descriptor_reader
 from lpn.descriptors.transforms import Change
 from lpn.retrieval.calibration import calibrate
 from tools.fixtures import small_worlds
+from tools.fixtures.programs import run_program
 
-ROOT = Path(__file__).parents[1]
 
-
-def test_each_set_of_turns_is_averaged_and_searched(tmp_path: Path, model_file: Path) -> None:
+def test_each_set_of_turns_is_averaged_and_searched(
+    tmp_path: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "turns.json"
-    command = [sys.executable, "-m", "tools.turned_queries", str(data), str(model_file), "--out", str(out)]
-    subprocess.run(command, check=True, cwd=ROOT)
+    run_program(monkeypatch, "tools.turned_queries", data, model_file, "--out", out)
     found = json.loads(out.read_bytes())
     assert (found["queries"], found["data"], found["model"]) == (24, "places", str(model_file))
     # By hand, for the first set and for three turns.

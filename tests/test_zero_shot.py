@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -13,18 +11,16 @@ import lpn
 from lpn.datasets import open_dataset
 from lpn.retrieval.evaluate import evaluate
 from tools.fixtures import small_worlds
-
-ROOT = Path(__file__).parents[1]
+from tools.fixtures.programs import run_program
 
 
 def test_groups_have_the_figures_of_lpn_evaluate_and_differ_from_the_first_one_by_their_own(
-    tmp_path: Path, model_file: Path, one_part_model_file: Path
+    tmp_path: Path, model_file: Path, one_part_model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "zero.json"
     first, second = model_file, one_part_model_file
     groups = [f"one={first},{second}", f"two={second},{first}", f"three={first}", f"four={first},{first}"]
-    command = [sys.executable, "-m", "tools.zero_shot", str(data), *groups, "--out", str(out)]
-    subprocess.run(command, check=True, cwd=ROOT)
+    run_program(monkeypatch, "tools.zero_shot", data, *groups, "--out", out)
     found = json.loads(out.read_bytes())
     one, two, three, four = found["rows"]
     dataset = open_dataset(data)
