@@ -99,6 +99,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         chosen=chosen,
         queries=len(findings.table),
         failed=int(findings.outcomes.failed[rows].sum()),
+        by_look=_by_look(findings),
         narrowed=show_all(lab) != lab,
         notes_error=findings.notes_error,
         claim=findings.task.contract.claim,
@@ -107,6 +108,13 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         terms=scorings.TERMS,
         drawers=_drawers(lab, len(rows)),
     )
+
+
+def _by_look(findings: Findings) -> str:
+    """Return by which method answers are wrong or right where others place the pictures, too, as in a flight; else ""."""
+    if "verdict" not in findings.table.columns:
+        return ""
+    return "by its look" if words.plain() else "of retrieval"
 
 
 def _drawers(lab: LabState, selected: int) -> dict[Drawer, str]:
@@ -175,6 +183,8 @@ def table(findings: Findings, lab: LabState, selected: int, shell: int, height: 
         hints = hints | {rank: f"{_HINTS['rank']} by {name}" for rank, name in of_both}
     columns = visible_columns(findings, lab)
     headings = {name: words.say(term) for name, term in TERMS.items()} if words.plain() else {}
+    if by := _by_look(findings):
+        headings = headings | {"distance": f"distance {by}", "verdict": "verdict of all methods"}
     return render(
         "failure_lab/table",
         lab=lab,
@@ -193,10 +203,11 @@ def publish(feeds: Feeds, owner: object, findings: Findings, lab: LabState, rows
     Args:
         rows: the selected queries, in the table's order.
     """
-    columns = visible_columns(findings, lab)
+    columns, vocabulary = visible_columns(findings, lab), words.spoken()
 
     def entries(start: int, end: int) -> list[tuple[int, str]]:
-        return lines(findings, columns, feeds, rows[start:end])
+        with words.speaking(vocabulary):
+            return lines(findings, columns, feeds, rows[start:end])
 
     return feeds.publish_list(owner, "rows", len(rows), entries)
 

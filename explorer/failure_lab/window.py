@@ -30,7 +30,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.named_views import NamedView
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import LPNError
-from lpn.drawing.words import say, speaking
+from lpn.drawing.words import say, speaking, spoken
 
 # Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
 _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
@@ -391,7 +391,7 @@ class FailureLabWindow:
         """Show the table of the selected queries; its rows are published again only when something in them changed."""
         if rows is not self._table_rows:
             self._table_rows, self._feed, self._shell = rows, (None, ""), (None, self._shell[1])
-        key = findings, lab.columns
+        key = findings, lab.columns, spoken()
         if self._feed[0] != key:
             self._feed = key, table.publish(self._feeds, self, findings, lab, rows)
         feed = self._feed[1]

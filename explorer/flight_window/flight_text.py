@@ -20,6 +20,7 @@ from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
+from lpn.locate.registration import is_turned_over
 from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy
 
 # The list of contradictions alone would read as if all answers were independent, and equally good.
@@ -83,6 +84,11 @@ def reason(view: FlightView, frame: int) -> str:
     if error is not None and all(one.other != "tag" for one in against):
         place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
         sentences.append(f"{place} lies {error:.1f} m from {_truth(located)}.")
+    if answer.turn is not None and is_turned_over(answer.turn):
+        sentences.append(
+            f"The picture is turned by {abs(answer.turn):.0f} degrees here: its file tells another heading, by which the first "
+            "screen turns it."
+        )
     return " ".join([*sentences, *(one.told(verdict) for one in against)])
 
 

@@ -37,6 +37,7 @@ COLOURS = {name: theme.COLOURS[name] for name in ("tag", "retrieval", "sequence"
 _MAX_LISTED = 200
 # A frame of a list: its number, its name, and lines about it.
 _Entry = tuple[int, str, Sequence[str]]
+_PARTLY = "Placed, though the answer of another method is refused"
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
@@ -167,6 +168,7 @@ def card(
     if place is not None and place.x is not None and place.y is not None:
         at = MapCoordinate.on_map(view.flight, (place.x, place.y)) or describe_offset(place.x, place.y)
     ground = ground_window(located, stage)
+    beside = "" if agreement is None else flight_text.agreement(view, frame, agreement)
     return render(
         "flight/card",
         frame=frame,
@@ -178,7 +180,8 @@ def card(
         reason=flight_text.reason(view, frame),
         refusals=flight_text.refusals(located),
         drone=flight_text.drone(view.flight, located),
-        agreement="" if agreement is None else flight_text.agreement(view, frame, agreement),
+        agreement=beside,
+        unchecked=agreement is not None and bool(agreement.unchecked),
         place=place,
         at=at,
         ground=ground,
@@ -317,6 +320,13 @@ def lists(view: FlightView) -> dict[str, str]:
         for i, located in enumerate(flight.frames)
         if view.beliefs[i].stage in PLACED and (texts := flight_text.refusals(located))
     ]
+    unchecked = [
+        (i, printable(located.frame.name), [flight_text.agreement(view, i, told)])
+        for i, located in enumerate(flight.frames)
+        if view.beliefs[i].stage == "registration"
+        and (told := located.stages["registration"].agreement) is not None
+        and told.unchecked
+    ]
     apart = [
         (one.frame, printable(flight.frames[one.frame].frame.name), [one.told(view.beliefs[one.frame])])
         for one in view.contradictions
@@ -330,7 +340,9 @@ def lists(view: FlightView) -> dict[str, str]:
     if plain():  # the figures stand above the map
         audit = flight_text.EVIDENCE if apart else ""
     return {
-        "refused": _list(refused, "", "Every photo is placed.", ("support", "registration") if refused else (), partly),
+        "refused": _list(
+            refused, "", "Every photo is placed.", ("support", "registration") if refused else (), [(_PARTLY, partly)]
+        ),
         "audit": _list(
             apart,
             audit,
@@ -338,6 +350,7 @@ def lists(view: FlightView) -> dict[str, str]:
             if plain()
             else "Registration, sequence, and tags agree within their radii.",
             ("tag", "radius", "median", "time lag", "offset") if audit else (),
+            [("Not checked beside their middle", unchecked)],
         ),
         "worst": _list(flight_text.worst(view), flight_text.WORST, "No photo has a place."),
         "notes": render("flight/notes", notes=notes),
@@ -365,18 +378,18 @@ def _list(
     sentence: str,
     empty: str,
     terms: Sequence[str] = (),
-    partly: Sequence[_Entry] = (),
+    folded: Sequence[tuple[str, Sequence[_Entry]]] = (),
 ) -> str:
     """Return a list of frames; the page explains its `terms`, see `explorer.web.terms.term`.
 
     Args:
-        partly: placed frames of which one method's answer is refused, folded.
+        folded: further lists, each below its title.
     """
     return render(
         "flight/list",
         entries=entries[:_MAX_LISTED],
         total=len(entries),
-        partly=partly,
+        folded=[(title, of) for title, of in folded if of],
         most=_MAX_LISTED,
         sentence=sentence,
         empty="" if entries else empty,

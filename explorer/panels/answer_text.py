@@ -88,9 +88,10 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
     if analysis.ranking.relevant is None:
         gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
+            known = "Its true place is not known here"
             if workspace.flight is not None and workspace.flight.elsewhere:
-                return None, _OTHER_MAP, f"{workspace.flight.elsewhere}; {gap}."
-            return None, "Best match" if words.plain() else "Nearest tile", f"Its true place is not known here; {gap}."
+                known = workspace.flight.elsewhere
+            return None, "Best match" if words.plain() else "Nearest tile", f"{known}; {gap}."
         if (of_map := _on_map(analysis, workspace)) is not None:
             right, headline, sentence = of_map
             return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
@@ -132,7 +133,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         far = _far(analysis, workspace)
         place = _beside_tag(analysis, workspace, "this one")
         if not place and not analysis.state.upload and workspace.flight is not None and workspace.flight.elsewhere:
-            place = f"{workspace.flight.elsewhere}, so it is not graded"
+            place = "The GPS tags are left out, so it is not graded"
         place = place or "The true place is not known here, so it is not graded"
         text = f"{text} {place}."
         if _off_tag(analysis, workspace):
@@ -152,26 +153,26 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         return (
             True,
             "Right",
-            f"The model compared {pictures} and found the right one{off}.{_limit(analysis, workspace)}",
+            f"The model compared {pictures} and found the right one{off}.",
         )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
-        f"The model compared {pictures} and chose {away}; the right one {rank}.{_limit(analysis, workspace)}",
+        f"The model compared {pictures} and chose {away}; the right one {rank}.",
     )
 
 
-def _limit(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say what a graded piece of a map is right or wrong by, as pieces differ in width; "" where the answer is none."""
+def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say by what a piece of a map is right or wrong, as pieces differ in width; "" for other answers, and ungraded ones."""
     first = analysis.matches[0]
     cut = analysis.task.gallery[first.index].cut
-    if not isinstance(cut, WindowCut):
+    if not isinstance(cut, WindowCut) or first.true is None or analysis.positive is None:
         return ""
     judge = "its GPS tag" if workspace.flight is None else workspace.flight.judge
     lies = "on it" if first.true else "beyond its edge"
-    return f" The chosen piece is {cut.window.size:.0f} m wide; by {judge}, the photo's middle lies {lies}."
+    return f"The chosen piece is {cut.window.size:.0f} m wide; by {judge}, the photo's middle lies {lies}."
 
 
 def flight_verdict(

@@ -285,9 +285,7 @@ def page(
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
         overall=_overall(analysis, workspace, rendered, bool(alterations)),
         rendered=rendered,
-        criterion=""
-        if state.upload
-        else f"{place_text.criterion(workspace, task)} {answer_text.doubts(workspace)}".strip(),
+        criterion="" if state.upload else f"{_criterion(analysis, workspace)} {answer_text.doubts(workspace)}".strip(),
         season="" if state.upload else place_text.season(workspace),
         untried=place_text.untried(workspace),
         alterations=alterations,
@@ -322,7 +320,7 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         by_tags = ", on earth no better than the GPS tags by which the map was made" if laid.by_tags else ""
         found.append(f"{'The drone was above' if laid.camera else 'The middle of the photo lies at'} {at}{by_tags}.")
     trust = " ".join(filter(None, [answer_text.trust(analysis, workspace), radius_is_no_limit(registered, workspace)]))
-    judged = "" if analysis.state.upload else place_text.criterion(workspace, analysis.task)
+    judged = "" if analysis.state.upload else _criterion(analysis, workspace)
     lines = (
         f"{SIGNS[right]} {headline}. {sentence}",
         " ".join(filter(None, found)),
@@ -334,6 +332,11 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         Markup(place_text.place(workspace)).striptags(),
     )
     return Said(tuple(filter(None, lines)), laid.picture if laid else "")
+
+
+def _criterion(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say when an answer is right, and on which side of its edge the photo's middle lies."""
+    return f"{place_text.criterion(workspace, analysis.task)} {answer_text.limit(analysis, workspace)}".strip()
 
 
 def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:

@@ -104,6 +104,11 @@ def speaking(vocabulary: Vocabulary) -> Iterator[None]:
         _spoken.reset(token)
 
 
+def spoken() -> Vocabulary:
+    """Return the vocabulary that is spoken, for work that another thread does later."""
+    return _spoken.get()
+
+
 def plain() -> bool:
     """Return True while plain words are spoken."""
     return _spoken.get().plain
@@ -115,8 +120,8 @@ def say(term: str, number: int = 1) -> str:
     Raises:
         KeyError: when the table lacks the term.
     """
-    spoken, word = _spoken.get(), WORDS[term]
-    text = (spoken.part if term == "part" else word.plain) if spoken.plain else word.expert
+    vocabulary, word = spoken(), WORDS[term]
+    text = (vocabulary.part if term == "part" else word.plain) if vocabulary.plain else word.expert
     if number == 1:
         return text
     return f"{text[:-1]}ies" if text.endswith("y") else f"{text}s"

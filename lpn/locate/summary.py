@@ -11,7 +11,7 @@ from statistics import median
 from lpn.core.files import printable
 from lpn.core.numbers import upper_bound
 from lpn.drawing.verdicts import listed
-from lpn.drawing.words import plain
+from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.maps.tag_placed import placing_sentence
@@ -115,7 +115,9 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
 
     def names(of: Sequence[LocatedFrame]) -> str:
         told = [PurePath(one.frame.name).stem if short else one.frame.name for one in of[:_MOST_NAMES]]
-        further = [f"{len(of) - len(told):,} more"] if len(of) > len(told) else []
+        further = (
+            [f"{len(of) - len(told):,} more in the list {capitalised(say('audit'))}"] if len(of) > len(told) else []
+        )
         return listed([*map(printable, told), *further])
 
     registered = [(frame, one.sign) for frame, one in pairs if one.stage == "registration"]

@@ -143,13 +143,18 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     window.expect_frame(REFUSED)
     expect(window.verdict_of_frame).to_contain_text("Registration: refused. Too few.")
     window.page.mouse.move(*window.at(*GUESS))
-    expect(window.page.locator("#lpn-flight .why")).to_have_text("photo4.png. Registration: refused. Too few.")
+    expect(window.page.locator("#lpn-flight .view .why")).to_have_text("photo4.png. Registration: refused. Too few.")
+    line, tip = box(window.timeline), window.page.locator("#lpn-flight .time .why")
+    window.page.mouse.move(line["x"] + 44 + 0.8 * (line["width"] - 56), line["y"] + line["height"] - 8)
+    expect(tip).to_have_text("photo4.png. Registration: refused. Too few.")
+    window.page.mouse.move(5, 5)
+    expect(tip).to_be_empty()
     cross = window.page.locator("#lpn-flight .legend .term").last
     cross.scroll_into_view_if_needed()  # a scroll hides a tip
     window.page.mouse.move(5, 5)
     cross.click()
     expect(window.page.get_by_role("tooltip")).to_have_text("Registration: refused. Too few.")
-    expect(window.page.locator("#lpn-flight .why")).to_be_empty()
+    expect(window.page.locator("#lpn-flight .view .why")).to_be_empty()
     window.key("n")
     window.expect_frame(5)
     window.page.mouse.click(*window.at(*PLACES[2]))
@@ -322,7 +327,9 @@ def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
 
 
 @pytest.mark.slow
-def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over_the_map(window: FlightPage) -> None:
+def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over_the_map(
+    window: FlightPage, flight_app: RunningFlight
+) -> None:
     def red(x: float, y: float) -> bool:
         """Return whether the page is as red as the photos at a place of the map."""
         left, top = window.at(x, y)
@@ -347,6 +354,17 @@ def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over
     window.eventually(check(False, True, False, False, False))  # it opens in the photo's middle
     slider.fill("0")
     window.eventually(check(True, True, False, False, False))
+    # A link has Swipe and the view.
+    window.page.keyboard.press("+")
+    link = window.page.evaluate("lpn.flight.link()")
+    linked = window.page.context.new_page()
+    linked.goto(f"{flight_app.url}/?flight=1&query=photo2.png&words=expert{link}")
+    expect(linked.get_by_label("swipe")).to_have_value("0")
+    expect(linked.locator("[data-photo=swipe]")).to_have_attribute("aria-pressed", "true")
+    assert linked.evaluate("lpn.flight.link()") == link
+    assert "look=" not in linked.evaluate("location.search")
+    linked.close()
+    window.page.locator("[data-act=fit]").click()
     left = window.at(-20.0, 0.0)[0] - box(slider)["x"]
     slider.fill(str(round(100 * left / box(slider)["width"])))
     window.eventually(check(False, True, False, False, False))

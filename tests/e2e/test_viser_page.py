@@ -40,7 +40,7 @@ ALWAYS = (
     *("tab", "softwareNotice"),
 )
 # On a phone alone.
-SHEET = ("sheet", "sheetHead")
+SHEET = ("sheet", "sheetHead", "sheetParts")
 # Conditions on viser's globals, attributes, and controls, which viser_compat.js relies on.
 TRUE = {
     "__viserMutable.camera": "lpn.viser.camera().matrixWorld.elements.length === 16",

@@ -69,7 +69,7 @@ interface Lpn {
   // viser_compat.js
   viser: {
     SELECTORS: Record<
-      | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "sheetHead" | "scrollRoot" | "scrolled" | "dialog"
+      | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "sheetHead" | "sheetParts" | "scrollRoot" | "scrolled" | "dialog"
       | "dialogTitle" | "dialogHeader" | "dialogBody" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab",
       string
     >;
@@ -188,6 +188,7 @@ interface Lpn {
   address(query: string, keys: string[]): void;
   copy(): Promise<void>;
   copyText(id: string): Promise<void>;
+  look: string | null;
 }
 
 interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }

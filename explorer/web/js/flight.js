@@ -43,9 +43,37 @@
     drawing ||= requestAnimationFrame(() => {
       drawing = 0;
       if (!flight.root?.isConnected || !flight.whole() || !flight.map.draw()) return;
+      if (lpn.look && flight.followed && !flight.own()) relook();
       flight.photo.lay();
       if (!flight.own()) flight.timeline.draw();
     });
+  };
+
+  // What a link has of the map, which the server does not know: photo and slider, and the middle and the width of the view in metres.
+  flight.link = () => {
+    if (!flight.root?.isConnected || !flight.whole() || flight.own() || !flight.map.view()) return "";
+    const { x, y, scale } = flight.map.view(), { mode } = flight.photo;
+    const metres = [x, y, flight.map.size()[0] / scale].map((value) => value.toFixed(1));
+    return "&look=" + [mode === "correct" ? "off" : mode, find(".swipe").value, ...metres].join();
+  };
+  // Show what a link tells; one that is damaged shows nothing of it.
+  const relook = () => {
+    const [mode, ...rest] = lpn.look.split(","), [slider, x, y, across] = rest.map(Number);
+    lpn.look = null;
+    if (!["off", "swipe", "blink"].includes(mode) || ![slider, x, y].every(Number.isFinite) || !(across > 0)) return;
+    flight.photo.use(mode);
+    find(".swipe").value = slider;
+    flight.map.show([x, y], across);
+    flight.mark();
+  };
+  // Write a text into a tip beside a mark, within a width in pixels; an empty one hides it.
+  flight.tell = (tip, text, [left, top], width, reach, more = "") => {
+    tip.textContent = text;
+    if (!text) return;
+    tip.insertAdjacentHTML("beforeend", more);
+    const below = top < tip.offsetHeight + reach;
+    tip.style.left = lpn.clamp(left - tip.offsetWidth / 2, 0, Math.max(width - tip.offsetWidth, 0)) + "px";
+    tip.style.top = (below ? top + reach : top - reach - tip.offsetHeight) + "px";
   };
 
   // ---- from the server
@@ -113,13 +141,14 @@
     if (track.state[frame] === 2) return `<span class="term" tabindex="0" data-tip="${escaped(track.reason[frame])}">${SIGNS[2]}</span> `;
     return track.x[frame] === null ? "" : SIGNS[flight.doubted(name, frame) ? 1 : track.state[frame]] + " ";
   };
+  const byPointer = (mouse, touch) => `<span class="for-mouse">${mouse}</span><span class="for-touch">${touch}</span>`;
   // Explain the marks on the map, as far as their tracks are switched on.
   const legend = () => {
     const shown = flight.tracks().map(([, track]) => track), parts = [];
     if (shown.some((track) => track.state.includes(2)))
-      parts.push('Hollow dot: refused; <span class="for-mouse">point at it, or at its ✗,</span><span class="for-touch">tap it, or its ✗,</span> for the reason.');
+      parts.push(`Hollow dot: refused; ${byPointer("point at it, or at its ✗,", "tap it, or its ✗,")} for the reason.`);
     if (flight.tracks().some(([name]) => flight.data.names.some((_, i) => flight.doubted(name, i))))
-      parts.push("Diamond: contradicted by its GPS tag, its neighbours, or the map beside its middle; point at it for the metres.");
+      parts.push(`Diamond: contradicted by its GPS tag, its neighbours, or the map beside its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
     parts.push("Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it.");
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
     return parts.join(" ");
@@ -151,8 +180,13 @@
     if (!flight.whole()) return;
     flight.fillLegend();
     fill(find(".lists"), html.counts);
-    fill(find(".listed"), html[list] || '<p class="dim"><span class="for-mouse">Shift and click on the map</span><span class="for-touch">Tap Who saw? and then the map</span>: the frames that show the spot.</p>');
-    if (followed) fill(find(".about"), followed.card);
+    fill(find(".listed"), html[list] || `<p class="dim">${byPointer("Shift and click on the map", "Tap Who saw? and then the map")}: the frames that show the spot.</p>`);
+    if (followed) {
+      const open = find(".about details")?.open;
+      fill(find(".about"), followed.card);
+      // Folded or not, it stays so from photo to photo.
+      if (open !== undefined) find(".about details")?.toggleAttribute("open", open);
+    }
     const bar = find(".scores");
     bar.style.display = painted ? "flex" : "none";
     if (painted) {
@@ -161,6 +195,7 @@
     }
     root.classList.toggle("plainly", data.plain);
     root.classList.toggle("own", flight.own() !== null);
+    root.classList.toggle("elsewhere", data.elsewhere !== "");
     root.classList.toggle("more", more);
     flight.mark();
     flight.draw();
@@ -259,6 +294,7 @@
     const root = document.getElementById("lpn-flight");
     if (!root || root === flight.root) return refresh();
     flight.root = root;
+    root.closest(lpn.viser.SELECTORS.sheetParts)?.classList.add("lpn-parts");
     root.addEventListener("click", onClick);
     root.addEventListener("keydown", onKey);
     root.addEventListener("scroll", edges, { capture: true, passive: true });

@@ -12,6 +12,7 @@
   let box = null; // the map's element
   let map = null; // its `PanZoom`
   let offered = -1; // the frame of the answer whose reason is told
+  let linked = null; // the middle and the metres from side to side that a link tells, until the map is moved
   let moved = false; // the user has moved the map since it was fitted
   let seen = ""; // the frame of a flight that goes on which was last looked for
 
@@ -49,6 +50,7 @@
   // Show the flight, or the whole map if nothing of it lies there, and at least 40 m of ground.
   const fit = () => {
     moved = false;
+    linked = null;
     if (!box?.clientWidth) return;
     const own = flight.own(), inside = own ? ofOwn(own) : [...near(), ...newest()], whole = flight.data.bounds;
     const [across, up] = inside.length > 1 ? [0, 1].map((axis) => flight.range(inside.map((at) => at[axis]))) : [0, 1].map((axis) => [whole[axis], whole[axis + 2]]);
@@ -227,15 +229,12 @@
   };
   // Say beside an answer's mark why it is refused or contradicted.
   const explain = ({ frame, track }, offers = false) => {
-    const reason = track?.reason?.[frame], tip = find(".why");
-    tip.textContent = reason ? flight.data.names[frame] + ". " + reason : "";
-    if (!reason) return;
+    const reason = track?.reason?.[frame];
+    if (!reason) return void (find(".why").textContent = "");
     offered = frame;
-    if (offers) tip.insertAdjacentHTML("beforeend", ' <a data-act="turnto" role="button" tabindex="0">Show this photo</a>');
-    const [left, top] = map.toPixels(place(track, frame)), [width] = map.size();
-    const below = top < tip.offsetHeight + REACH;
-    tip.style.left = lpn.clamp(left - tip.offsetWidth / 2, 0, Math.max(width - tip.offsetWidth, 0)) + "px";
-    tip.style.top = (below ? top + REACH : top - REACH - tip.offsetHeight) + "px";
+    const more = offers ? ' <a data-act="turnto" role="button" tabindex="0">Show this photo</a>' : "";
+    // The buttons on the right stay free.
+    flight.tell(find(".why"), flight.data.names[frame] + ". " + reason, map.toPixels(place(track, frame)), find(".zoom").offsetLeft - 6, REACH, more);
   };
   const read = (at) => {
     const [x, y] = map.toPlane(at), pointed = hit(at), { frame } = pointed;
@@ -276,6 +275,14 @@
       find(".why").textContent = "";
       flight.choose(offered);
     },
+    // Look at a place, and at some metres from side to side, also while the window still changes its size.
+    show: (middle, across) => {
+      const [west, south, east, north] = bounds(), x = lpn.clamp(middle[0], west, east), y = lpn.clamp(middle[1], south, north);
+      map.fit([x - across / 2, y], [x + across / 2, y], 1, Number.EPSILON);
+      linked = [middle, across];
+      moved = true;
+      flight.draw();
+    },
     // Look at some points, unless all of them are in sight.
     include: (points) => {
       const [width, height] = map.size();
@@ -283,6 +290,7 @@
       const [across, up] = [0, 1].map((axis) => flight.range(points.map((at) => at[axis])));
       map.fit([across[0], up[0]], [across[1], up[1]], 0.8, 10);
       moved = true;
+      linked = null;
       flight.draw();
     },
     // Look at some points, unless they are in sight and fill nearly half of it.
@@ -293,6 +301,7 @@
       if (seen && large > 0.45) return;
       map.fit([across[0], up[0]], [across[1], up[1]], 0.85, 10);
       moved = true;
+      linked = null;
       flight.draw();
     },
     // Another flight or map has taken the place of the one before, which may be null.
@@ -302,7 +311,8 @@
     },
     // The flight is fitted into the window again when that changes its size, unless the user has looked elsewhere.
     resized: () => {
-      if (!moved) map.view = null;
+      if (linked) flight.map.show(...linked);
+      else if (!moved) map.view = null;
     },
     // Show another picture of scores.
     paint: (source) => {
@@ -319,7 +329,11 @@
         limits: () => [20 / flight.data.pyramid.side, 8 / flight.data.resolution],
         bounds,
         ready: () => !!(flight.data && map.view),
-        changed: () => ((moved = true), flight.draw()),
+        changed: () => {
+          moved = true;
+          linked = null;
+          flight.draw();
+        },
         home: fit,
         pointed: read,
         tapped,

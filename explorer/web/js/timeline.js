@@ -24,6 +24,17 @@
       for (const value of [5 * power, 2 * power, power]) if (value < top && apart(value)) chosen.push(value);
     return chosen;
   };
+  // Pixels within which the pointer is at a mark, and the marks that are drawn: left, top, frame, and why it is doubted or refused.
+  const REACH = 10;
+  let marks = [];
+  const reasonOf = (name, i) => flight.data.tracks[name]?.reason?.[i];
+  // Say beside the mark at a place why it is contradicted or refused.
+  const explain = ([left, top]) => {
+    const far = (mark) => Math.hypot(mark[0] - left, mark[1] - top);
+    const mark = marks.reduce((best, one) => (far(one) < far(best) ? one : best), [0, -1000, 0, ""]), tip = flight.find(".time .why");
+    const reason = far(mark) < REACH ? mark[3] : "";
+    flight.tell(tip, reason && flight.data.names[mark[2]] + ". " + reason, mark, element.clientWidth, REACH);
+  };
   // Draw lines, each with values, states (2: refused), and a colour, between two heights of the canvas.
   const band = (pen, data, { plot, lines }, colour, width, head, foot) => {
     const values = lines.flatMap((one) => one.values.filter((value) => value !== null)).sort((a, b) => a - b);
@@ -60,7 +71,8 @@
       pen.stroke();
       known.forEach((value, i) => {
         if (value === null) return;
-        const at = [across(i, width, data), level(value)], small = data.names.length > 300;
+        const at = [across(i, width, data), level(value)], small = data.names.length > 300, reason = reasonOf(name, i);
+        if (reason) marks.push([...at, i, reason]);
         if (flight.doubted(name, i)) return lpn.pens.diamond(pen, at, small ? 3 : 5, lpn.colour("contradicted"));
         pen.fillStyle = pen.strokeStyle = ink;
         pen.beginPath();
@@ -105,6 +117,7 @@
     const [pen] = lpn.pens.canvas(element);
     const [width, height] = [element.clientWidth, element.clientHeight];
     const foot = height - 16, tall = foot / plots.length;
+    marks = [];
     plots.forEach((plot, i) => {
       band(pen, data, { plot, lines: series(plot) }, colour, width, i * tall + 8, (i + 1) * tall);
       if (plots.length === 1) return;
@@ -115,6 +128,8 @@
     data.signs.forEach((sign, i) => {
       pen.fillStyle = flight.doubted(data.stages[i], i) ? lpn.colour("contradicted") : colour;
       pen.fillRect(across(i, width, data) - 2, foot + 13 - SIGNS[sign], 4, SIGNS[sign]);
+      const reason = sign ? "" : reasonOf(data.stages[i], i) || reasonOf("registration", i);
+      if (reason) marks.push([across(i, width, data), foot + 9, i, reason]);
     });
     say();
     if (flight.wanted !== null) {
@@ -148,14 +163,23 @@
       const choose = (event) => flight.data && flight.choose(nearest(event.offsetX));
       // A finger that moves across scrolls the page, so it chooses by a tap alone.
       let finger = false;
-      element.addEventListener("click", (event) => finger && choose(event));
+      element.addEventListener("click", (event) => {
+        if (!finger) return;
+        choose(event);
+        explain([event.offsetX, event.offsetY]);
+      });
       element.addEventListener("pointerdown", (event) => {
         finger = event.pointerType === "touch";
         if (finger) return;
         element.setPointerCapture(event.pointerId);
         choose(event);
       });
-      element.addEventListener("pointermove", (event) => !finger && element.hasPointerCapture(event.pointerId) && choose(event));
+      element.addEventListener("pointermove", (event) => {
+        if (event.pointerType === "touch" || !flight.data) return;
+        explain([event.offsetX, event.offsetY]);
+        if (element.hasPointerCapture(event.pointerId)) choose(event);
+      });
+      element.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (flight.find(".time .why").textContent = ""));
     },
   });
 })();

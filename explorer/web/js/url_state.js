@@ -5,6 +5,11 @@
   // viser rewrites the address without escaping it; the navigation entry has it as the user typed it.
   const opened = performance.getEntriesByType("navigation")[0];
   let search = new URL(opened ? opened.name : location.href).search;
+  // What a link has of a flight's map, which the page shows by itself, see `lpn.flight.link`; it is no part of the address.
+  const given = new URLSearchParams(search);
+  lpn.look = given.get("look");
+  given.delete("look");
+  if (lpn.look !== null) search = "?" + given;
   let greeting = 0;
   let writing = 0; // the timer of the address that waits to be written
   let waiting = null; // that address, and whether it came unasked
@@ -133,10 +138,12 @@
   };
 
   lpn.copy = async () => {
-    const own = new URLSearchParams(search).get("query") === "own";
-    if (!(await copied(location.origin + location.pathname + search + location.hash)))
+    const shown = new URLSearchParams(search), own = shown.get("query") === "own";
+    const look = (shown.get("flight") === "1" && lpn.flight?.link()) || "";
+    if (!(await copied(location.origin + location.pathname + search + look + location.hash)))
       lpn.say("This browser does not let pages copy: take the link from the address bar.");
     else if (own) lpn.say("Link copied. Your own picture is not in it.");
+    else if (look) lpn.say("Link copied: it opens this photo and the map as you see it, with Swipe or Blink.");
     else lpn.say("Link copied: it opens what you see.");
   };
 

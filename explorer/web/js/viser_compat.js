@@ -15,6 +15,7 @@
     unfolded: ".tabler-icon-chevron-up",
     sheet: '.mantine-Paper-root[style*="max-height: 60%"]', // the panels of a phone
     sheetHead: '.mantine-Paper-root[style*="max-height: 60%"] div[style="width: 20em;"] > div[style*="cursor: pointer"]',
+    sheetParts: "div:has(> .mantine-Divider-root)", // around the panels and the windows of a phone, one below the other
     scrollRoot: ".mantine-ScrollArea-root",
     scrolled: ".mantine-ScrollArea-viewport",
     dialog: ".mantine-Modal-content",
