@@ -20,6 +20,7 @@ import pytest
 import explorer.app
 import lpn
 from explorer import opening, session_state
+from explorer.browse.feeds import Feeds
 from explorer.browse.query_list import entries
 from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.compute import own_photos
@@ -159,6 +160,18 @@ def test_registration_replaces_the_flight_when_it_is_done(
     assert newest.table.columns["reason"].values[5] == "Only 4 matches agree."
     assert newest.table.columns["sequence off tag"].about.startswith("Distance from the photo's GPS tag")
     assert "reason" not in [column.name for column in lab_state.charted_columns(newest)]
+    # What is of the look alone says so, and rows that are fetched later speak as the table does.
+    lab, rows, feeds = LabState(task=TASK), newest.table.rows(), Feeds(workspace)
+    with speaking(workspace.vocabulary(True)):
+        table = lab_table.table(newest, lab, len(rows), 1, 300)
+        assert " wrong (" in (summary := lab_table.summary(newest, lab, rows))
+        feed = lab_table.publish(feeds, "me", newest, lab, rows)
+    assert "distance by its look" in table
+    assert "verdict of all methods" in table
+    assert ") by their look<" in summary
+    fetched = feeds.find(f"{feeds.address.partition('/')[2]}{feed}0")
+    assert fetched is not None
+    assert b"only guessed" in fetched().data
 
 
 def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspace) -> None:
@@ -465,8 +478,8 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
             computed.append((len(photo), done))
             tried.release()
             while not steps.acquire(timeout=0.02):
-                arguments[-1](done, 3)
-            arguments[-1](done + 1, 3)
+                arguments[5](done, 3)
+            arguments[5](done + 1, 3)
         return "placed"
 
     def go_on(tries: int) -> None:

@@ -646,9 +646,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
             assert "✗ Wrong by its look. The model compared 224 pieces of the map and chose a place " in said
-            assert re.search(
+            limit = re.search(
                 r"The chosen piece is \d+ m wide; by its details, the photo's middle lies beyond its edge\.", said
             )
+            assert (limit is None) == why
             assert f"{sign} {headline} The model's own guess, by its look alone, was wrong, " in said
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
