@@ -200,6 +200,29 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
         "1 could not be checked beside the middle, where too few places were found on the map: photo0."
     )
     assert "not checked beside its middle" in page.lists(unchecked)["worst"]
+    listed = page.lists(unchecked)["audit"]
+    assert "<summary>Not checked beside their middle: 1</summary>" in listed
+    assert 'data-frame="0"' in listed.partition("Not checked beside their middle")[2]
+    assert "Not checked beside" not in lists["audit"]
+    # In plain words the card folds what is no warning; in the field's words nothing is folded.
+    for shown, folded in ((view, True), (unchecked, False)):
+        card = page.card(shown, 0, "x/", agreement=shown.flight.frames[0].stages["registration"].agreement)
+        told = card.partition("<details>")
+        assert ('id="lpn-flight-agreement"' in told[2]) == folded != ('id="lpn-flight-agreement"' in told[0])
+    with speaking(Vocabulary()):
+        card = page.card(view, 0, "x/", agreement=view.flight.frames[0].stages["registration"].agreement)
+    assert "<details open>" in card
+
+
+@pytest.mark.usefixtures("plainly")
+def test_a_picture_whose_file_was_turned_says_so(flight: LocatedFlight) -> None:
+    def told(turn: float) -> str:
+        stages = dict(flight.frames[0].stages)
+        stages["registration"] = msgspec.structs.replace(stages["registration"], turn=turn)
+        return flight_text.reason(view_of(replace(flight, frames=[replace(flight.frames[0], stages=stages)])), 0)
+
+    assert "The picture is turned by 179 degrees here: its file tells another heading" in told(-179.2)
+    assert "turned" not in told(4.0)
     fits = flight_text.accuracy(view_of(compared(flight, 0, 0.4, 0.5, 0.6)))
     assert fits is not None
     assert "do not fit" not in fits[0]
