@@ -34,6 +34,7 @@ _MAX_LENGTH = 20_000
 _MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
+_NO_OWN = "This link was made for a picture of somebody's own, which links do not carry. Here is the first picture of the place."
 # The words of parameters in the summary of an address; most have more values than one.
 _SUMMARY = {
     "scoring": "ranked anew",
@@ -145,18 +146,27 @@ class UrlState:
             try:
                 state = parameter.read(state, value)
             except UnusableError as problem:
-                problems.append(f"{parameter.key}={printable(value[:60])}: {problem}")
-                if (parameter.key, value) == ("query", OWN):  # what was done to that picture suits no other one
+                lost = (parameter.key, value) == ("query", OWN)
+                problems.append(str(problem) if lost else f"{parameter.key}={printable(value[:60])}: {problem}")
+                if lost:  # what was done to that picture suits no other one
                     values = {key: text for key, text in values.items() if key not in _OF_QUERY}
         return state, problems
 
-    def names_a_state(self, text: str) -> bool:
-        """Return True if a query string names anything to show besides a theme and words.
+    def names_nothing(self, text: str) -> bool:
+        """Return True if a query string names neither a workspace, nor a screen, nor anything to show there.
 
         Args:
             text: untrusted.
         """
-        return bool(self._named(text))
+        return not self._named(text)
+
+    def names_a_state(self, text: str) -> bool:
+        """Return True if a query string names anything to show besides a workspace, a screen, a theme, and words.
+
+        Args:
+            text: untrusted.
+        """
+        return bool(self._named(text) - {"show", "screen"})
 
     def names_only_a_workspace(self, text: str) -> bool:
         """Return True if a query string names a workspace, and nothing to show in it besides a theme, words, and a screen.
@@ -263,10 +273,7 @@ class UrlState:
         task = self._workspace.tasks[state.task]
         query = self._position(state, "query", len(task.queries), value)
         if query is None and value == OWN:
-            raise UnusableError(
-                "your own picture is no longer here, as a page holds one until it is loaded again or you close it; open "
-                "the file again."
-            )
+            raise UnusableError(_NO_OWN)
         if query is None:
             raise UnusableError(f"there is no such query; names are such as {task.queries[0].name}.")
         return replace(state, query=query)

@@ -10,7 +10,6 @@ from explorer import lab_choices, session_state
 from explorer.client.messages import Greeting
 from explorer.client.views import ClientViews
 from explorer.compute.worker import DelayedCall
-from explorer.panels.first_screen import plain_state
 from explorer.session_state import SessionState
 from explorer.stage.viewport import MAX_SIDE
 from explorer.url_state import UrlState
@@ -71,14 +70,12 @@ class PageAddress:
                 self._show_other(other, search)
                 return
             before = self._state()
-        named = self._url_state.names_a_state(search) and not self._url_state.names_only_a_workspace(search)
-        start = self._plain if named else before
+        start = self._plain if self._url_state.names_a_state(search) else before
         start = replace(start, dark=not greeting.light, plain=greeting.plain)
         # A page that comes back from another workspace holds its own pictures still.
         state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
-        state = plain_state(state, greeting.first, self._url_state.names_a_state(search))
         state = opened_alone(self._url_state, self._workspace, search, state)
         with self._lock:
             self._views.show_state(state)
@@ -138,7 +135,9 @@ class PageAddress:
 
 
 def opened_alone(url_state: UrlState, workspace: Workspace, search: str, state: SessionState) -> SessionState:
-    """Return what an address shows that names a workspace alone: of a flight, its window or the first screen."""
+    """Return what an address shows that names a workspace alone, of a flight its window or the first screen, or nothing."""
+    if url_state.names_nothing(search):
+        return replace(state, first_screen=True)
     if not workspace.has_flight or not url_state.names_only_a_workspace(search):
         return state
     first = bool(workspace.about) or state.first_screen

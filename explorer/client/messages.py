@@ -25,7 +25,6 @@ class Greeting(msgspec.Struct, frozen=True):
     Attributes:
         search: the query string of its address.
         small: its window has room for one panel only.
-        first: its browser asks for the first screen.
         plain: its browser reads plain words.
         light: its browser asks for the light theme.
         theme: the theme that was chosen in its browser before; None without one.
@@ -34,7 +33,6 @@ class Greeting(msgspec.Struct, frozen=True):
 
     search: str
     small: bool = False
-    first: bool = False
     plain: bool = False
     light: bool = False
     theme: str | None = None

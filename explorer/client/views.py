@@ -131,6 +131,7 @@ class ClientViews:
             "tour": msgspec.to_builtins(self.stories.tour),
             "places": tour.places(),
             "keys": services.url_state.keys,
+            "noLink": answer_text.NO_LINK,
             "ownHint": answer_text.own_hint(workspace, shows_rendered(workspace.root)),
         }
         self.bridge = PageBridge(client.gui, {**of_views, **receivers}, properties, style.STYLE)
@@ -202,7 +203,7 @@ class ClientViews:
         """Open and close what a state opens and closes at once, before its analysis."""
         if state.dark != before.dark:
             self.set_theme(state)
-        if state.screen != before.screen:
+        if (state.screen, state.query, state.upload) != (before.screen, before.query, before.upload):
             self.panels.forget_error()
         if state.shows_reasons and not before.shows_reasons:
             self.explain_window.announce()

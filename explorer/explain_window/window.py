@@ -514,10 +514,7 @@ class ExplainWindow:
     def _report(self) -> None:
         content = self._content
         if content is not None:
-            self._reporter.make(
-                partial(self._reported, content.analysis),
-                control="Save as a report (HTML)",
-            )
+            self._reporter.make(partial(self._reported, content.analysis), control="Save this answer")
 
     def _reported(
         self, analysis: StateAnalysis, progress: ReportProgress, model: QueuedModel | None

@@ -33,6 +33,7 @@ OWN_KEPT = (
     "Your picture stays in the memory of the computer that runs this program, which is yours if you started it, until you close "
     "this page, and goes nowhere else."
 )
+NO_LINK = "A link cannot carry your own picture."
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
 ELSEWHERE = ("Not one of these", "Probably none of these")

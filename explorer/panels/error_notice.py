@@ -6,12 +6,9 @@ import threading
 
 import viser
 
-# Seconds for which an error is shown.
-_TOLD = 12.0
-
 
 class ErrorNotice:
-    """Shows one error at a time, which goes by itself; thread-safe."""
+    """Shows one error at a time, until a person closes it or it is forgotten; thread-safe."""
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client, self._lock = client, threading.Lock()
@@ -21,7 +18,7 @@ class ErrorNotice:
         """Show an error in place of the one before."""
         with self._lock:
             self._take_away()
-            self._notification = self._client.add_notification(title, text, color="red", auto_close_seconds=_TOLD)
+            self._notification = self._client.add_notification(title, text, color="red", auto_close_seconds=None)
 
     def forget(self) -> None:
         """Take the last error away: it speaks of something that is over."""

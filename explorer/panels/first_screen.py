@@ -280,6 +280,7 @@ def page(
         stories=stories,
         own_position=own_position,
         own_held=own_held,
+        no_link=answer_text.NO_LINK if state.upload else "",
         elsewhere=state.upload is not None
         and (headline in answer_text.ELSEWHERE or (own is not None and not own.answer.accepted)),
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
@@ -598,8 +599,3 @@ def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) 
             query = None
     turn = matching_turn(analysis, query, state.angle, registered)
     return None if turn is None or abs(turn.degrees) < least else turn
-
-
-def plain_state(state: SessionState, first: bool, named: bool) -> SessionState:
-    """Return the state that a page opens with: on the first screen if the browser asks for it and its address names no state."""
-    return replace(state, first_screen=True) if first and not named else state

@@ -100,6 +100,7 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
         no_scorings=workspace.scorings.why_not,
         preparing=preparing,
         own=own,
+        no_link=answer_text.NO_LINK if own else "",
     )
 
 

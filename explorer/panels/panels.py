@@ -86,6 +86,7 @@ class Panels:
 
     def leave(self) -> None:
         """Stop all threads and computations of the panels."""
+        self.forget_error()
         self.query.leave()
         if self.parts is not None:
             self.parts.leave()

@@ -33,7 +33,7 @@ from tools.fixtures.published_results import save_result
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 120.0
-# Run in each page before its own scripts: no stored settings, neither first screen nor tour, no notice about software WebGL over
+# Run in each page before its own scripts: no stored settings, no tour, no notice about software WebGL over
 # the page, and a quarter of the stage's pixels (viser's own parameter), because software draws them.
 _PREPARE = (
     """
@@ -227,8 +227,8 @@ class ExplorerPage:
         self.notifications = page.locator(".mantine-Notification-root:not(#webgl-software-rendering)")
 
     def open(self, url: str) -> None:
-        """Load the page and wait for the first answer on the stage."""
-        self.page.goto(url)
+        """Load the page, its workbench for an address that names nothing, and wait for the first answer on the stage."""
+        self.page.goto(url if "?" in url else f"{url}/?screen=all")
         self.await_answer()
 
     def await_answer(self) -> None:

@@ -63,18 +63,19 @@ def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh:
     expect(first).to_have_count(0)
     expect(fresh.locator("#lpn-counterfactual .painted img")).to_be_visible()
 
-    # A link opens what it names; the browser remembers that the rest is unfolded.
+    # A link opens what it names, and an address that names nothing the first screen, wherever the page was left.
     fresh.goto(link)
     expect(first.locator(".reason .track")).to_have_count(4)
     expect(first.locator("figcaption").first).to_contain_text("0008")
+    fresh.keyboard.press("b")
+    expect(first).to_have_count(0)
     fresh.goto(app.url)
-    explorer.await_answer()
+    expect(button).to_have_text("Why?")
+    explorer.open(f"{app.url}/?screen=all")
     expect(explorer.rows).to_have_count(10)
     expect(first).to_have_count(0)
     fresh.keyboard.press("Escape")
     fresh.locator("#lpn-header").get_by_role("button", name="Start", exact=True).click()
-    expect(button).to_have_text("Why?")
-    fresh.goto(app.url)
     expect(button).to_have_text("Why?")
     fresh.keyboard.press("b")
     expect(first).to_have_count(0)
@@ -159,9 +160,12 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     fresh.keyboard.press("Escape")
     expect(first.locator(".reason")).to_have_count(0)
     link = first.get_by_role("button", name="Link", exact=True)
-    link.click()
-    expect(fresh.locator("#lpn-notice")).to_have_text("A link cannot carry your own picture.")
-    expect(link).to_have_accessible_description("A link cannot carry your own picture")
+    link.focus()
+    why = "A link cannot carry your own picture. “Save this answer” makes a file that can be sent."
+    expect(link).to_have_accessible_description(why)
+    with fresh.expect_download() as download:
+        first.get_by_role("button", name="Save this answer").click()
+    assert "mine.png" in download.value.path().read_text("utf-8")
     expect(first.locator(".overall")).to_contain_text("stays in the memory of the computer that runs this program")
 
     # Several at once are stepped through.

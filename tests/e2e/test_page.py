@@ -118,19 +118,25 @@ def test_a_hostile_address_does_no_harm(app: RunningApp, new_page: Callable[[], 
 
 
 @pytest.mark.slow
-def test_ones_own_picture_is_said_not_to_be_in_the_link(
-    explorer: ExplorerPage, contexts: Callable[..., BrowserContext], tmp_path: Path
+def test_ones_own_picture_is_in_no_link(
+    app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path
 ) -> None:
+    explorer = ExplorerPage(contexts(permissions=["clipboard-read", "clipboard-write"]).new_page())
+    explorer.open(app.url)
+    explorer.page.evaluate("navigator.clipboard.writeText('before')")
     file = tmp_path / "mine.png"
     small_worlds.write(file, small_worlds.place(77))
     explorer.upload(file)
     explorer.expect_status("name", "mine.png")
     wait_address(explorer, "query", "own")
-    explorer.page.get_by_text("Link", exact=True).click()
-    expect(explorer.page.locator("#lpn-notice")).to_contain_text("not in it")
+    explorer.page.get_by_role("button", name="Link", exact=True).click()
+    expect(explorer.page.locator("#lpn-term")).to_contain_text("A link cannot carry your own picture.")
+    explorer.key("i")
+    expect(explorer.page.locator("#lpn-notice")).to_have_text("A link cannot carry your own picture.")
+    assert explorer.page.evaluate("navigator.clipboard.readText()") == "before"
     other = ExplorerPage(contexts().new_page())
     other.page.goto(explorer.page.url)
-    expect(other.page.locator(".mantine-Notification-root", has_text="open the file again")).to_be_visible()
+    expect(other.notifications.first).to_contain_text("This link was made for a picture of somebody's own")
 
 
 @pytest.mark.slow
@@ -170,7 +176,6 @@ def test_the_tour_and_the_notice_about_software_webgl_are_shown_once_and_the_tou
     app: RunningApp, browser: Browser
 ) -> None:
     context = browser.new_context(viewport={"width": 1280, "height": 720})
-    context.add_init_script("localStorage.setItem('lpn-screen', 'all')")
     explorer = ExplorerPage(context.new_page())
     explorer.open(app.url)
     notice = explorer.page.locator("#webgl-software-rendering")

@@ -139,10 +139,8 @@ def figures(count: int = COUNT) -> list[Figure]:
         with ServerProcess(command, {**os.environ, "LPN_CACHE": cache}) as app, sync_playwright() as playwright:
             browser = launch(playwright)
             context = browser.new_context(viewport={"width": 1440, "height": 900})
-            context.add_init_script(
-                "localStorage.setItem('lpn-tour', 'seen'); localStorage.setItem('lpn-screen', 'all')"
-            )
-            found = measure(context.new_page(), app.url)
+            context.add_init_script("localStorage.setItem('lpn-tour', 'seen')")
+            found = measure(context.new_page(), f"{app.url}/?screen=all")
             browser.close()
     return found
 

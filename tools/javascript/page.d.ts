@@ -43,6 +43,7 @@ interface Lpn {
   keys: string[];
   title: string;
   ownHint: string;
+  noLink: string;
   tour: Story;
   scene: { width: number; height: number; middle: Point };
   places: Record<string, Place>;
@@ -128,7 +129,6 @@ interface Lpn {
   point(card: HTMLElement | null, name?: string): void;
   leaveFirst(): void;
   screen(): "" | "first" | "all";
-  prefersFirst(): boolean;
   opening(): void;
   unopened(reason: string, goesOn?: boolean): void;
   firstAgain(): unknown;

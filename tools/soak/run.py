@@ -165,7 +165,7 @@ class Soak:
 
         try:
             for driver in drivers:
-                driver.enter("")
+                driver.enter("screen=all")
             for _ in range(FLOODS):
                 sample = server.sample(0.0, 0)
                 if sample is None or empty is None or sample.threads >= empty.threads + CALLBACKS + 4 * len(drivers):

@@ -1,17 +1,15 @@
-// The first screen: it lies over the rest of the page, which takes no focus meanwhile. The browser remembers which of the two it left.
+// The first screen: it lies over the rest of the page, which takes no focus meanwhile.
 (() => {
   const lpn = window.lpn;
   if (lpn.first) return;
   const { SELECTORS } = lpn.viser;
-  const STORAGE_KEY = "lpn-screen";
-  const AT_ONCE = ["copy", "dark", "glossary", "north", "upload", "choose", "not-now"]; // these need no answer
+  const AT_ONCE = ["copy", "save", "dark", "glossary", "north", "upload", "choose", "not-now"]; // these need no answer
   const LATE = 20000; // ms after which the first answer is late
   let newest = ""; // the screen's content when it was last shown
   /** @type {"" | "first" | "all"} */
   let shown = ""; // "first", "all", or nothing before the first answer
 
   lpn.screen = () => shown;
-  lpn.prefersFirst = () => lpn.stored("local", STORAGE_KEY) !== "all";
 
   // What was pressed has been answered.
   const settled = () => document.querySelectorAll("#lpn-first .waiting").forEach((one) => one.classList.remove("waiting"));
@@ -157,7 +155,6 @@
   // Show the screen, or close it for an empty text; a story comes only to the plain stage (`free`), unasked only if `unasked`.
   lpn.first = (html, free, unasked) => {
     const now = html ? "first" : "all", before = shown;
-    if (shown && shown !== now) lpn.store("local", STORAGE_KEY, now);
     shown = now;
     clearTimeout(late);
     const same = html === newest && document.querySelector("#lpn-first [data-query]");

@@ -27,6 +27,7 @@
   for (const kind of ["mouseover", "focusin", "click"])
     document.addEventListener(kind, (event) => (termOf(event) ? show(termOf(event)) : kind !== "focusin" && lpn.hideTip()));
   document.addEventListener("focusout", lpn.hideTip);
-  document.addEventListener("scroll", lpn.hideTip, true);
+  // The page scrolls to what gets the focus.
+  document.addEventListener("scroll", () => (document.activeElement?.matches(".term[aria-describedby]") ? show(document.activeElement) : lpn.hideTip()), true);
   document.addEventListener("keydown", (event) => event.key === "Escape" && lpn.hideTip(), true);
 })();

@@ -76,12 +76,10 @@
     begun = true;
     document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
     const names = [...new URLSearchParams(search).keys()].filter((key) => !["theme", "words"].includes(key) && lpn.keys.includes(key));
-    const named = names.length > 0;
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
-    const first = lpn.prefersFirst() && !named;
     // Another place may take seconds to open; its first screen says so, too.
-    if (first || new URLSearchParams(search).get("screen") === "first") lpn.opening();
-    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), first: first, plain: lpn.stored("local", WORDS) !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
+    if (!names.length || new URLSearchParams(search).get("screen") === "first") lpn.opening();
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), plain: lpn.stored("local", WORDS) !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = lpn.every(500, hello);
     hello();
     held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
@@ -138,11 +136,11 @@
   };
 
   lpn.copy = async () => {
-    const shown = new URLSearchParams(search), own = shown.get("query") === "own";
+    const shown = new URLSearchParams(search);
+    if (shown.get("query") === "own") return lpn.say(lpn.noLink, 8);
     const look = (shown.get("flight") === "1" && lpn.flight?.link()) || "";
     if (!(await copied(location.origin + location.pathname + search + look + location.hash)))
       lpn.say("This browser does not let pages copy: take the link from the address bar.");
-    else if (own) lpn.say("Link copied. Your own picture is not in it.");
     else if (look) lpn.say("Link copied: it opens this photo and the map as you see it, with Swipe or Blink.");
     else lpn.say("Link copied: it opens what you see.");
   };

@@ -257,7 +257,7 @@ def test_the_first_answer_of_a_browser_may_be_refused_too(
     with Browser(url(app)) as browser:
         browser.camera()
         browser.wait(lambda: browser.find("page") is not None)
-        browser.tell("hello", {"search": "", "small": False})
+        browser.tell("hello", {"search": "?screen=all", "small": False})
         browser.wait(lambda: "Busy: too many people" in browser.html())
         assert browser.status("seq") == "0"
         gate.open.set()

@@ -5,13 +5,13 @@ from unittest.mock import MagicMock
 from explorer.panels.error_notice import ErrorNotice
 
 
-def test_an_error_goes_by_itself_with_the_next_one_or_when_it_is_over() -> None:
+def test_an_error_stays_until_the_next_one_or_until_it_is_over() -> None:
     client = MagicMock()
     handles = client.add_notification.side_effect = [MagicMock(), MagicMock()]
     notice = ErrorNotice(client)
     notice.forget()  # there is none
     notice.show("Upload failed", "a.png is damaged")
-    assert client.add_notification.call_args.kwargs["auto_close_seconds"] == 12
+    assert client.add_notification.call_args.kwargs["auto_close_seconds"] is None
     first, second = handles
     notice.show("Upload failed", "b.png is damaged")
     first.remove.assert_called_once()

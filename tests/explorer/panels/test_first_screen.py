@@ -16,6 +16,7 @@ import pytest
 
 from explorer import reports, session_state
 from explorer.cli import Explore
+from explorer.client.address import opened_alone
 from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.opening import open_model, open_source
@@ -282,7 +283,7 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
     assert "pixels; the model sees it pressed into a square." in text(html)
     assert answer_text.OWN_KEPT in text(html)
     assert "2 of 3" in text(html)
-    assert "lpn.say('A link cannot carry your own picture.')" in html
+    assert 'data-tip="A link cannot carry your own picture. “Save this answer” makes a file that can be sent."' in html
     # The picture is shown in its own shape; explained, it is shown as the model sees it.
     for why, of_height in ((False, 48 / small_worlds.place(3).shape[1]), (True, 1.0)):
         shown = first_screen.page(analyse(workspace, replace(analysis.state, why=why)), workspace)
@@ -410,15 +411,14 @@ def test_what_was_opened_from_the_first_screen_leads_back_to_it() -> None:
     assert not leave(mapped, replace(mapped, map=False)).first_screen
 
 
-def test_an_address_that_names_a_state_opens_it(workspace: Workspace) -> None:
+def test_an_address_that_names_nothing_opens_the_first_screen_and_any_other_what_it_names(workspace: Workspace) -> None:
     address, plain = UrlState(workspace), SessionState(TASK, 4)
     for bare in ("", "?", "?theme=light", "?words=plain", "?unknown=1"):
         assert not address.names_a_state(bare)
-        assert first_screen.plain_state(plain, True, False).first_screen
-    for named in ("?query=0003", "?lab=1", "?screen=all"):
-        assert address.names_a_state(named)
-    assert not first_screen.plain_state(plain, True, True).first_screen
-    assert not first_screen.plain_state(plain, False, False).first_screen
+        assert opened_alone(address, workspace, bare, plain).first_screen
+    for named in ("?query=0003", "?lab=1", "?screen=all", "?show=data"):
+        assert address.names_a_state(named) is (named not in ("?screen=all", "?show=data"))
+        assert opened_alone(address, workspace, named, plain) == plain
     first = replace(plain, first_screen=True, why=True)
     assert address.read(address.write(first), plain) == (first, [])
     assert "screen" not in address.write(plain)
