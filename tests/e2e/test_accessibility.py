@@ -94,7 +94,7 @@ def test_a_notification_lies_over_no_tab(app: RunningApp, contexts: Callable[...
         explorer.open(app.url + "/?query=nothing&why=1")
         expect(explorer.notifications.first).to_be_visible()
         expect(page.locator("#lpn-why .lpn-map").first).to_be_attached()
-        expect(explorer.notifications.first).to_be_in_viewport()
+        expect(explorer.notifications.first).to_be_in_viewport(ratio=1)
 
         def lies_over_none(page: Page = page) -> None:
             covered = page.evaluate(_COVERED)

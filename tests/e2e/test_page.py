@@ -115,6 +115,9 @@ def test_a_hostile_address_does_no_harm(app: RunningApp, new_page: Callable[[], 
     assert not alarms
     explorer.fill("Rotate", "10")
     explorer.expect_status("angle", "10")
+    expect(notice).to_be_visible()
+    explorer.key("n")  # another picture, of which it does not speak
+    expect(notice).to_have_count(0)
 
 
 @pytest.mark.slow
@@ -129,7 +132,7 @@ def test_ones_own_picture_is_in_no_link(
     explorer.upload(file)
     explorer.expect_status("name", "mine.png")
     wait_address(explorer, "query", "own")
-    explorer.page.get_by_role("button", name="Link", exact=True).click()
+    explorer.page.get_by_role("button", name="Link", exact=True).hover()
     expect(explorer.page.locator("#lpn-term")).to_contain_text("A link cannot carry your own picture.")
     explorer.key("i")
     expect(explorer.page.locator("#lpn-notice")).to_have_text("A link cannot carry your own picture.")

@@ -95,6 +95,7 @@ def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, 
     header = pages.header(workspace, workspace.tasks[TASK])
     assert "searched exactly to depth 10 of 14 tiles" in header
     assert "AP: not defined to a depth" in header
+    assert "Save this answer" not in header  # a report needs the whole gallery
     assert "no map" in header
 
 

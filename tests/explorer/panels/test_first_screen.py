@@ -283,7 +283,12 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
     assert "pixels; the model sees it pressed into a square." in text(html)
     assert answer_text.OWN_KEPT in text(html)
     assert "2 of 3" in text(html)
-    assert 'data-tip="A link cannot carry your own picture. “Save this answer” makes a file that can be sent."' in html
+    no_link = 'data-tip="A link cannot carry your own picture. “Save this answer” makes a file that can be sent."'
+    for own_shown in (html, pages.header(workspace, analysis.task, own=True)):
+        assert no_link in own_shown
+        assert "lpn.copy()" not in own_shown
+        assert 'aria-label="Save this answer"' in own_shown
+    assert "lpn.copy()" in pages.header(workspace, analysis.task)
     # The picture is shown in its own shape; explained, it is shown as the model sees it.
     for why, of_height in ((False, 48 / small_worlds.place(3).shape[1]), (True, 1.0)):
         shown = first_screen.page(analyse(workspace, replace(analysis.state, why=why)), workspace)
