@@ -216,7 +216,7 @@ def test_a_flight_whose_tags_lie_far_off_the_map_is_told_so_first(
     assert concluded is not None
     assert concluded[:2] == (None, "Probably not on this map")
     assert concluded[2].startswith(
-        "The flight's GPS tags lie 1,929 km from this map, so it is probably not that of this flight."
+        "The flight's GPS tags lie 1,929 km from this map, so the map is probably of another place."
     )
     assert answer_text.verdict(analysis, workspace)[2].startswith(
         "The flight's GPS tags lie 1,929 km from this map; the next"

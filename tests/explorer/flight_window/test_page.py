@@ -73,8 +73,8 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     assert page.sentence(view, running=True).endswith("Registration is still running, so these numbers change.")
     away = view_of(replace(view.flight, tags_away=1.929e6))
     assert page.sentence(away, running=False).startswith(
-        "The flight's GPS tags lie 1,929 km from this map, so it is probably not that of this flight. Give the map of that "
-        "place unless the tags are wrong. A drone took 3 photos: 3 placed"
+        "The flight's GPS tags lie 1,929 km from this map, so the map is probably of another place. Give the map of the "
+        "tags' place, unless the tags are wrong. A drone took 3 photos: 3 placed"
     )
     assert page.data(away, "x/")["elsewhere"] == "The flight's GPS tags lie 1,929 km from this map"
 
