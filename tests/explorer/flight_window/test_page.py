@@ -74,7 +74,7 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     away = view_of(replace(view.flight, tags_away=1.929e6))
     assert page.sentence(away, running=False).startswith(
         "The flight's GPS tags lie 1,929 km from this map, so the map is probably of another place. Give the map of the "
-        "tags' place, unless the tags are wrong. A drone took 3 photos: 3 placed"
+        "tags' place unless the tags are wrong. A drone took 3 photos: 3 placed"
     )
     assert page.data(away, "x/")["elsewhere"] == "The flight's GPS tags lie 1,929 km from this map"
 
