@@ -76,7 +76,8 @@ def other_map(flight: LocatedFlight) -> str:
     """Say that the map is probably not of the flight's place, as all tags lie far off it, and what to do; else ""."""
     if not flight.elsewhere:
         return ""
-    return f"{flight.elsewhere}, so the map is probably of another place. Give the map of the tags' place unless the tags are wrong."
+    advice = "Give the map of the tags' place unless the tags are wrong."
+    return f"{flight.elsewhere}, so the map is probably of another place. {advice}"
 
 
 def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:

@@ -476,3 +476,28 @@ def test_the_chip_of_a_flight_opens_its_window_as_large_as_the_stage(
     finally:
         app.close()
         workspace.key, workspace.choices = before
+
+
+@pytest.mark.slow
+def test_a_phone_has_the_map_its_legend_and_the_timeline_first_and_a_tip_leaves_the_zoom_free(
+    flight_app: RunningFlight, contexts: Callable[..., BrowserContext]
+) -> None:
+    page = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True).new_page()
+    page.goto(f"{flight_app.url}/?flight=1&words=plain")
+    view, tip = page.locator("#lpn-flight .view"), page.locator("#lpn-flight .view .why")
+    expect(view).to_have_attribute("data-missing", "0")
+
+    def in_order() -> None:
+        tops = [
+            box(page.locator(one))["y"] for one in ("#lpn-flight .view", "#lpn-flight .legend", "#lpn-flight .time")
+        ]
+        assert tops == sorted(tops)
+        assert tops[-1] < box(page.locator("#lpn-header"))["y"], "the panels of the workbench come after the window"
+
+    ExplorerPage(page).eventually(in_order)
+    view.scroll_into_view_if_needed()
+    page.evaluate("([x, y]) => lpn.flight.map.show([x - 30, y], 100)", list(GUESS))  # the dot lies beside the buttons
+    left, top = page.evaluate("(at) => lpn.flight.pixels(at)", list(GUESS))
+    view.tap(position={"x": left, "y": top})
+    expect(tip).to_contain_text("photo4.png. By its details: refused. Too few.")
+    assert box(tip)["x"] + box(tip)["width"] <= box(page.locator("#lpn-flight .zoom"))["x"]
