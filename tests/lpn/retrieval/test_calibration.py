@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
-from lpn.descriptors import temporary_descriptors
+from lpn.descriptors.cache import cached_descriptors, temporary_descriptors
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.report import Options
@@ -57,6 +58,14 @@ def wide(make_once: MakeOnce) -> Path:
     return make_once("wide-places", fill) / "places"
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep the descriptors of the same pictures at several zooms for all tests of this file."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("calibration")))
+        yield
+
+
 @pytest.fixture(scope="module")
 def model(model_file: Path) -> Model:
     return lpn.load(model_file)
@@ -64,7 +73,7 @@ def model(model_file: Path) -> Model:
 
 @pytest.fixture(scope="module")
 def found(model: Model, wide: Path) -> Calibration:
-    return calibrate(model, sides(wide), temporary_descriptors)
+    return calibrate(model, sides(wide), cached_descriptors)
 
 
 def sides(root: Path) -> dict[View, list[list[Picture]]]:
@@ -87,7 +96,7 @@ def test_the_ratio_of_all_and_of_each_picture_is_found(found: Calibration) -> No
 
 def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Path) -> None:
     swapped = sides(wide)
-    found = calibrate(model, {"drone": swapped["satellite"], "satellite": swapped["drone"]}, temporary_descriptors)
+    found = calibrate(model, {"drone": swapped["satellite"], "satellite": swapped["drone"]}, cached_descriptors)
     assert found.ratio == pytest.approx(STEP**-2)
     assert set(found.zooms["satellite"].values()) == {STEP**2}
     # No drone picture can be shrunk, so none takes a smaller ratio.
@@ -96,13 +105,13 @@ def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Pat
 
 def test_a_training_takes_the_same_ratio(model: Model, wide: Path) -> None:
     (drones,), (tiles,) = sides(wide).values()
-    assert ground_ratio(model, drones, tiles, temporary_descriptors) == pytest.approx(STEP**2)
-    assert ground_ratio(model, tiles, drones, temporary_descriptors) == pytest.approx(STEP**-2)
+    assert ground_ratio(model, drones, tiles, cached_descriptors) == pytest.approx(STEP**2)
+    assert ground_ratio(model, tiles, drones, cached_descriptors) == pytest.approx(STEP**-2)
     with pytest.raises(InputError, match=r"20 pictures of each view or more, and there are 19 drone pictures; set"):
-        ground_ratio(model, drones[:19], tiles, temporary_descriptors)
+        ground_ratio(model, drones[:19], tiles, cached_descriptors)
     around = [replace(one, panorama=True) for one in drones]
     with pytest.raises(InputError, match="these are panoramas or unrolled; leave it at 1"):
-        ground_ratio(model, around, tiles, temporary_descriptors)
+        ground_ratio(model, around, tiles, cached_descriptors)
 
 
 def test_a_training_measures_the_ratio_of_its_pictures_and_records_it(
@@ -134,7 +143,7 @@ def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
     prepared = np.stack([model.prepare(picture.load_zoomed(), "drone") for picture in pictures])
     plain = model.descriptors(prepared, "drone")
     np.testing.assert_allclose(found.means["drone"], plain.mean(axis=0), atol=1e-6)
-    read = found.read(model, pictures, "drone", temporary_descriptors)
+    read = found.read(model, pictures, "drone", cached_descriptors)
     np.testing.assert_allclose(read, normalise(plain - plain.mean(axis=0)), atol=1e-5)
     np.testing.assert_allclose(found.applied(model).descriptors(prepared, "drone"), read, atol=1e-5)
     assert pictures[0].note == f"zoomed by {pictures[0].zoom:.2f}"
@@ -236,16 +245,16 @@ def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
 
 def test_too_few_pictures_are_refused(model: Model, data: Path) -> None:
     with pytest.raises(InputError, match=r"there are 14 drone pictures; expected 20 or more"):
-        calibrate(model, sides(data), temporary_descriptors)
+        calibrate(model, sides(data), cached_descriptors)
     with pytest.raises(InputError, match="two views or more, and all pictures are of drone; leave --calibrate out"):
-        calibrate(model, {"drone": sides(data)["drone"]}, temporary_descriptors)
+        calibrate(model, {"drone": sides(data)["drone"]}, cached_descriptors)
 
 
 def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
     around = {view: [[replace(one, panorama=view == "drone") for one in of[0]]] for view, of in sides(wide).items()}
-    found = calibrate(model, around, temporary_descriptors)
+    found = calibrate(model, around, cached_descriptors)
     assert (found.ratio, dict(found.tried), set(found.zooms["drone"].values())) == (1.0, {}, {1.0})
-    described = found.read(model, around["drone"][0], "drone", temporary_descriptors)
+    described = found.read(model, around["drone"][0], "drone", cached_descriptors)
     np.testing.assert_allclose(described, centred(temporary_descriptors(model, around["drone"][0], "drone")), atol=1e-5)
     assert "zoomed" not in found.describe()
 
@@ -260,5 +269,5 @@ def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path
 @pytest.mark.slow
 def test_what_is_found_does_not_depend_on_labels(model: Model, wide: Path, found: Calibration) -> None:
     unlabelled = {view: [[replace(one, label=0) for one in of[0]]] for view, of in sides(wide).items()}
-    again = calibrate(model, unlabelled, temporary_descriptors)
+    again = calibrate(model, unlabelled, cached_descriptors)
     assert again.zooms == found.zooms
