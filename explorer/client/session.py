@@ -120,8 +120,8 @@ class ClientSession:
             self.views.follow(before, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
                 self.views.bridge.call("keepTheme", "dark" if state.dark else "light")
-            if change in (session_state.flip_words, session_state.show_everything):
-                unasked = change is session_state.show_everything and before.plain
+            unasked = change is session_state.show_everything and before.plain
+            if change is session_state.flip_words or unasked:
                 self.views.bridge.call("keepWords", "plain" if state.plain else "expert", unasked)
             only_windows = state == session_state.with_windows(before, state)
             self._state = state

@@ -185,6 +185,11 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     expect(fresh.locator("#lpn-header .tools")).to_be_visible()
     fresh.wait_for_timeout(1500)  # the tour comes after 0.7 s
     expect(fresh.locator("#lpn-told")).to_have_count(0)
+    # The field's terms came unasked with the workbench, so they stay with it, and the next visit speaks plain words.
+    fresh.reload()
+    expect(fresh.locator("#lpn-header .tools")).to_contain_text("Plain words")
+    fresh.goto(app.url)
+    expect(first.locator("[data-act=words]")).to_have_text("Expert words")
 
 
 @pytest.mark.slow

@@ -24,10 +24,16 @@
     tip.style.top = Math.max(below ? box.bottom + GAP : box.top - GAP - tip.offsetHeight, GAP) + "px";
   };
 
-  for (const kind of ["mouseover", "focusin", "click"])
-    document.addEventListener(kind, (event) => (termOf(event) ? show(termOf(event)) : kind !== "focusin" && lpn.hideTip()));
+  // The keyboard's focus keeps its tip: the page scrolls to what gets the focus, and may then have another element under the mouse.
+  const keep = () => {
+    const term = document.querySelector(".term[aria-describedby]:focus-visible");
+    term ? show(term) : lpn.hideTip();
+  };
+
+  document.addEventListener("mouseover", (event) => (termOf(event) ? show(termOf(event)) : keep()));
+  document.addEventListener("focusin", (event) => termOf(event) && show(termOf(event)));
+  document.addEventListener("click", (event) => (termOf(event) ? show(termOf(event)) : lpn.hideTip()));
   document.addEventListener("focusout", lpn.hideTip);
-  // The page scrolls to what gets the focus.
-  document.addEventListener("scroll", () => (document.activeElement?.matches(".term[aria-describedby]") ? show(document.activeElement) : lpn.hideTip()), true);
+  document.addEventListener("scroll", keep, true);
   document.addEventListener("keydown", (event) => event.key === "Escape" && lpn.hideTip(), true);
 })();

@@ -62,11 +62,13 @@
   lpn.keepTheme = (name) => lpn.store("local", THEME, name);
   const light = () => (lpn.stored("local", THEME) || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark")) === "light";
 
-  // Plain words, until somebody asks for the field's terms.
+  // Plain words, until somebody asks for the field's terms. Those that come unasked with the workbench stay as long as the tab, whose bare
+  // address speaks plain words again.
   const WORDS = "lpn-words";
   lpn.keepWords = (name, unasked) => {
-    lpn.store("local", WORDS, name);
-    if (unasked) lpn.say("The workbench speaks the field’s terms. “Plain words” on the right brings the plain ones back.", 10);
+    lpn.store("session", WORDS, name);
+    if (!unasked) lpn.store("local", WORDS, name);
+    else lpn.say("The workbench speaks the field’s terms. “Plain words” on the right brings the plain ones back.", 10);
   };
 
   // Repeat the greeting until the server answers: the page may not be connected yet.
@@ -79,7 +81,8 @@
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
     // Another place may take seconds to open; its first screen says so, too.
     if (!names.length || new URLSearchParams(search).get("screen") === "first") lpn.opening();
-    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), plain: lpn.stored("local", WORDS) !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
+    const words = (names.length && lpn.stored("session", WORDS)) || lpn.stored("local", WORDS);
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), plain: words !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = lpn.every(500, hello);
     hello();
     held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
