@@ -29,7 +29,7 @@ def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: 
     """Return the task with these part weights, the user's notes, and what is known of a flight; InputError for an index."""
     if task.depth is not None:
         raise InputError(
-            "A report needs the whole gallery in memory; of an index, save the laboratory's queries as CSV."
+            "A report needs the whole gallery in memory; of an index, save the queries of “All pictures in a table” as CSV."
         )
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
     stored = notes.read_notes(own_file(workspace.root, notes.NAME))

@@ -12,7 +12,7 @@ from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.flights import Frame
-from lpn.flights.photos import photo_of
+from lpn.flights.photo_file import PhotoFile
 
 # Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
 KINDS = "JPEG, PNG, or WebP"
@@ -52,10 +52,11 @@ def read(name: str, content: bytes) -> OwnPicture:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
     with _READING:
         picture = images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)
-        photo = photo_of(content, Path(name))
+        file = PhotoFile.of(content, Path(name))
+        photo = file.photo
         taken = photo.local if photo.utc is None else photo.utc
         day = None if taken is None else datetime.fromtimestamp(taken, UTC).date()
-        return OwnPicture(name, picture, _place(photo.frame), photo.frame, day=day)
+        return OwnPicture(name, picture, _place(photo.frame), photo.frame, day=day, file=file)
 
 
 def _place(frame: Frame) -> tuple[float, float] | None:

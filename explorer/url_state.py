@@ -47,7 +47,7 @@ _SUMMARY = {
     "shows": "evidence",
     "map": "map",
     "why": "explanation",
-    "lab": "failure laboratory",
+    "lab": "all pictures in a table",
     "flight": "flight",
 }
 # Parameters of the query that is shown.
@@ -327,7 +327,7 @@ class UrlState:
             lines = [line.split("\t") for line in value.split("\n")]
             chosen = [Selection(kind, label, cells(rows, queries) if rows else ()) for kind, label, rows in lines]
         except (ValueError, UnusableError) as error:
-            raise UnusableError("expected queries that were chosen in the laboratory of this data set.") from error
+            raise UnusableError("expected queries that were chosen in the table of this data set.") from error
         if not all(is_line(text, LONGEST_TEXT) for one in chosen for text in (one.kind, one.label)):
             raise UnusableError(f"expected labels of {LONGEST_TEXT} letters at most that can be printed.")
         return replace(state, laboratory=replace(state.laboratory, selections=tuple(chosen)))

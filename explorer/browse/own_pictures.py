@@ -24,6 +24,7 @@ from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.drawing import overlays
 from lpn.flights import Frame
+from lpn.flights.photo_file import PhotoFile
 
 # A picture is held as JPEG of this quality, unless its own file is small: 200 pictures take some 150 MB.
 _QUALITY, _SMALL = 95, 1_000_000
@@ -51,6 +52,7 @@ class _Held:
     frame: Frame | None
     key: str
     day: date | None
+    photo_file: PhotoFile | None
 
     @property
     def size(self) -> int:
@@ -325,7 +327,7 @@ class OwnPictures:
             return opened
         held = self._held[index]
         decoded = images.decode_picture(held.file, held.name)
-        picture = OwnPicture(held.name, decoded, held.place, held.frame, held.key, held.day)
+        picture = OwnPicture(held.name, decoded, held.place, held.frame, held.key, held.day, held.photo_file)
         self._opened = picture, index
         return picture
 
@@ -371,7 +373,7 @@ def _hold(picture: OwnPicture, content: bytes) -> _Held:
     own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
     file = content if own else images.jpeg(picture.picture, _QUALITY)
     thumbnail = images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80)
-    return _Held(picture.name, file, thumbnail, picture.place, picture.frame, picture.key, picture.day)
+    return _Held(picture.name, file, thumbnail, picture.place, picture.frame, picture.key, picture.day, picture.file)
 
 
 def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:

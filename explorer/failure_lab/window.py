@@ -21,7 +21,6 @@ from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
 from explorer.lab_choices import CHOICES, LabChoices
 from explorer.reports import Reporter
-from explorer.server.viser_compat import rename_tab
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
@@ -37,6 +36,8 @@ _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
 _ROW_HEIGHT = 27  # pixels
 # Height of the window without the table, and of the line that offers the second model's ranks, in pixels.
 _FRAME_HEIGHT, _OFFER_HEIGHT = 180, 22
+# As the page's buttons call the window.
+_NAME = "All pictures in a table"
 # Seconds between two looks at the second model's ranks.
 _SECOND_INTERVAL = 0.5
 
@@ -100,7 +101,7 @@ class FailureLabWindow:
         self._map = MapPage(service, feeds, self)
         gui = client.gui
         self._panel = gui.add_panel(visible=False)
-        self._tab = self._panel.add_tab("Failure laboratory", viser.Icon.FLASK)
+        self._tab = self._panel.add_tab(_NAME, viser.Icon.FLASK)
         with self._tab:
             self._bar, self._boxes, self._summary, self._drawer, self._second, self._controls = (
                 Html(gui) for _ in range(6)
@@ -153,8 +154,8 @@ class FailureLabWindow:
     def commands(self) -> list[tuple[str, Callable[[], None]]]:
         """Return the window's commands for the palette."""
         return [
-            ("Save the laboratory's queries as CSV", self._download),
-            ("Save a report of the laboratory's queries", self._report),
+            ("Save the table's pictures as CSV", self._download),
+            ("Save a report of the table's pictures", self._report),
         ]
 
     def leave(self) -> None:
@@ -315,7 +316,6 @@ class FailureLabWindow:
             self._service.leave_second(self)
             self._place(None)
             return
-        rename_tab(self._tab, "All pictures" if view.plain else "Failure laboratory")
         tall = lab.covers_stage(self._viewport.width >= map_layout.WIDE)
         self._place(tall)
         self._order.show(view.order)
@@ -463,7 +463,7 @@ class FailureLabWindow:
 
     def _say_no_table(self) -> None:
         self._client.add_notification(
-            "No table yet", "Its rows are computed while the failure laboratory is open; open it with B first."
+            "No table yet", f"Its rows are computed while “{_NAME}” is open; open it with B first."
         )
 
     def _report(self) -> None:
@@ -474,7 +474,7 @@ class FailureLabWindow:
         listed = self._rows(findings, lab)
         rows, task = state.chosen_or_all(lab, listed).tolist(), findings.task
         chosen = f"{state.count_rows(len(rows))} of: " if len(rows) < len(listed) else ""
-        description = f"{chosen}{state.describe(findings, lab)} (failure laboratory)"
+        description = f"{chosen}{state.describe(findings, lab)} ({_NAME})"
         self._reporter.make(
             lambda progress, model: reports.of_selection(self._workspace, task, rows, description, progress, model)
         )

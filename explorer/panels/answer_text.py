@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
+from explorer.panels import place_text
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
 from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
+from lpn.drawing.verdicts import pictures_of
 from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
@@ -23,7 +25,6 @@ from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import Match
-from lpn.tasks.task import Task
 
 # A GPS tag at least this far from the nearest tile is in another region.
 _ELSEWHERE_M = 10_000.0
@@ -41,7 +42,6 @@ ELSEWHERE = ("Not one of these", "Probably none of these")
 _OTHER_MAP = "Probably not on this map"
 _UNPROVEN = "It may show the same place; pictures of other places can look as close."
 _ANY = "Every picture gets an answer, and nothing measured here tells if yours shows one of these places."
-_PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +189,7 @@ def flight_verdict(
     if _no_right_answer(analysis, workspace):
         look = None, "Not graded", sentence
     elif right is not None:
-        look = right, f"{'Right' if right else 'Wrong'} by its look", sentence
+        look = right, f"{'Right' if right else 'Wrong'} by its look, judged by {workspace.flight.judge}", sentence
     located, elsewhere = workspace.flight.frames[analysis.state.query], other_map(workspace.flight)
     registered = "registration" in located.stages
     if not registered and not elsewhere:
@@ -204,11 +204,9 @@ def flight_verdict(
 
 
 def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
-    """Say whether the model's own answer agrees with the place of a photo that is known by other means."""
-    if right is None:
+    """Say that the model's own answer disagrees with the place of a photo that is known by other means; "" if it does not."""
+    if right is not False:
         return ""
-    if right:
-        return "Its look alone agrees."
     off = _error_m(analysis)
     away = "" if off is None else f", {distance(off)} away"
     return f"The model's own guess, by its look alone, was wrong{away}."
@@ -367,12 +365,6 @@ def _far(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool, str] | No
     return answer_context.describe_distance(measured, distance2)
 
 
-def pictures_of(task: Task) -> str:
-    """Return what the gallery's pictures are in plain words."""
-    of_map = len(task.gallery) > 0 and task.gallery[0].cut is not None
-    return "pieces of the map" if of_map else _PICTURES[task.gallery_view]
-
-
 def own_hint(workspace: Workspace, rendered: bool) -> str:
     """Say which own pictures are taken, and what is done with them, before one is chosen.
 
@@ -481,11 +473,7 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     own = state.upload is not None
     if own and workspace.own_photos is not None and (_compared(analysis) or analysis.registered is not None):
         elsewhere, here = trials(workspace)
-        tried = (
-            f"o{elsewhere[1:]}; {here}, and nobody measured how well. Photos of damage have not been tried."
-            if here
-            else ""
-        )
+        tried = f"o{elsewhere[1:]}; {here}, and nobody measured how well. {place_text.UNTRIED}" if here else ""
         return " ".join(filter(None, (tried, _of_map(analysis, workspace))))
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis, workspace)):
         return ""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -17,14 +16,15 @@ from explorer import lab_choices, session_state
 from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text, wrong_answer
+from explorer.panels.answer_lines import AnswerLines, answer_lines
 from explorer.panels.navigation import Navigation
-from explorer.panels.radius_text import radius_is_no_limit, with_radius
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.coordinates import MapCoordinate
 from explorer.web.html import Html
-from explorer.web.render import SIGNS, call, render, run
+from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
+from explorer.web.terms import term
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
@@ -37,6 +37,7 @@ from lpn.drawing import captions, overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
+from lpn.flights.photo_file import PhotoFile
 from lpn.locate.belief import belief, disagreements
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame, StageRecord
@@ -44,13 +45,11 @@ from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
 from lpn.maps.tag_placed import placing_sentence
-from lpn.report import Said
+from lpn.report import Said, SaidPicture
 from lpn.retrieval import DescribedPicture
 
 _ANSWER = "this answer"
 _BY_LOOK = "the most similar piece"
-# The figure of a flight is that of retrieval alone.
-_ALONE = "each searched by itself"
 # Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
 _DISPUTED = {
     False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
@@ -65,6 +64,7 @@ lpn explore flight --map maps/here --flight photos/ --model city-lpn"""
 _SIZE = 420, 1100
 # The grey of a map's places without data.
 _NOTHING = 40
+_ON_MAP = "On the map, by its details"
 # A turn of fewer degrees is not worth a word.
 _LEVEL = 3
 _TURNED_BY = {
@@ -216,24 +216,21 @@ def page(
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
     found = _verdicts(analysis, workspace)
-    look, concluded, disputed = found.look, found.concluded, found.disputed
-    look_errs = found.look_errs and state.upload is None
-    right, headline, sentence = concluded or look
+    disputed = found.disputed
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
     lead = answer_text.lead(analysis) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
     colours = lead_colours(lead is not None and lead.sure)
-    alterations = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
     positive, third = analysis.positive, None if lead is None else lead.index
     own = analysis.registered
     located = workspace.located(analysis)
-    registered = workspace.details(analysis)
     laid = None if state.why or wrong else _laid(located, workspace, own is not None)
-    if third is None and laid is None and (look_errs or wrong) and positive is not None and not positive.beyond:
+    lines = _lines(analysis, workspace, found, laid)
+    headline = found.concluded[1] if found.concluded else found.look[1]
+    if third is None and laid is None and (found.look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
-    place = place_text.place(workspace)
     because = _because(analysis, workspace, lead, cells_of_parts)
     return render(
         "wrong_answer" if wrong else "first_screen",
@@ -243,7 +240,7 @@ def page(
         task=task,
         state=state,
         name=analysis.name,
-        place=place,
+        lines=lines,
         answer_name=place_text.piece(task.gallery[analysis.chosen.index]),
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
@@ -254,20 +251,10 @@ def page(
         third=_third_tile(analysis, workspace, third, disputed)
         if third is not None and analysis.chosen.rank == 1
         else None,
-        right=right,
-        look_errs=look_errs,
-        headline=with_radius(headline, registered, workspace),
-        by_look=None if concluded is None else look,
-        details="" if state.why or own is not None else _details(registered, "the photo"),
-        sentence=with_radius(sentence, registered, workspace),
         lead=lead,
         because=because,
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
-        comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
-        next_step=answer_text.next_step(analysis, workspace),
-        trust=answer_text.trust(analysis, workspace),
-        no_limit=radius_is_no_limit(registered, workspace),
         bring=_BRING,
         gap=analysis.matches[0].gap,
         bars=_bar_colours(lead),
@@ -284,12 +271,11 @@ def page(
         elsewhere=state.upload is not None
         and (headline in answer_text.ELSEWHERE or (own is not None and not own.answer.accepted)),
         heat=[] if cells is None else [theme.css(colour) for colour in colours],
-        overall=_overall(analysis, workspace, rendered, bool(alterations)),
+        kept=answer_text.OWN_KEPT if state.upload else "",
         rendered=rendered,
-        criterion="" if state.upload else f"{_criterion(analysis, workspace)} {answer_text.doubts(workspace)}".strip(),
-        season="" if state.upload else place_text.season(workspace),
         untried=place_text.untried(workspace),
-        alterations=alterations,
+        damage=place_text.UNTRIED,
+        judge="" if workspace.flight is None else workspace.flight.judge,
         moved_on=state.task == next(iter(workspace.tasks)) and state.query != workspace.first_query,
     )
 
@@ -306,38 +292,67 @@ def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
     return _Verdicts(look, concluded, disputed, look_errs)
 
 
-def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
-    """Return what the screen says of an answer, for a file that is read without it, and the map with the photo's ground."""
-    verdict = _verdicts(analysis, workspace)
-    look, concluded = verdict.look, verdict.concluded
-    right, headline, sentence = concluded or look
-    own = analysis.registered is not None or analysis.own_photo is not None
-    registered = workspace.details(analysis)
-    laid = _laid(workspace.located(analysis), workspace, own)
-    details = "" if own else _details(registered, "the photo")
-    found = [f"{details}." if details else "", laid.sentence if laid else ""]
+def _lines(
+    analysis: StateAnalysis, workspace: Workspace, verdict: _Verdicts, laid: LaidPhoto | None, linked: bool = True
+) -> AnswerLines:
+    own = analysis.registered is not None or analysis.state.why
+    details = "" if own else _details(workspace.details(analysis), "the photo")
+    ground = _ground(details, laid, linked)
+    return answer_lines(analysis, workspace, verdict.look, verdict.concluded, ground, verdict.look_errs, linked)
+
+
+def _ground(details: str, laid: LaidPhoto | None, linked: bool) -> str:
+    """Return HTML that says how a photo lies on the map, and where on earth.
+
+    Args:
+        details: how many of them agree with the map; "" if that is said elsewhere.
+        linked: the coordinate has a link to OpenStreetMap.
+    """
+    name = term("details", "By its details")
+    sentences = [Markup("<b>{}:</b> {}.").format(name, details) if details else "", laid.sentence if laid else ""]
     if laid and laid.coordinate:
-        at = f"{laid.coordinate.latitude:.5f}, {laid.coordinate.longitude:.5f}"
+        whose = "The drone was above" if laid.camera else "The photo's middle lies at"
         by_tags = ", on earth no better than the GPS tags by which the map was made" if laid.by_tags else ""
-        found.append(f"{'The drone was above' if laid.camera else 'The middle of the photo lies at'} {at}{by_tags}.")
-    trust = " ".join(filter(None, [answer_text.trust(analysis, workspace), radius_is_no_limit(registered, workspace)]))
-    judged = "" if analysis.state.upload else _criterion(analysis, workspace)
-    lines = (
-        f"{SIGNS[right]} {headline}. {sentence}",
-        " ".join(filter(None, found)),
-        "" if concluded is None else f"{SIGNS[look[0]]} {look[1]}. {look[2]}",
-        answer_text.next_step(analysis, workspace),
-        trust and f"How far to trust it: {trust}",
-        judged,
-        "" if analysis.state.upload else place_text.season(workspace),
-        Markup(place_text.place(workspace)).striptags(),
-    )
-    return Said(tuple(filter(None, lines)), laid.picture if laid else "")
+        sentences.append(Markup("{} {}{}.").format(whose, laid.coordinate.html(linked), by_tags))
+    return Markup(" ").join(filter(None, sentences))
 
 
-def _criterion(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say when an answer is right, and on which side of its edge the photo's middle lies."""
-    return f"{place_text.criterion(workspace, analysis.task)} {answer_text.limit(analysis, workspace)}".strip()
+def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
+    """Return what the screen says of an answer, and its pictures, for a file that is read without it."""
+    analysis = replace(analysis, state=replace(analysis.state, why=False))
+    laid = _laid(workspace.located(analysis), workspace, analysis.registered is not None)
+    found, positive = _verdicts(analysis, workspace), analysis.positive
+    lines = _lines(analysis, workspace, found, laid, linked=False)
+    task, turn, chosen = analysis.task, _turn(analysis, workspace), analysis.chosen
+    pictures = [
+        SaidPicture(lines.query, analysis.name, _picture(analysis, workspace, analysis.query, task.query_view)),
+        SaidPicture(
+            lines.answer,
+            place_text.piece(task.gallery[chosen.index]),
+            _picture(analysis, workspace, analysis.tile, task.gallery_view),
+            chosen.true,
+            0.0 if turn is None else -turn.degrees,
+        ),
+    ]
+    if laid is not None:
+        pictures.append(SaidPicture(_ON_MAP, f"{laid.offset}, north up", laid.picture, laid.sign))
+    elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
+        picture, caption, right = _third_tile(analysis, workspace, positive.index, found.disputed)
+        pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
+    return Said(lines.question, lines.headline, lines.told, tuple(pictures), _photo_facts(analysis))
+
+
+def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:
+    """Return what the file of the photo says of it; () where there is no file that can be read."""
+    state = analysis.state
+    if state.upload is not None:
+        return () if state.upload.file is None else tuple(state.upload.file.facts)
+    picture = analysis.task.queries[state.query]
+    path = picture.cut.frame.file if isinstance(picture.cut, TurnedFrame) else picture.path
+    try:
+        return tuple(PhotoFile.of(path.read_bytes(), path).facts)
+    except (OSError, PictureError):
+        return ()
 
 
 def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
@@ -346,23 +361,6 @@ def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
         leader, follower = lead_colours(False)
         return theme.css(leader), theme.css(follower)
     return verdict_ink(True), verdict_ink(False)
-
-
-def _overall(analysis: StateAnalysis, workspace: Workspace, rendered: bool, altered: bool) -> str:
-    """Say how often the model is right, and if it is calibrated; of the user's own picture, what becomes of it."""
-    if not analysis.state.upload:
-        result = workspace.rankings[analysis.task.key].result
-        text = answer_text.overall(result, altered)
-        if text and workspace.has_flight:
-            text = "" if answer_text.few_photos(workspace, result) else f"{text[:-1]}, {_ALONE}."
-        if not text or not analysis.task.calibration:
-            return text
-        if words.plain():
-            return f"{text} The model is adjusted to these pictures."
-        csls = ", and its answers are re-ranked by CSLS" if analysis.task.neighbours else ""
-        return f"{text} The model is calibrated on these pictures{csls}."
-    city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
-    return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace), answer_text.OWN_KEPT)))
 
 
 def _failures(workspace: Workspace, state: SessionState) -> int:

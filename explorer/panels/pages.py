@@ -14,7 +14,7 @@ from explorer.panels.radius_text import with_radius
 from explorer.stage import pair_picture
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.drawing import overlays, words
+from lpn.drawing import overlays, verdicts, words
 from lpn.tasks.task import Task
 
 _SCALE = 90, 8  # width and height of the heatmap legend's colours in pixels
@@ -91,7 +91,7 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
         "panels/header",
         workspace=workspace,
         task=task,
-        pictures=answer_text.pictures_of(task),
+        pictures=verdicts.pictures_of(task),
         results=None if ranking.result is None else ranking.results,
         automatic=ranking.automatic,
         done=ranking.n_ranked,

@@ -20,25 +20,35 @@ from lpn.maps.named_window import WindowCut, describe_offset
 from lpn.maps.place import season_of
 from lpn.tasks.task import Task
 
+UNTRIED = "Photos of damage, such as a storm's, have not been tried."
 # A piece that the map shows less of than this share has a visible part without a picture.
 _WHOLE = 0.95
 
 
-def place(workspace: Workspace) -> str:
-    """Return HTML that says where the ground of a map is, when it was photographed, and how large it is; "" without a map.
+def place(workspace: Workspace, task: Task, linked: bool = True) -> str:
+    """Return HTML that says what the program searches: a map and when it was photographed, or satellite pictures; "" of neither.
 
     A rendered map has no coordinate, as it shows no real place.
+
+    Args:
+        linked: coordinate and credit have links.
     """
-    basemap = workspace.basemap
-    if basemap is None:
+    basemap, rendered = workspace.basemap, shows_rendered(workspace.root)
+    seeks = basemap is not None or task.views == ("drone", "satellite")
+    if not seeks and not rendered:
         return ""
+    day = None if workspace.flight is None else workspace.flight.flight.day
     return render(
         "panels/place",
-        place=basemap.place,
-        coordinate=None if shows_rendered(workspace.root) else MapCoordinate.on(basemap, (0.0, 0.0)),
-        times=_times(basemap.place, None if workspace.flight is None else workspace.flight.flight.day),
-        about=workspace.about,
-        sides=[distance(side) for side in basemap.sides],
+        seeks=seeks,
+        tiles=task.tiles,
+        rendered=rendered,
+        place=None if basemap is None else basemap.place,
+        coordinate=None if basemap is None else MapCoordinate.on(basemap, (0.0, 0.0)),
+        linked=linked,
+        times="" if basemap is None else _times(basemap.place, day),
+        about="" if basemap is None else workspace.about,
+        sides=() if basemap is None else [distance(side) for side in basemap.sides],
     )
 
 
@@ -70,15 +80,15 @@ def criterion(workspace: Workspace, task: Task) -> str:
     """Say within what an answer counts as right, and who is the judge."""
     flight = workspace.flight
     if flight is None or flight.retrieval is None:
-        judge = "the plan of the rendered city" if shows_rendered(workspace.root) else "the data set"
-        return f"Right is an answer that shows the same place; {judge} is the judge." if task.lists_gallery else ""
+        judges = "the plan of the rendered city" if shows_rendered(workspace.root) else "the data set"
+        return f"Right is an answer that shows the same place; {judges} is the judge." if task.lists_gallery else ""
     low, high = float(flight.retrieval.sizes.min()), float(flight.retrieval.sizes.max())
     width = f"{low:.0f} to {high:.0f} m wide" if round(low) < round(high) else f"{high:.0f} m wide"
     right = f"Right is a piece, {width}, on which the photo's middle lies"
     if round(low) < round(high):
         right += ", so the middle of a large piece may lie farther off than that of a small one"
     if (audit := flight.late_tags) is None or audit.lag is None:
-        return f"{right}; its GPS tag is the judge."
+        return f"{right}; {flight.judge} is the judge."
     return (
         f"{right}. GPS tags here lie {distance(audit.median)} off in the median, some of which a lag of {abs(audit.lag):.1f} s "
         "explains, so the judge is the program's second method, which lays the photo's details over the map."
@@ -111,7 +121,7 @@ def untried(workspace: Workspace) -> str:
     """Say what nobody has measured, where a real flight may lead to believe it; "" for any other data."""
     if workspace.flight is None or workspace.flight.rendered:
         return ""
-    return "Photos of damage, such as a storm's, were never measured."
+    return UNTRIED
 
 
 def _seasons_differ(flight: LocatedFlight) -> bool:

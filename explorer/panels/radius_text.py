@@ -16,26 +16,42 @@ from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.maps.tag_placed import placing_sentence
 
 
-def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
-    """Return a text in which the radius of an answer, where it is first told, explains itself."""
+def with_radius(text: str, answer: StageRecord | None, workspace: Workspace, shares: bool = False) -> str:
+    """Return a text in which an answer's radius, where it is first told, explains itself.
+
+    Args:
+        shares: say beside it for how many photos it should hold.
+    """
     if answer is None or answer.radius is None:
         return text
     radius = f"± {answer.radius:.1f} m {on_what(answer)}"
     before, told, after = text.partition(radius)
-    return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
+    if not told:
+        return text
+    often = ""
+    if shares:
+        first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
+        doubt = "" if _confirmed(workspace) else " (unconfirmed by this flight)"
+        often = f" for {first:.0f} of 100 photos, {error_figure(2 * answer.radius)} m for {second:.0f}{doubt}"
+    return Markup("{}{}{}{}").format(before, explained(told, _meaning(answer, workspace)), often, after)
 
 
 def radius_is_no_limit(answer: StageRecord | None, workspace: Workspace) -> str:
-    """Say in a sentence how often the radius of an accepted answer should hold, and if a check confirms it; "" without one."""
+    """Say how many photos should lie within the radius of an accepted answer, and if a check confirms it; "" without one."""
     if answer is None or answer.radius is None or not answer.accepted:
         return ""
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
-    check = _calibration(workspace)
-    unconfirmed = check is not None and check[3] < CONFIRMED_SHARE
-    return (
-        f"± {answer.radius:.1f} m is no limit: it should hold for {first:.0f} of 100 photos, and twice as much for {second:.0f}"
-        f"{', which the check of this flight does not confirm' if unconfirmed else ''}."
+    text = (
+        f"± {answer.radius:.1f} m is no limit: {first:.0f} of 100 photos should lie within it, {second:.0f} within twice as "
+        "much, and the others farther off."
     )
+    return text if _confirmed(workspace) else f"{text} The check of this flight does not confirm that."
+
+
+def _confirmed(workspace: Workspace) -> bool:
+    """Return False if the tags of the flight's photos lie beyond three radii more often than radii that are right allow."""
+    check = _calibration(workspace)
+    return check is None or check[3] >= CONFIRMED_SHARE
 
 
 def _meaning(answer: StageRecord, workspace: Workspace) -> str:
@@ -67,7 +83,7 @@ def _check(workspace: Workspace) -> str:
     )
     whose = "places" if workspace.flight is None or workspace.flight.rendered else "GPS tags"
     text = f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {whose}, where {right} should."
-    if calibration[3] >= CONFIRMED_SHARE:
+    if _confirmed(workspace):
         return text
     return (
         f"{text} So the check does not confirm the radius: tags that are late or wrong would do the same, and so would a radius "

@@ -71,7 +71,7 @@ def _changes(
             lambda state: None if close_stories() else session_state.leave_stage_view(state),
         ),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
-        ("All pictures in a table: the laboratory", "B", session_state.flip_lab),
+        ("All pictures in a table", "B", session_state.flip_lab),
         *(_of_flights() if workspace.has_flight else []),
         ("3-D city on the map on or off", "C", lambda state: _flip_city(workspace, state)),
         ("Light or dark theme", "O", session_state.flip_dark),

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from explorer.panels import place_text
-from explorer.panels.answer_text import pictures_of
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers
@@ -117,7 +116,7 @@ def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] 
 
 
 def _sentence(analysis: StateAnalysis) -> str:
-    compared = f"The model compared {analysis.task.tiles:,} {pictures_of(analysis.task)} and chose"
+    compared = f"The model compared {analysis.task.tiles:,} {verdicts.pictures_of(analysis.task)} and chose"
     positive = analysis.positive
     if positive is None:
         came = "none of them shows the place"

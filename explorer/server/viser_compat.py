@@ -150,10 +150,3 @@ def is_upload_button(server: viser.ViserServer, uuid: str) -> bool:
 def forget_upload(button: viser.GuiUploadButtonHandle) -> None:
     """Drop the uploaded bytes, which viser would keep as the button's value."""
     button._impl.value = viser.UploadedFile("", b"")
-
-
-def rename_tab(tab: viser.GuiTabHandle, label: str) -> None:
-    """Change a tab's label; viser sends it with the icon, which may be set at any time."""
-    if tab._label != label:
-        tab._label = label
-        tab.icon = tab.icon

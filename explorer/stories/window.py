@@ -28,7 +28,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.errors import LPNError
 
 _MAX_SIZE = (560, 900)
-_LOST = "The queries or columns that you chose in the laboratory are too many for an address: the step is without them."
+_LOST = "The pictures or columns that you chose in the table are too many for an address: the step is without them."
 # Characters of a draft that the browser keeps; it comes back in one message.
 LONGEST_DRAFT = MAX_TEXT - 1000
 

@@ -166,7 +166,7 @@ def _finish(job: BackgroundJob[Any], wait: Callable[[], None]) -> Any:
     while not job.wait(0.5):
         wait()
     if job.error is not None:
-        raise InputError(f"The laboratory cannot be exported: {job.error}")
+        raise InputError(f"“All pictures in a table” cannot be exported: {job.error}")
     return job.value
 
 

@@ -22,6 +22,7 @@ from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Correspondences, Evidence
 from lpn.flights import Frame
+from lpn.flights.photo_file import PhotoFile
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
 from lpn.tasks.task import RankUnderWeights, Task
@@ -39,6 +40,7 @@ class OwnPicture:
         frame: what the file tells of the camera; None if that was not read.
         key: names it in the addresses of the page that holds it; empty where none does.
         day: on which it was taken; None if its file does not tell.
+        file: the file that it was read from; None if that is not known.
     """
 
     name: str
@@ -47,6 +49,7 @@ class OwnPicture:
     frame: Frame | None = None
     key: str = ""
     day: date | None = None
+    file: PhotoFile | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,7 +16,9 @@ from lpn.explain.lead_places import LeadPlace, middle_of
 from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.models.contract import Contract
 from lpn.retrieval import Match
+from lpn.tasks.task import Task
 
+_PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
 _SIDES = ("right", "upper right", "top", "upper left", "left", "lower left", "bottom", "lower right")
 _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "south", "south-east")
 # Parts decide together if their differences are at least this share of the largest.
@@ -54,6 +56,11 @@ def describe_position(cells: Float64Array, view: View) -> str:
 def compass(azimuth: float) -> str:
     """Return the name of a direction in degrees clockwise from north, as one of eight: "south-west"."""
     return _COMPASS[round((90 - azimuth) / 45) % 8]
+
+
+def pictures_of(task: Task) -> str:
+    """Return what the gallery's pictures are in plain words."""
+    return "pieces of the map" if task.of_map else _PICTURES[task.views[1]]
 
 
 def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
@@ -97,7 +104,7 @@ def describe_lead_place(
         whose: the query in words, such as "your picture".
     """
     several = len(place.parts) > 1
-    which = f"{say('part', len(place.parts))} {listed([_in_brackets(part_names[part]) for part in place.parts])}"
+    which = f"{say('part', len(place.parts))} {_listed_parts(place.parts, part_names)}"
     verb, percent = "speak" if several else "speaks", f"{100 * place.share:.0f}"
     if len(part_names) == 1:
         text = f"The model's one vector of the whole picture speaks for {names[0]}"
@@ -125,6 +132,21 @@ def describe_lead_place(
         return f"{text}, where both show {listed(shown)}."
     there = f"{text}: there {names[0]} shows {listed(shown)}"
     return f"{there}, and {names[1]} {listed(other)}." if other else f"{there}."
+
+
+def _listed_parts(parts: Sequence[int], part_names: Sequence[str]) -> str:
+    """List parts by name; of rings in plain words, as one who never saw them needs it, with where they lie."""
+    if not plain() or say("part") == "part" or len(part_names) == 1:
+        return listed([_in_brackets(part_names[part]) for part in parts])
+    where = [
+        "the square in the middle"
+        if part == 0
+        else "the outermost"
+        if part == len(part_names) - 1
+        else f"the {ordinal(part + 1)} square ring from the middle"
+        for part in parts
+    ]
+    return f"{listed([str(part + 1) for part in parts])}, {listed(where)},"
 
 
 def _in_brackets(name: str) -> str:

@@ -99,6 +99,7 @@ class Photo:
         turns: quarter turns clockwise of the EXIF orientation, which make the picture upright.
         oddities: predicates whose subject is the photo, such as "has no EXIF"; equal ones are counted in a note of the flight.
         heading_unread: its file has a value that looks like a heading, and that was not read.
+        camera: maker and model by EXIF; "" if it does not tell them.
     """
 
     frame: Frame
@@ -107,6 +108,7 @@ class Photo:
     turns: int = 0
     oddities: tuple[str, ...] = ()
     heading_unread: bool = False
+    camera: str = ""
 
 
 @dataclass
@@ -169,7 +171,7 @@ def photo_of(data: bytes, file: Path) -> Photo:
         frame, utc = _named_frame(frame, named, known, utc)
     _name_the_rest(known)
     unread = known.xmp.heading_unread or bool(_text_with_angles(known))
-    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread)
+    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread, _camera(known))
 
 
 def _metadata(picture: Image.Image) -> _Metadata:
@@ -674,6 +676,11 @@ def _name_the_rest(known: _Metadata) -> None:
     ):
         if names:
             known.oddities.append(f"{predicate}: {first_few([printable(name)[:60] for name in names], _NAMED)}")
+
+
+def _camera(known: _Metadata) -> str:
+    maker, model = (_text(known.main.get(tag)) for tag in (ExifTags.Base.Make, ExifTags.Base.Model))
+    return model if model.startswith(maker) else f"{maker} {model}".strip()
 
 
 def _text_with_angles(known: _Metadata) -> list[str]:

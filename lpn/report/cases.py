@@ -23,16 +23,41 @@ from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True)
-class Said:
-    """The sentences and the map by which a screen shows the answer that a report is about.
+class SaidPicture:
+    """A picture by which a screen shows an answer.
 
     Attributes:
-        sentences: paragraphs of text, the verdict first.
-        picture: the map with the ground that the photo shows, as a data URI; "" without one.
+        caption: what it is.
+        name: its name or place.
+        source: a data URI.
+        sign: True if it is right, False if wrong; None if that is unknown.
+        turn: degrees clockwise by which it is turned to lie like the query.
     """
 
+    caption: str
+    name: str
+    source: str
+    sign: bool | None = None
+    turn: float = 0.0
+
+
+@dataclass(frozen=True)
+class Said:
+    """The words and pictures by which a screen shows the answer that a report is about.
+
+    Attributes:
+        question: to which it is the answer.
+        headline: the verdict in some words.
+        sentences: paragraphs of text.
+        pictures: the photo, the answer, and the map with the ground that the photo shows.
+        photo: what the photo's file says of it, as names and values.
+    """
+
+    question: str
+    headline: str
     sentences: tuple[str, ...]
-    picture: str = ""
+    pictures: tuple[SaidPicture, ...] = ()
+    photo: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

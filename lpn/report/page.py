@@ -11,6 +11,7 @@ from datetime import datetime
 import lpn
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import InputError
+from lpn.drawing import verdicts
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
@@ -87,7 +88,9 @@ def build(
         style=style_sheet(),
         data_name=task.data_name,
         task=task.name,
-        gallery_view=task.views[1],
+        tiles=(f"{task.tiles:,}", verdicts.pictures_of(task)),
+        right=sum(line.verdict is True for line in lines),
+        graded=sum(line.verdict is not None for line in lines),
         part_names=task.part_names,
         said=options.said,
         queries=len(task.queries),

@@ -129,6 +129,11 @@ class Task(ABC):
         return views_of(self.name)[1]
 
     @property
+    def of_map(self) -> bool:
+        """True if the tiles are pieces of a map, whatever took its picture."""
+        return len(self.gallery) > 0 and self.gallery[0].cut is not None
+
+    @property
     def views(self) -> tuple[View, View]:
         """The views of queries and gallery."""
         return views_of(self.name)

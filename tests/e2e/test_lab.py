@@ -513,7 +513,7 @@ def test_columns_are_chosen_and_the_chosen_queries_are_saved_as_csv_and_as_a_rep
         lab.page.locator(".acts a", has_text="Report").click()
     download.value.save_as(tmp_path / "report.html")
     text = (tmp_path / "report.html").read_text("utf-8")
-    assert "weather = sun and rank &lt;= 3, sorted by margin (failure laboratory)" in text
+    assert "weather = sun and rank &lt;= 3, sorted by margin (All pictures in a table)" in text
 
 
 @pytest.mark.slow

@@ -209,7 +209,7 @@ def test_what_an_index_cannot_tell_is_said(workspace: Workspace, monkeypatch: py
     monkeypatch.setattr(ranking_job, "AUTOMATIC_COST", 0)
     assert not job.automatic
     monkeypatch.setitem(workspace.rankings, TASK, job)
-    assert "the failure laboratory (B) starts them" in pages.header(workspace, job.task)
+    assert "“All pictures in a table” (B) starts them" in pages.header(workspace, job.task)
 
 
 @pytest.fixture(scope="module")

@@ -68,7 +68,7 @@
   lpn.keepWords = (name, unasked) => {
     lpn.store("session", WORDS, name);
     if (!unasked) lpn.store("local", WORDS, name);
-    else lpn.say("The workbench speaks the field’s terms. “Plain words” on the right brings the plain ones back.", 10);
+    else lpn.say("The workbench speaks the field’s terms. Its link “Plain words” brings the plain ones back.", 10);
   };
 
   // Repeat the greeting until the server answers: the page may not be connected yet.

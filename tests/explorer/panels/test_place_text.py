@@ -12,11 +12,14 @@ import numpy as np
 import pytest
 
 from explorer.panels import place_text
-from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.demo import DEMO, DEMO_FLIGHT, DEMO_PLACE
 from lpn.datasets import Picture
 from lpn.flights import open_flight
 from lpn.maps import MapPlace, Window, open_map
 from lpn.maps.named_window import WindowCut
+
+DRONE, STREET = (cast(Any, SimpleNamespace(views=(view, "satellite"), tiles=161)) for view in ("drone", "street"))
+RENDERED = "This is a rendered place, no real one: a computer drew it from a plan, so every true place is known."
 
 
 def workspace_of(place: tuple[Any, Any]) -> Any:
@@ -32,7 +35,7 @@ def text(html: str) -> str:
 
 def test_a_real_place_has_a_coordinate_and_a_day() -> None:
     workspace = workspace_of(DEMO_PLACE)
-    html = place_text.place(workspace)
+    html = place_text.place(workspace, DRONE)
     assert text(html).startswith(
         "A drone without GPS can find its place this way: the program looks for its picture on one map of Caliterra in Dripping "
         "Springs, Texas, 186 m by 166 m, and knows no other ground. The map's middle lies at latitude 30.17117, longitude "
@@ -40,18 +43,24 @@ def test_a_real_place_has_a_coordinate_and_a_day() -> None:
     )
     links = re.findall(r'<a href="(https://www\.openstreetmap[^"]*)" target="_blank" rel="noopener noreferrer"', html)
     assert links == ["https://www.openstreetmap.org/?mlat=30.171165&amp;mlon=-98.089561#map=18/30.171165/-98.089561"]
+    unlinked = place_text.place(workspace, DRONE, linked=False)
+    assert "<a " not in unlinked
+    assert "OpenStreetMap" not in unlinked, "a link's words say nothing without it"
 
 
 def test_a_rendered_place_has_no_coordinate() -> None:
     workspace = workspace_of(DEMO_FLIGHT)
-    said = text(place_text.place(workspace))
+    said = text(place_text.place(workspace, DRONE))
     assert said.startswith(
         "A drone without GPS can find its place this way: the program looks for its picture on one map, 720 m by 720 m, and "
         "knows no other ground."
     )
-    assert "This is no real place: map and photos are rendered. The map is of spring and the photos are of 14" in said
+    assert f"{RENDERED} The map is of spring and the photos are of 14" in said
     assert "latitude" not in said
-    assert place_text.place(cast(Any, SimpleNamespace(flight=None, basemap=None))) == ""
+    city = cast(Any, SimpleNamespace(root=DEMO, flight=None, basemap=None))
+    assert RENDERED in text(place_text.place(city, DRONE))
+    assert text(place_text.place(city, STREET)) == RENDERED
+    assert place_text.place(cast(Any, SimpleNamespace(root=DEMO_PLACE[0], flight=None, basemap=None)), STREET) == ""
 
 
 @pytest.mark.parametrize(
@@ -69,7 +78,7 @@ def test_only_known_days_are_named(mapped: str, flown: date | None, said: str) -
 def test_the_judge_of_right_answers_is_named() -> None:
     place = workspace_of(DEMO_FLIGHT)
     place.flight.retrieval = SimpleNamespace(sizes=np.array([99.2, 99.2]))
-    place.flight.late_tags = None
+    place.flight.late_tags, place.flight.judge = None, "its GPS tag"
     task = cast(Any, SimpleNamespace(lists_gallery=True))
     said = "Right is a piece, 99 m wide, on which the photo's middle lies; its GPS tag is the judge."
     assert (place_text.criterion(place, task), place_text.season(place)) == (
@@ -90,7 +99,9 @@ def test_the_judge_of_right_answers_is_named() -> None:
         "map."
     )
     same.flight.rendered = False
-    assert "never measured" in place_text.untried(same)
+    assert place_text.untried(same) == place_text.UNTRIED
+    place.flight.rendered = True
+    assert place_text.untried(place) == ""
     assert place_text.season(same) == (
         "Where map and photos are of different seasons (an autumn), the first answer is right 17 of 40 times."
     )

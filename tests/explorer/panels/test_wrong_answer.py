@@ -63,7 +63,7 @@ def test_each_wrong_answer_has_its_pictures_and_a_reason(workspace: Workspace) -
     # A right answer is none of them, and neither is a reason.
     right = int(np.flatnonzero(~workspace.rankings[TASK].failed)[0])
     assert "Where it fails" not in page(workspace, replace(last, query=right)).split("</h1>")[0]
-    assert "the model cuts each picture" in text(page(workspace, replace(last, why=True))).lower()
+    assert "local pattern network), cuts each picture" in text(page(workspace, replace(last, why=True))).lower()
 
 
 def test_kinds_that_fail_more_often_are_named(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:

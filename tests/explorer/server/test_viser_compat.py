@@ -80,7 +80,6 @@ CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     "GuiApi._thread_executor": lambda _, client: viser_compat.thread_pool(client.gui).submit(lambda: True).result(),
     "GuiApi._gui_input_handle_from_uuid": lambda server, client: _tells_upload_buttons(server, client),
     "GuiUploadButtonHandle._impl.value": lambda _, client: _forgets(client),
-    "GuiTabHandle._label": lambda _, client: _renames(client),
 }
 
 
@@ -94,14 +93,6 @@ def _tells_upload_buttons(server: viser.ViserServer, client: viser.ClientHandle)
     return viser_compat.is_upload_button(server, viser_compat.uuid_of(button)) and not viser_compat.is_upload_button(
         server, viser_compat.uuid_of(text)
     )
-
-
-def _renames(client: viser.ClientHandle) -> bool:
-    panel = client.gui.add_panel()
-    first, _ = panel.add_tab("one"), panel.add_tab("other")
-    before = panel._tab_labels
-    viser_compat.rename_tab(first, "another")
-    return (before, panel._tab_labels) == (("one", "other"), ("another", "other"))
 
 
 def _keeps_icons(client: viser.ClientHandle) -> bool:

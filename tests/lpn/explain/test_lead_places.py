@@ -31,12 +31,30 @@ def test_a_sentence_tells_ring_side_and_what_both_tiles_show_there() -> None:
         with speaking(Vocabulary(plain=True, part="ring")):
             return describe_lead_place(place, NAMES, "drone", ("this answer", "the other picture"), "the picture")
 
-    head = "Ring 2 speaks most for this answer (75 % of what speaks for it), above all at the top of the picture"
+    head = "Ring 2, the outermost, speaks most for this answer (75 % of what speaks for it), above all at the top of the picture"
     assert said(0.0) == f"{head}: there this answer shows a road, and the other picture grass."
     # Turned by half a circle, the top of the query is the bottom of the tiles.
     assert said(180.0) == f"{head}: there this answer shows grass, and the other picture a road."
     assert said(None) == f"{head}.", "nobody knows where in the tiles that is"
-    assert said(None, (-0.1, 0.3)).startswith("Only ring 2 speaks for this answer,")
+    assert said(None, (-0.1, 0.3)).startswith("Only ring 2, the outermost, speaks for this answer,")
+
+
+@pytest.mark.parametrize(
+    ("parts", "head"),
+    [
+        ([0], "Ring 1, the square in the middle, speaks"),
+        ([1], "Ring 2, the 2nd square ring from the middle, speaks"),
+        ([1, 2], "Rings 2 and 3, the 2nd square ring from the middle and the outermost, speak"),
+    ],
+)
+def test_plain_words_say_where_a_ring_lies(parts: list[int], head: str) -> None:
+    rings = np.concatenate([RINGS, RINGS[:1]])
+    place = lead_place(np.array([0.2, 0.2, 0.2]), parts, np.ones((8, 8)), (rings, rings))
+    with speaking(Vocabulary(plain=True, part="ring")):
+        said = describe_lead_place(
+            place, ["1 centre", "2", "3 outer"], "drone", ("this answer", "the other"), "the picture"
+        )
+    assert said.startswith(f"{head} most")
 
 
 def test_where_no_side_leads_the_whole_ring_is_named() -> None:

@@ -25,7 +25,7 @@ from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual
-from lpn.report import Options, OwnPicture
+from lpn.report import Options, OwnPicture, Said, SaidPicture
 from lpn.retrieval import Ranking
 from lpn.tasks.notes import NAME as NOTES
 from lpn.tasks.opening import open_task
@@ -112,6 +112,36 @@ def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
     assert {"#q1", "#q2", "#top"} == links
     for text in ("2031-05-06", task.model.fingerprint, "drone-to-satellite", "14 queries", "R@1", "Protocol"):  # type: ignore[union-attr]
         assert text in page.text
+
+
+def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) -> None:
+    queries = range(len(task.queries))
+    several, _, experts = Page(report.build(task, queries)).text.partition("For experts")
+    right = round(task.metrics["recall@1"] / 100 * len(queries))
+    assert "Report on 14 pictures" in several
+    assert f"{len(task.gallery)} satellite pictures and takes the most alike for its place." in several
+    assert f"That is right for {right} of the 14 pictures whose place is known." in several
+    for term in ("R@1", "d²", "tile", "Contents"):
+        assert term not in several
+        assert term in experts
+    picture = SaidPicture("The answer", "on <the> map", "data:image/png;base64,", True, turn=-30.0)
+    said = Said(
+        "Where was it taken?", "✓ Right.", ("How far to trust it: far.",), (picture,), (("Camera", "<b>X</b>"),)
+    )
+    page = Page(report.build(task, [1], Options(said=said)))
+    one, _, experts = page.text.partition("For experts")
+    for text in (
+        "Where was it taken?",
+        *said.sentences,
+        "The answer",
+        "on <the> map",
+        "<b>X</b>",
+        task.queries[1].name,
+    ):
+        assert text in one
+    assert any(image.get("style") == "transform:rotate(-30deg)" for image in page.all("img"))
+    assert "R@1" in experts
+    assert "Contents" not in experts, "it would have one line"
 
 
 def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
