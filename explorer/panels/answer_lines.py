@@ -10,7 +10,7 @@ from markupsafe import Markup
 
 from explorer import session_state
 from explorer.panels import answer_text, place_text
-from explorer.panels.radius_text import radius_is_no_limit, with_radius
+from explorer.panels.radius_text import holds, with_radius
 from explorer.web.render import SIGNS
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.datasets.rendered import shows_rendered
@@ -33,6 +33,7 @@ class AnswerLines:
         purpose: what the program searches, as HTML.
         query, answer: what the two pictures are.
         verdict: what the program concludes.
+        radius: for how many photos the radius of the place should hold.
         by_look: the verdict on the look alone where `verdict` is of all methods; else None.
         comparing: how far the comparison of an own picture's details with the map is.
         ground: where the photo lies on the map, as HTML.
@@ -49,6 +50,7 @@ class AnswerLines:
     query: str
     answer: str
     verdict: _Verdict
+    radius: str
     by_look: _Verdict | None
     comparing: str
     ground: str
@@ -70,6 +72,7 @@ class AnswerLines:
         """The other lines as paragraphs without HTML."""
         lines = (
             self.verdict[2],
+            self.radius,
             _NOT_ENDED if "…" in self.comparing else self.comparing,
             self.ground,
             "" if self.by_look is None else Markup("{} {}").format(_headline(self.by_look), self.by_look[2]),
@@ -108,7 +111,6 @@ def answer_lines(
     if own and workspace.own_photos and analysis.chosen.rank == 1:
         answer = "Most similar by its look"
     altered = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
-    trust = answer_text.trust(analysis, workspace)
 
     judged = (
         place_text.criterion(workspace, task),
@@ -117,7 +119,7 @@ def answer_lines(
     )
 
     def told(text: str) -> str:
-        return with_radius(text, registered, workspace, shares=True)
+        return with_radius(text, registered, workspace)
 
     return AnswerLines(
         question="Where was this picture taken?"
@@ -127,6 +129,7 @@ def answer_lines(
         query="Your picture" if own else f"A picture {_FROM[task.query_view]}",
         answer=answer,
         verdict=(right, told(headline), told(sentence)),
+        radius=holds(registered, workspace),
         by_look=None if concluded is None else looked,
         comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
         ground=ground,
@@ -135,7 +138,7 @@ def answer_lines(
         trust_name="How far one would trust it, not knowing that it is wrong"
         if errs and not own and not workspace.has_flight
         else "How far to trust it",
-        trust=trust and f"{trust} {radius_is_no_limit(registered, workspace)}".strip(),
+        trust=answer_text.trust(analysis, workspace),
         overall=_overall(analysis, workspace, bool(altered)),
         season="" if own else place_text.season(workspace),
         criterion="" if own else " ".join(filter(None, judged)),

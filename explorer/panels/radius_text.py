@@ -16,36 +16,25 @@ from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.maps.tag_placed import placing_sentence
 
 
-def with_radius(text: str, answer: StageRecord | None, workspace: Workspace, shares: bool = False) -> str:
-    """Return a text in which an answer's radius, where it is first told, explains itself.
-
-    Args:
-        shares: say beside it for how many photos it should hold.
-    """
+def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
+    """Return a text in which an answer's radius, where it is first told, explains itself."""
     if answer is None or answer.radius is None:
         return text
     radius = f"± {answer.radius:.1f} m {on_what(answer)}"
     before, told, after = text.partition(radius)
-    if not told:
-        return text
-    often = ""
-    if shares:
-        first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
-        doubt = "" if _confirmed(workspace) else " (unconfirmed by this flight)"
-        often = f" for {first:.0f} of 100 photos, {error_figure(2 * answer.radius)} m for {second:.0f}{doubt}"
-    return Markup("{}{}{}{}").format(before, explained(told, _meaning(answer, workspace)), often, after)
+    return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
 
 
-def radius_is_no_limit(answer: StageRecord | None, workspace: Workspace) -> str:
-    """Say how many photos should lie within the radius of an accepted answer, and if a check confirms it; "" without one."""
+def holds(answer: StageRecord | None, workspace: Workspace) -> str:
+    """Say for how many photos the radius of an accepted answer should hold, and if a check confirms it; "" without one."""
     if answer is None or answer.radius is None or not answer.accepted:
         return ""
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     text = (
-        f"± {answer.radius:.1f} m is no limit: {first:.0f} of 100 photos should lie within it, {second:.0f} within twice as "
-        "much, and the others farther off."
+        f"± {answer.radius:.1f} m should hold for {first:.0f} of 100 photos, and {error_figure(2 * answer.radius)} m for "
+        f"{second:.0f}"
     )
-    return text if _confirmed(workspace) else f"{text} The check of this flight does not confirm that."
+    return f"{text}." if _confirmed(workspace) else f"{text}; the check of this flight does not confirm it."
 
 
 def _confirmed(workspace: Workspace) -> bool:
