@@ -324,8 +324,11 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
     found, positive = _verdicts(analysis, workspace), analysis.positive
     lines = _lines(analysis, workspace, found, laid, linked=False)
     task, turn, chosen = analysis.task, _turn(analysis, workspace), analysis.chosen
+    middle = ", its middle" if workspace.has_flight and analysis.state.upload is None else ""
     pictures = [
-        SaidPicture(lines.query, analysis.name, _picture(analysis, workspace, analysis.query, task.query_view)),
+        SaidPicture(
+            lines.query, f"{analysis.name}{middle}", _picture(analysis, workspace, analysis.query, task.query_view)
+        ),
         SaidPicture(
             lines.answer,
             place_text.piece(task.gallery[chosen.index]),

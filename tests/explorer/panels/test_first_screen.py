@@ -641,6 +641,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "On the map, by its details",
     ]
     assert all(picture.source in words for picture in told.pictures)
+    assert "IMG_9408.webp, its middle" in words
     for row in (
         ("File", "IMG_9408.webp"),
         ("SHA-256", sha256((PLACE / "IMG_9408.webp").read_bytes()).hexdigest()),
