@@ -118,7 +118,8 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
 
 
 def _gallery(task: Task) -> str:
-    return f"{len(task.gallery):,} tiles" if task.lists_gallery else task.gallery_description
+    tiles = f"{len(task.gallery):,} tiles" if task.lists_gallery else task.gallery_description
+    return f"{tiles}, pieces of the map" if task.of_map else tiles
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:

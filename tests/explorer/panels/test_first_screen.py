@@ -652,6 +652,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     for term in ("OpenStreetMap", "satellite", "R@1", "d²", "true tile"):
         assert term not in words
     assert "every one of the pieces of the map" in experts
+    assert "30 queries, 224 tiles, pieces of the map" in experts
     assert "Contents" not in experts
     bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
