@@ -713,8 +713,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
                 r"The chosen piece is \d+ m wide; by its details, the photo's middle lies beyond its edge\.", said
             )
             assert (limit is None) == why
-            assert f"{sign} Placed by its details, ± 6.1 m on earth " in said
-            assert f"by this flight){headline} The model's own guess, by its look alone, was wrong, " in said
+            assert (
+                f"{sign} Placed by its details, ± 6.1 m on earth {headline} The model's own guess, by its look alone, was wrong, "
+                in said
+            )
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
     before = flight.frames[placed].stages["registration"]
