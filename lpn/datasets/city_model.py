@@ -67,35 +67,35 @@ def city_model(root: Path) -> CityModel | None:
         raise DataError(f"{path} is damaged: it cannot be uncompressed ({error}); copy it again.") from error
     if len(data) > MAX_BYTES:
         raise DataError(
-            f"{path.name} has more than {MAX_BYTES / 1e6:g} MB; expected at most as many, so leave detail out."
+            f"{path.name} has more than {MAX_BYTES / 1e6:g} MB uncompressed; expected at most as many, so leave detail out."
         )
-    return CityModel(data, _origin(_header(data)))
+    return CityModel(data, _origin(_header(data, path.name), path.name))
 
 
-def _header(data: bytes) -> dict[str, Any]:
-    """Parse and check the JSON chunk of a GLB file."""
+def _header(data: bytes, name: str) -> dict[str, Any]:
+    """Parse and check the JSON chunk of a GLB file of this name."""
     if len(data) < 20 or data[:4] != _MAGIC or data[16:20] != _JSON:
-        raise DataError(f"{NAME} is not a binary glTF file; export it as .glb.")
+        raise DataError(f"{name} is not a binary glTF file; export it as .glb.")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
-        raise DataError(f"{NAME} is of glTF version {version}; expected version 2.")
+        raise DataError(f"{name} is of glTF version {version}; expected version 2.")
     chunks = _chunks(data)
     if length != len(data) or chunks is None:
-        raise DataError(f"{NAME} has {len(data)} bytes where it says {length} or its parts do; copy it again.")
+        raise DataError(f"{name} has {len(data)} bytes where it says {length} or its parts do; copy it again.")
     # With two JSON chunks, a browser might read the one that was not checked.
     if [kind for kind, _ in chunks] not in ([_JSON], [_JSON, _BINARY]):
-        raise DataError(f"{NAME} holds more than a header and one block of data; export it again.")
+        raise DataError(f"{name} holds more than a header and one block of data; export it again.")
     try:
         header = json.loads(chunks[0][1])
     except (ValueError, RecursionError) as error:
-        raise DataError(f"{NAME} is damaged: its header is not JSON; export it again.") from error
+        raise DataError(f"{name} is damaged: its header is not JSON; export it again.") from error
     if not isinstance(header, dict):
-        raise DataError(f"{NAME} is damaged: its header is not a glTF scene; export it again.")
+        raise DataError(f"{name} is damaged: its header is not a glTF scene; export it again.")
     # The page must load nothing from elsewhere: no other files, and no decoder for compressed meshes.
     if _refers(header):
-        raise DataError(f"{NAME} refers to other files; export it with everything embedded.")
+        raise DataError(f"{name} refers to other files; export it with everything embedded.")
     if _DRACO in str([header.get("extensionsUsed"), header.get("extensionsRequired")]):
-        raise DataError(f"{NAME} is compressed with Draco, which is not supported; export it without.")
+        raise DataError(f"{name} is compressed with Draco, which is not supported; export it without.")
     return header
 
 
@@ -117,18 +117,18 @@ def _refers(value: object) -> bool:
     return isinstance(value, list) and any(_refers(below) for below in value)
 
 
-def _origin(header: dict[str, Any]) -> Position:
+def _origin(header: dict[str, Any], name: str) -> Position:
     extras = [part.get("extras") for part in (*_dicts(header.get("scenes")), *_dicts([header.get("asset")]))]
     for values in _dicts(extras):
         if "latitude" in values and "longitude" in values:
             latitude, longitude = values["latitude"], values["longitude"]
             if not (_degrees(latitude, 90) and _degrees(longitude, 180)):
                 raise DataError(
-                    f"{NAME} has its origin at {latitude!r}, {longitude!r}; expected degrees of latitude and longitude."
+                    f"{name} has its origin at {latitude!r}, {longitude!r}; expected degrees of latitude and longitude."
                 )
             return Position(float(latitude), float(longitude))
     raise DataError(
-        f"{NAME} does not say where it stands; record latitude and longitude of its origin in its scene's extras."
+        f"{name} does not say where it stands; record latitude and longitude of its origin in its scene's extras."
     )
 
 

@@ -38,13 +38,14 @@ class PhotoFile:
         place = "not told"
         if frame.latitude is not None and frame.longitude is not None:
             place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
+        named = " by the file's name alone" if self.photo.named else ""
         return [
             ("File", printable(frame.name)),
             ("SHA-256", self.digest),
             ("Size", f"{frame.width} × {frame.height} pixels, {self.size:,} bytes"),
-            ("Taken", self._taken),
+            ("Taken", f"{self._taken}{named if self.photo.local is None and self.photo.utc is not None else ''}"),
             ("Camera", printable(self.photo.camera) or "not told"),
-            ("GPS tag", place),
+            ("GPS tag", f"{place}{named}"),
         ]
 
     @property

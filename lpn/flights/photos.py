@@ -78,6 +78,8 @@ _ANGLES_IN_TEXT = re.compile(r"(?:\b(?:yaw|pitch|roll)|heading)\b\W{0,4}[0-9]", 
 _TEXT_TAGS = (ExifTags.Base.UserComment, ExifTags.Base.ImageDescription)
 _LENS_TAGS = ("FocalLength", "FocalPlaneXResolution", "FocalLengthIn35mmFilm")
 _AERIALVL = re.compile(r"@(?:([0-9.]+)@)?([-+]?[0-9.]+)@([-+]?[0-9.]+)@\.\w+")
+# Seconds from 1970 to the year 10000, which Python's dates do not reach.
+_END_OF_TIME = 253402300800.0
 # EXIF has colons between all numbers; programs write other marks, blanks for zeros, and zones.
 _TIME = re.compile(
     r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T]+(\d\d?):([\d ]\d):([\d ]\d)(\.\d+)? *(Z|[-+]\d\d:?\d\d)?", re.ASCII
@@ -100,6 +102,7 @@ class Photo:
         oddities: predicates whose subject is the photo, such as "has no EXIF"; equal ones are counted in a note of the flight.
         heading_unread: its file has a value that looks like a heading, and that was not read.
         camera: maker and model by EXIF; "" if it does not tell them.
+        named: position, and a time that it has, are those of the file's name, as in AerialVL.
     """
 
     frame: Frame
@@ -109,6 +112,7 @@ class Photo:
     oddities: tuple[str, ...] = ()
     heading_unread: bool = False
     camera: str = ""
+    named: bool = False
 
 
 @dataclass
@@ -169,9 +173,10 @@ def photo_of(data: bytes, file: Path) -> Photo:
     utc, local = _times(known)
     if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:
         frame, utc = _named_frame(frame, named, known, utc)
+    by_name = latitude is None and frame.latitude is not None
     _name_the_rest(known)
     unread = known.xmp.heading_unread or bool(_text_with_angles(known))
-    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread, _camera(known))
+    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread, _camera(known), by_name)
 
 
 def _metadata(picture: Image.Image) -> _Metadata:
@@ -323,6 +328,7 @@ def _named_frame(frame: Frame, named: re.Match[str], known: _Metadata, utc: floa
         return frame, utc
     if longitude is None or latitude is None or abs(latitude) > 90 or abs(longitude) > 180:
         return frame, utc
+    time = utc if time is not None and time >= _END_OF_TIME else time
     known.oddities.append("has its position in its name, as in AerialVL; its top is taken for east")
     return replace(frame, latitude=latitude, longitude=longitude, heading=90.0, heading_source="camera"), time
 

@@ -89,6 +89,9 @@ def build(
         data_name=task.data_name,
         task=task.name,
         tiles=(f"{task.tiles:,}", verdicts.pictures_of(task)),
+        selection=options.selection,
+        # A share of chosen pictures, such as the worst ones, would be read as the accuracy.
+        complete=len(queries) == len(task.queries),
         right=sum(line.verdict is True for line in lines),
         graded=sum(line.verdict is not None for line in lines),
         part_names=task.part_names,

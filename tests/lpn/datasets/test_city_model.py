@@ -94,7 +94,7 @@ def test_a_model_may_be_compressed(tmp_path: Path) -> None:
         with pytest.raises(DataError, match=error):
             city_model(tmp_path)
     (tmp_path / PACKED).write_bytes(gzip.compress(bytes(MAX_BYTES + 1)))
-    with pytest.raises(DataError, match=r"city\.glb\.gz has more than 4 MB"):
+    with pytest.raises(DataError, match=r"city\.glb\.gz has more than 4 MB uncompressed"):
         city_model(tmp_path)
 
 

@@ -76,6 +76,7 @@ def test_a_frame_of_aerialvl_tells_its_position_by_its_name(tmp_path: Path) -> N
     query = read_photo(write_photo(tmp_path / "@119.93081@-30.1234@.jpg"))
     assert (query.frame.latitude, query.frame.longitude, query.frame.heading) == (-30.1234, 119.93081, 90.0)
     assert query.utc is None
+    assert read_photo(write_photo(tmp_path / "@999999999999@119.9@30.1@.jpg")).utc is None, "no year has so many digits"
     for name in ("@1.2.3@119.9@30.1@.jpg", "@1@119.9@95@.jpg", "@119.9@95@.jpg"):
         assert read_photo(write_photo(tmp_path / name)).frame.latitude is None
 

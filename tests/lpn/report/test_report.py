@@ -124,6 +124,9 @@ def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) ->
     for term in ("R@1", "d²", "tile", "Contents"):
         assert term not in several
         assert term in experts
+    few, _, _ = Page(report.build(task, [1, 2], Options(selection="the worst of 3"))).text.partition("For experts")
+    assert "That is right for" not in few, "the share of chosen pictures is no accuracy"
+    assert "The pictures in this report are chosen: the worst of 3." in few
     picture = SaidPicture("The answer", "on <the> map", "data:image/png;base64,", True, turn=-30.0)
     said = Said(
         "Where was it taken?", "✓ Right.", ("How far to trust it: far.",), (picture,), (("Camera", "<b>X</b>"),)
