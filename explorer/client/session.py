@@ -117,6 +117,9 @@ class ClientSession:
             state = session_state.leave_first_screen(before, self._workspace.supported_state(state))
             if state == before:
                 return
+            moved = (state.screen, state.query, state.upload) != (before.screen, before.query, before.upload)
+            if moved and self._shown is not None:  # what is told before the first picture is not over by it
+                self.views.panels.forget_error()
             self.views.follow(before, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
                 self.views.bridge.call("keepTheme", "dark" if state.dark else "light")

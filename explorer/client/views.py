@@ -203,8 +203,6 @@ class ClientViews:
         """Open and close what a state opens and closes at once, before its analysis."""
         if state.dark != before.dark:
             self.set_theme(state)
-        if (state.screen, state.query, state.upload) != (before.screen, before.query, before.upload):
-            self.panels.forget_error()
         if state.shows_reasons and not before.shows_reasons:
             self.explain_window.announce()
             self.bridge.call("revealReasons")

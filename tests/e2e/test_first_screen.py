@@ -299,7 +299,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
         expect(first.locator(".comparing")).to_contain_text("Its details are compared with the map")
 
     fresh.goto(demo_app.url)
-    expect(sentence).to_contain_text("Placed by its details, ± 6.1 m on earth for 39 of 100 photos")
+    expect(sentence).to_contain_text("Placed by its details, ± 6.1 m on earth.")
     send(DEMO_PLACE[1] / "IMG_9368.webp")
     place.locator("summary").click()
     expect(sentence).to_contain_text("On this map.")
