@@ -232,6 +232,10 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     close = page.locator("#lpn-glossary button")
     expect(close).to_be_in_viewport(ratio=1)
     close.tap()
+    first.locator(".term").first.tap()
+    page.locator("#lpn-first h1").dispatch_event("mouseover")  # browsers add a mouse to a tap, which may lie beside it
+    expect(page.locator("#lpn-term")).to_be_visible()
+    page.keyboard.press("Escape")
     first.get_by_text("Where it fails").tap()
     first.get_by_text("All pictures in a table").tap()
     expect(page.locator("#lpn-lab-breakdown [tabindex]").first).to_be_in_viewport(ratio=1)

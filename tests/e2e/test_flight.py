@@ -479,7 +479,7 @@ def test_the_chip_of_a_flight_opens_its_window_as_large_as_the_stage(
 
 
 @pytest.mark.slow
-def test_a_phone_has_the_map_its_legend_and_the_timeline_first_and_a_tip_leaves_the_zoom_free(
+def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_the_zoom_free(
     flight_app: RunningFlight, contexts: Callable[..., BrowserContext]
 ) -> None:
     page = contexts(viewport={"width": 390, "height": 844}, has_touch=True, is_mobile=True).new_page()
@@ -489,7 +489,7 @@ def test_a_phone_has_the_map_its_legend_and_the_timeline_first_and_a_tip_leaves_
 
     def in_order() -> None:
         tops = [
-            box(page.locator(one))["y"] for one in ("#lpn-flight .view", "#lpn-flight .legend", "#lpn-flight .time")
+            box(page.locator(one))["y"] for one in ("#lpn-flight .view", "#lpn-flight .time", "#lpn-flight .legend")
         ]
         assert tops == sorted(tops)
         assert tops[-1] < box(page.locator("#lpn-header"))["y"], "the panels of the workbench come after the window"

@@ -30,7 +30,8 @@
     term ? show(term) : lpn.hideTip();
   };
 
-  document.addEventListener("mouseover", (event) => (termOf(event) ? show(termOf(event)) : keep()));
+  // A tap is followed by moves of a mouse that is not there, which may lie beside what was tapped.
+  document.addEventListener("pointerover", (event) => event.pointerType === "mouse" && (termOf(event) ? show(termOf(event)) : keep()));
   document.addEventListener("focusin", (event) => termOf(event) && show(termOf(event)));
   document.addEventListener("click", (event) => (termOf(event) ? show(termOf(event)) : lpn.hideTip()));
   document.addEventListener("focusout", lpn.hideTip);
