@@ -49,9 +49,16 @@ _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and
 _WGS84 = "EPSG:4326"
 # Names in one sentence at most.
 _MOST_NAMES = 10
-# Photos from which a mean is compared with its standard error, and the multiple of it beyond which chance hardly explains it.
+# Independent photos from which a mean is compared with its standard error.
 _LEAST_FOR_BIAS = 5
-_BIAS = 3.0
+# The multiple of the standard error that a mean of normal errors exceeds by chance once in 370 surveys (the 3 sigma of many
+# photos), by degrees of freedom: quantiles of Student's t.
+_BIAS = {4: 6.62, 5: 5.51, 6: 4.90, 8: 4.28, 10: 3.96, 15: 3.59, 25: 3.33, 50: 3.16, math.inf: 3.00}
+_SYSTEMATIC = (
+    "it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error is likely"
+)
+_CHANCE = "chance may explain it"
+_UNTOLD = f"there are too few independent photos to tell ({_LEAST_FOR_BIAS} are needed)"
 _RESIDUAL_COLUMNS = (
     *("photo", "point", "answer_is", "stage", "state", "doubt"),
     *("surveyed_easting_m", "surveyed_northing_m", "easting_m", "northing_m", "crs"),
@@ -160,27 +167,31 @@ class SurveyedErrors:
 
     @property
     def bias_sentence(self) -> str:
-        """Say if the means are more than chance; "" where too few photos tell."""
+        """Say along which axes the mean is more than chance explains; "" of fewer photos than could tell."""
         if self.photos < _LEAST_FOR_BIAS:
             return ""
-        errors = {
-            "east": (self.bias_east, self.sd_east / math.sqrt(self.independent_east)),
-            "north": (self.bias_north, self.sd_north / math.sqrt(self.independent_north)),
+        axes = {
+            "east": (self.bias_east, self.sd_east, self.independent_east),
+            "north": (self.bias_north, self.sd_north, self.independent_north),
         }
-        means = " and ".join(f"{mean:.2f} m {axis} (± {error:.2f})" for axis, (mean, error) in errors.items())
-        beyond = [axis for axis, (mean, error) in errors.items() if abs(mean) > _BIAS * error]
-        verdict = (
-            f"to the {' and '.join(beyond)} it is more than {_BIAS:g} times that, a systematic error rather than chance"
-            if beyond
-            else f"neither is more than {_BIAS:g} times that, so chance may explain both"
-        )
-        sentence = f"The mean is {means}, with its standard error: {verdict}."
+        means, verdicts = [], dict[str, list[str]]()
+        for axis, (mean, sd, independent) in axes.items():
+            error = sd / math.sqrt(independent)
+            told = independent >= _LEAST_FOR_BIAS
+            means.append(f"{round(mean, 2) + 0.0:.2f} m {axis}" + (f" (± {error:.2f})" if told else ""))
+            beyond = told and abs(mean) > _most_by_chance(independent - 1) * error
+            verdicts.setdefault(_SYSTEMATIC if beyond else _CHANCE if told else _UNTOLD, []).append(axis)
+        judged = "; ".join(f"to the {' and '.join(named)} {verdict}" for verdict, named in verdicts.items())
+        known = ", with its standard error" if {*verdicts} - {_UNTOLD} else ""
+        sentence = f"The mean is {' and '.join(means)}{known}: {judged}."
         if min(self.independent_east, self.independent_north) > self.photos - 0.5:
             return sentence
-        return (
-            f"{sentence} Photos that follow each other err alike, so the {self.photos} count as {self.independent_east:.0f} "
-            f"independent ones to the east and {self.independent_north:.0f} to the north."
+        east, north = (
+            f"{number} independent {'ones' if number > 1 else 'one'} to the {axis}"
+            for axis, (_, _, independent) in axes.items()
+            for number in [int(independent)]
         )
+        return f"{sentence} Photos that follow each other err alike, so the {self.photos} count as {east} and {north}."
 
 
 def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list[SurveyedPosition]:
@@ -300,12 +311,21 @@ def _summary(rows: Sequence[Residual]) -> SurveyedErrors:
 def _independent(errors: Float64Array) -> float:
     """Return how many errors that do not depend on each other tell as much of the mean as these, (n,), in the flight's order.
 
-    With a correlation r of neighbours these are n (1 - r) / (1 + r) (Bayley and Hammersley, 1946); r below 0 counts as 0.
+    With a correlation r of neighbours these are n (1 - r) / (1 + r) (Bayley and Hammersley, 1946); r below 0 counts as 0. About
+    their own mean n errors show r too low by (1 + 4 r) / n (Kendall, 1954), which is added.
     """
-    off = errors - errors.mean()
+    off, n = errors - errors.mean(), len(errors)
     squares = float((off**2).sum())
-    alike = max(float((off[1:] * off[:-1]).sum()) / squares, 0.0) if squares else 0.0
-    return max(len(errors) * (1 - alike) / (1 + alike), 1.0)
+    if not squares:
+        return float(n)
+    shown = float((off[1:] * off[:-1]).sum()) / squares
+    alike = min(max(shown + (1 + 4 * shown) / n, 0.0), 1.0)
+    return max(n * (1 - alike) / (1 + alike), 1.0)
+
+
+def _most_by_chance(freedom: float) -> float:
+    """Return the multiple of the standard error within which chance leaves a mean, by degrees of freedom from 4 on."""
+    return float(np.interp(-1 / freedom, [-1 / known for known in _BIAS], list(_BIAS.values())))
 
 
 def write_residuals(file: Path, rows: Sequence[Residual], frame: LocalFrame) -> None:
@@ -525,7 +545,7 @@ def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
             f"No answer is accepted for {_photos(missing)}, which {'does' if len(missing) == 1 else 'do'} not count: "
             f"{_listed(missing)}."
         )
-    if doubted := _names_of(row for row in rows if row.state == "contradicted"):
+    if doubted := _names_of(row for row in rows if row.counts and row.doubt):
         sentences.append(f"Contradicted by other answers, and counted all the same: {_listed(doubted)}.")
     for point, other in (("camera", "ground at the photo's middle"), ("ground", "camera")):
         moved = sum(row.counts and row.point == point != row.answered for row in rows)

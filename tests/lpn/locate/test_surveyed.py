@@ -24,6 +24,7 @@ from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.surveyed import (
     MatchedSurvey,
     Residual,
+    SurveyedErrors,
     SurveyedPosition,
     compare_surveyed,
     match_surveyed,
@@ -182,22 +183,35 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     )
 
 
-def test_a_mean_that_is_more_than_chance_is_called_systematic() -> None:
-    def sentence(*norths: float) -> str:
-        names = [f"{i}.jpg" for i in range(len(norths))]
-        frames = [
-            photo(name, accepted((-1.0) ** i, north)) for i, (name, north) in enumerate(zip(names, norths, strict=True))
-        ]
-        rows = compared(flight(*frames), [SurveyedPosition(name, 0.0, 0.0, "ground") for name in names])
-        return summarise_surveyed(rows)["registration"]["ground"].bias_sentence
+def _errors(norths: Sequence[float]) -> SurveyedErrors:
+    """Summarise errors to the north; those to the east are 1 m to either side by turns."""
+    rows = [
+        Residual(f"{i}.jpg", "ground", "ground", "registration", "accepted", (), (0.0, 0.0), (-1.0) ** i, north, 1.0)
+        for i, north in enumerate(norths)
+    ]
+    return summarise_surveyed(rows)["registration"]["ground"]
 
-    scattered = sentence(-3.0, -2.5, -2.9, -2.6, -2.8, -2.7)
-    assert "0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error" in scattered
-    assert scattered.endswith("to the north it is more than 3 times that, a systematic error rather than chance.")
-    one_leg = sentence(*[0.0] * 6, *[-3.0] * 6, *[0.0] * 6)
-    assert "-1.00 m north (± 0.85)" in one_leg, "a leg errs as one"
-    assert "neither is more than 3 times that, so chance may explain both" in one_leg
-    assert "so the 18 count as 18 independent ones to the east and 3 to the north" in one_leg
+
+def test_a_mean_that_chance_hardly_explains_is_called_systematic() -> None:
+    assert _errors([-3.0, -2.5, -2.9, -2.6, -2.8, -2.7]).bias_sentence == (
+        "The mean is 0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error: to the east chance may explain "
+        "it; to the north it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error "
+        "is likely."
+    )
+    # 3.3 standard errors are rare in a large survey, and not among six photos.
+    assert "to the east and north chance may explain it" in _errors([-3.0, 0.0, -3.0, -0.5, -3.0, -1.5]).bias_sentence
+    one_leg = _errors([*[0.0] * 6, *[-3.0] * 6, *[0.0] * 6]).bias_sentence
+    assert "and -1.00 m north, with its standard error: to the east chance may explain it" in one_leg
+    assert "to the north there are too few independent photos to tell (5 are needed)" in one_leg, "a leg errs as one"
+    assert one_leg.endswith("so the 18 count as 18 independent ones to the east and 1 independent one to the north.")
+
+
+def test_neighbours_that_err_alike_are_seldom_called_systematic() -> None:
+    drawn = np.random.default_rng(0).standard_normal((400, 10))
+    for i in range(1, 10):
+        drawn[:, i] = 0.8 * drawn[:, i - 1] + 0.6 * drawn[:, i]
+    called = ["to the north it is more" in _errors(errors).bias_sentence for errors in drawn.tolist()]
+    assert np.mean(called) < 0.1, "of three standard errors, uncorrected, a quarter is"
 
 
 def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> None:
@@ -265,7 +279,9 @@ def test_state_and_doubt_are_those_of_the_best_track() -> None:
         ("sequence", "accepted", ("tag",)),
     ]
     assert [(row.stage, row.state, row.doubt) for row in rows[::2]] == of_best
-    assert "Contradicted by other answers, and counted all the same: a.jpg." in survey_remarks(rows, 3)
+    remarks = survey_remarks(rows, 3)
+    assert remarks[0] == "Contradicted by other answers, and counted all the same: a.jpg, c.jpg."
+    assert [remark[:23] for remark in remarks[1:]] == ["3 surveyed positions of"]
 
 
 def test_names_are_found_by_path_then_folders_then_name_then_stem() -> None:
