@@ -192,8 +192,8 @@ class Index(ABC):
         """Release files, threads, and connections."""
 
     @property
-    def expected_windows(self) -> dict[float, float]:
-        """Return the overlap of the windows of a map that `expect_windows` announced, by their side in metres."""
+    def expected_windows(self) -> dict[float, list[float]]:
+        """Return the overlaps of the windows of a map that `expect_windows` announced, newest last, by their side in metres."""
         return {}
 
     @abstractmethod
@@ -201,7 +201,7 @@ class Index(ABC):
         """Keep which windows of a map will be added, so that a partial index is known as one.
 
         Args:
-            sizes, overlap: see `Map.pyramid`; they replace the overlap of a size that was announced before.
+            sizes, overlap: see `Map.pyramid`; of a size that was announced with another overlap, this one is the newest.
 
         Raises:
             StoreError: when they cannot be written.

@@ -95,8 +95,8 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         settings: settings of the engine.
         next: number of the next folder or file to be written.
         segments: oldest first.
-        windows: sides in metres and overlaps of a map's windows, see `Index.expect_windows`; empty for other tiles, and in an
-            index of an earlier version, whose checksum is not of them.
+        windows: sides in metres and overlaps of a map's windows, see `Index.expect_windows`, the newest overlap of a side last;
+            empty for other tiles, and in an index of an earlier version, whose checksum is not of them.
         checksum: CRC-32 of all other values.
     """
 
@@ -211,6 +211,8 @@ def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
         if folder.exists() and not folder.is_dir():
             raise StoreError(f"{folder} is a file; choose another place for the index.")
         folder.mkdir(parents=True, exist_ok=True)
+        if (folder / MANIFEST).exists():  # a whole index may lie in a folder that cannot be written
+            return _check_same_kind(folder, IndexManifest.read(folder), manifest)
         with exclusive_lock(folder, wait=True):
             if (folder / MANIFEST).exists():
                 return _check_same_kind(folder, IndexManifest.read(folder), manifest)
@@ -280,19 +282,23 @@ class FolderIndex(Index):
             self._change(lambda: self._write(batch))
 
     @property
-    def expected_windows(self) -> dict[float, float]:
+    def expected_windows(self) -> dict[float, list[float]]:
         """See `Index.expected_windows`."""
-        return dict(self._current().manifest.windows)
+        overlaps: dict[float, list[float]] = {}
+        for size, overlap in self._current().manifest.windows:
+            overlaps.setdefault(size, []).append(overlap)
+        return overlaps
 
     def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
-        """See `Index.expect_windows`."""
+        """See `Index.expect_windows`; an index that expects them already is not written."""
+        new = dict.fromkeys((float(size), float(overlap)) for size in sizes)
 
-        def announced() -> IndexManifest:
-            manifest = self._state.manifest
-            windows = {**dict(manifest.windows), **{float(size): float(overlap) for size in sizes}}
-            return replace(manifest, windows=tuple(sorted(windows.items())))
+        def announced(manifest: IndexManifest) -> IndexManifest:
+            older = [pair for pair in manifest.windows if pair not in new]
+            return replace(manifest, windows=tuple(sorted([*older, *new], key=lambda pair: pair[0])))
 
-        self._change(announced)
+        if announced(manifest := self._current().manifest) != manifest:
+            self._change(lambda: announced(self._state.manifest))
 
     def extent(self) -> DegreeBox | None:
         """See `Index.extent`."""

@@ -134,22 +134,39 @@ class WindowIndex:
         return replace(found, notes=(*notes, *self._partial(found)))
 
     def _partial(self, found: IndexedWindows) -> list[str]:
-        """Return a sentence if the index is known to lack windows of the map."""
-        held, of = self._count // len(self.turns), ""
-        if self._expected:
-            whole = sum(self._map.count_pyramid([size], overlap) for size, overlap in self._expected.items())
-            least = float(whole)
-        elif self._every is not None:
-            whole, of = self._map.count_pyramid(self.sizes, found.overlap), "some "
-            least = _WHOLE * whole
+        """Return a sentence if the index lacks windows of the map, as far as it is known which ones it should hold."""
+        announced = {round(size, 2) for size in self._expected}  # as names round them
+        sizes = [size for size in self.sizes if size not in announced]
+        others = replace(found, windows=[one for one in found.windows if one.size in sizes])
+        estimate = self._map.count_pyramid(sizes, others.overlap) if others.windows else 0
+        if self._every is not None:
+            held, whole = self._compared({*self._every.ids})
+            lacks, of = held < whole or len(others.windows) < _WHOLE * estimate, "some " * bool(others.windows)
+            held, whole = held + len(others.windows), whole + estimate
         else:
-            return []
-        if held >= least:
+            # Windows that were not returned may lie between those that were: the overlap is the least that it may be.
+            held, of = self._count // len(self.turns), "at least some " * bool(others.windows)
+            pairs = [(size, overlap) for size, overlaps in self._expected.items() for overlap in overlaps]
+            whole = estimate + sum(self._map.count_pyramid([size], overlap) for size, overlap in pairs)
+            if len(pairs) > len(self._expected) and not of:  # two overlaps share some windows
+                of = "some "
+            lacks = held < whole * (_WHOLE if of else 1)
+        if not lacks:
             return []
         return [
             f"The index holds {held:,} of {of}{whole:,} windows of the map, and no photo is found where it holds none; "
             "if it should hold all, let lpn index --map go on to its end."
         ]
+
+    def _compared(self, names: set[str]) -> tuple[int, int]:
+        """Return how many of the announced windows, of each size by its newest overlap, are among names, and of how many."""
+        newest = {size: overlaps[-1] for size, overlaps in self._expected.items()}
+        whole = sum(self._map.count_pyramid([size], overlap) for size, overlap in newest.items())
+        held = 0
+        for size, overlap in newest.items():
+            for windows in self._map.pyramid_blocks([size], overlap):
+                held += sum(one.name in names for one in NamedWindow.all_of(windows, self._map.frame))
+        return held, whole
 
     def _nearest(self, described: Float32Array) -> tuple[list[NamedWindow], dict[str, Float32Array]]:
         """Return the windows nearest to descriptions, north up and each once, and the descriptors of all their turns by name."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,10 +13,12 @@ import pytest
 from rich.console import Console
 
 from lpn.cli.locate import locate_files
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
 from lpn.flights import Flight, Frame
 from lpn.flights.base import HeadingSource
 from lpn.index import ExactIndex, create_index
+from lpn.index import folder as index_folder
 from lpn.index.base import DescriptorKind
 from lpn.index.from_map import index_windows as fill_index
 from lpn.index.from_map import window_describer
@@ -22,7 +26,7 @@ from lpn.locate import index_windows
 from lpn.locate.index_windows import WindowIndex
 from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import retrieve
-from lpn.maps import Map, NamedWindow
+from lpn.maps import Map, NamedWindow, Window
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, small_flight, write_map
 
 KIND = DescriptorKind("grid", 2, 16)
@@ -87,20 +91,72 @@ def test_an_index_that_is_still_being_filled_is_told(town: Map, tmp_path: Path) 
             index.add(names[half:], plain.windows_described[half:])
 
 
-def test_an_index_that_stopped_between_two_sizes_is_told(town: Map, tmp_path: Path) -> None:
-    model, sizes = GridModel(), [40.0, 51.0, 102.0]
-    describe = window_describer(model, town)  # type: ignore[arg-type]
-    where, frame = tmp_path / "index", np.ones((1, 2, 16), np.float32)
+FRAME = np.ones((1, 2, 16), np.float32)
+
+
+def _fill(
+    where: Path, town: Map, sizes: list[float], overlap: float = 0.5, stop: int | None = None, **how: int
+) -> None:
+    """Fill an index, and stop after some windows where that is told."""
+    describe = window_describer(GridModel(), town)  # type: ignore[arg-type]
+    left = stop or 10**6
+
+    def described(windows: Sequence[Window]) -> Float32Array:
+        nonlocal left
+        if left <= 0:
+            raise KeyboardInterrupt
+        left -= len(windows)
+        return describe(windows)
+
+    with create_index(where, KIND) as index, suppress(KeyboardInterrupt):
+        fill_index(index, town, described, sizes, overlap, **how)  # type: ignore[arg-type]
+
+
+def _partial(where: Path, town: Map) -> list[str]:
+    """Return what the notes tell of the number of windows."""
+    notes = WindowIndex(str(where), GridModel(), town).near(FRAME).notes  # type: ignore[arg-type]
+    return [note.split(" windows of the map,")[0] for note in notes if "windows of the map," in note]
+
+
+def test_an_index_that_stopped_between_two_sizes_is_told_and_a_whole_one_is_not_written(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where, sizes = tmp_path / "index", [40.0, 51.0, 102.0]
+    held = town.count_pyramid(sizes[:1])
+    _fill(where, town, sizes, stop=2 * held, turns=2)
+    assert _partial(where, town) == [f"The index holds {held} of {town.count_pyramid(sizes)}"]
+    _fill(where, town, sizes, turns=2)
+    assert _partial(where, town) == []
+    with monkeypatch.context() as patch:
+        patch.setattr(index_folder, "exclusive_lock", lambda *_, **__: pytest.fail("a whole index is written again"))
+        _fill(where, town, sizes, turns=2)
+
+
+def test_windows_of_another_overlap_or_size_do_not_stand_for_those_that_lack(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    where = tmp_path / "overlaps"
+    _fill(where, town, [60.0])
+    _fill(where, town, [60.0], 0.6, stop=20, block=10)
+    assert _partial(where, town)[0].endswith(" of 49")
+    with monkeypatch.context() as patch:
+        patch.setattr(index_windows, "MOST", 50)
+        assert _partial(where, town)[0].endswith(" of some 85"), "of a large index, windows are counted alone"
+        _fill(where, town, [60.0], 0.6)
+        assert _partial(where, town) == []
+    assert _partial(where, town) == []
+    where = tmp_path / "sizes"
+    windows = NamedWindow.all_of(town.pyramid([40.0], 0.5), town.frame)
     with create_index(where, KIND) as index:
-        for held in (1, 2, 3):
-            fill_index(index, town, describe, sizes[:held], turns=2)
-            index.expect_windows(sizes, 0.5)
-            indexed = WindowIndex(str(where), model, town)  # type: ignore[arg-type]
-            told = (
-                f"The index holds {town.count_pyramid(sizes[:held])} of {town.count_pyramid(sizes)} windows of the map"
-            )
-            assert [note[: len(told)] for note in indexed.near(frame).notes] == ([told] if held < 3 else [])
-        assert index.expected_windows == dict.fromkeys(sizes, 0.5)
+        rounded = [one.on(town.frame) for one in windows]
+        index.add([one.name for one in windows], window_describer(GridModel(), town)(rounded))  # type: ignore[arg-type]
+    _fill(where, town, [60.0], stop=8, block=8)
+    assert _partial(where, town) == ["The index holds 89 of some 117"]
+    monkeypatch.setattr(index_windows, "MOST", 80)
+    (told,) = _partial(where, town)
+    assert told.startswith("The index holds 89 of at least some ")
+    _fill(where, town, [60.0])
+    assert _partial(where, town) == []
 
 
 def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(town: Map, tmp_path: Path) -> None:
