@@ -215,7 +215,7 @@ class LocatedFlight:
         tags_corrected: whether the frames have these as their tags.
         map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
         place_error: the part of it that is the error of the map's place on earth, see `Map.place_error`.
-        tags_away: metres from the map's middle to the nearest tag where all lie far off the map, so that they were left out;
+        tags_away: metres from the map's edge to the nearest tag where all lie far off the map, so that they were left out;
             None where they do not.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
     """

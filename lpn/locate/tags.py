@@ -24,7 +24,7 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
     """Return the positions of a flight on the map, sentences about them, and how far away they are.
 
     Positions are in metres of the map's frame, (N, 2), NaN where none is of use. If all of them lie far off the map, none is of
-    use, and the third value is the metres from the map's middle to the nearest; else it is None.
+    use, and the third value is the metres from the map's edge to the nearest; else it is None.
     """
     total = len(flight.frames)
     tags = basemap.frame.xy(*flight.degrees.T)
@@ -42,11 +42,13 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
     margin = max(east - west, north - south)
     off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
-        middle = (basemap.frame.latitude, basemap.frame.longitude)
-        nearest = float(field_metrics.great_circle(flight.degrees[tagged], np.array(middle)).min())
+        # Degrees are compared, as the plane stretches what lies far off; where it ends, only the map's middle is known.
+        edges = np.tile([basemap.frame.latitude, basemap.frame.longitude], (total, 1))
+        edges[known] = basemap.frame.degrees(np.clip(tags[known], [west, south], [east, north]))
+        nearest = float(field_metrics.geodesic(flight.degrees[tagged], edges[tagged]).min())
         notes.append(
             f"The flight lies elsewhere than {basemap.name}, the map: its nearest position is {nearest / 1000:.1f} km from the "
-            "map's middle. The positions were left out; give the map of this flight, unless its positions are wrong."
+            "map's edge. The positions were left out; give the map of this flight, unless its positions are wrong."
         )
         return np.full_like(tags, np.nan), notes, nearest
     blank = basemap.valid_shares(tags[known], basemap.resolution) == 0

@@ -29,6 +29,7 @@ from lpn.locate.pipeline import locate
 from lpn.locate.ranked_stages import confirm_sequence
 from lpn.locate.registration import Expectation, Registration, Similarity, contested, register
 from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
+from lpn.locate.tags import tags_on_map
 from lpn.maps import Map, Window, open_map
 from tests.lpn.locate.scenery import (
     CORNER,
@@ -276,6 +277,14 @@ def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
     assert found.stages == ["registration"]
 
 
+def test_a_flight_elsewhere_lies_as_far_as_it_is_from_the_maps_edge(town: Map, flight: Flight) -> None:
+    west, _, east, _ = town.bounds
+    latitude, longitude = town.frame.degrees([(east + 3 * (east - west), 0.0)])[0].tolist()
+    frame = replace(flight.frames[0], latitude=latitude, longitude=longitude)
+    away = tags_on_map(town, replace(flight, frames=(frame,)))[2]
+    assert away == pytest.approx(3 * (east - west), rel=1e-3)
+
+
 def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
     frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
@@ -432,9 +441,11 @@ def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
             f"The error of the camera's place on the map is ± {answer.radius:.1f} m (1 sigma along each axis)"
             in answer.sentence
         )
-        expected = 1.5 if map_error is None else map_error
+        expected = 3 * town.resolution if map_error is None else map_error
         assert located.notes[-1] == f"Radii of registrations hold {expected:.1f} m for the error of the map itself."
         assert answer.radius is not None
+        assert answer.camera
+        assert answer.middle_radius == pytest.approx(math.hypot(0.2, expected)), "the ground owes nothing to the tilt"
         return answer.radius
 
     frame = flight.frames[0]

@@ -248,6 +248,16 @@ def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> 
     ]
 
 
+def test_a_camera_without_a_pose_is_compared_with_the_place_below_it_where_the_tilt_is_told() -> None:
+    tilted = Frame("a.jpg", Path("a.jpg"), 80, 60, height_above_ground=100.0, heading=90.0, pitch=-45.0)
+    located = flight(LocatedFrame(tilted, None, {"registration": accepted(102.0, 1.0)}))
+    surveyed = [SurveyedPosition("a.jpg", 0.0, 0.0, point) for point in ("camera", "ground")]
+    below, middle = compared(located, surveyed)
+    assert (below.answered, middle.answered) == ("camera", "ground")
+    np.testing.assert_allclose([(row.east, row.north) for row in (below, middle)], [(2, 1), (102, 1)], rtol=1e-3)
+    assert below.radius > middle.radius == 1.0, "the tilt's error is in the radius of the camera"
+
+
 def test_without_an_accepted_answer_no_table_is_printed() -> None:
     located = flight(photo("a.jpg", StageRecord("refused", "Too few matches.")))
     rows = compared(located, [SurveyedPosition("a.jpg", 0.0, 0.0, point) for point in ("camera", "ground")])
