@@ -6,6 +6,7 @@ described once: turned by t degrees against the map, it is compared with windows
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,8 @@ _CHECKED = 4
 _ALIKE = 0.95
 # The least share of the map's windows by which an index counts as whole where the overlap of its windows is only measured.
 _WHOLE = 0.9
+# About the most windows of a size that are counted for an estimate.
+_MOST_ESTIMATED = 10**7
 # Windows by which the overlap is measured.
 _SAMPLE = 100
 # Windows up to which all are compared with each frame; 400 MB of 4 parts of 512 numbers are 50,000.
@@ -138,7 +141,7 @@ class WindowIndex:
         announced = {round(size, 2) for size in self._expected}  # as names round them
         sizes = [size for size in self.sizes if size not in announced]
         others = replace(found, windows=[one for one in found.windows if one.size in sizes])
-        estimate = self._map.count_pyramid(sizes, others.overlap) if others.windows else 0
+        estimate = self._estimate(sizes, others.overlap) if others.windows else 0
         if self._every is not None:
             held, whole = self._compared({*self._every.ids})
             lacks, of = held < whole or len(others.windows) < _WHOLE * estimate, "some " * bool(others.windows)
@@ -157,6 +160,15 @@ class WindowIndex:
             f"The index holds {held:,} of {of}{whole:,} windows of the map, and no photo is found where it holds none; "
             "if it should hold all, let lpn index --map go on to its end."
         ]
+
+    def _estimate(self, sizes: Sequence[float], overlap: float) -> int:
+        """Return the number of the map's windows of a measured overlap, which is lowered where they were too many to count.
+
+        Windows of two overlaps lie closer together than either of them.
+        """
+        width, height = self._map.sides
+        least_step = math.sqrt(width * height / _MOST_ESTIMATED)
+        return self._map.count_pyramid(sizes, max(min(overlap, 1 - least_step / min(sizes)), 0.0))
 
     def _compared(self, names: set[str]) -> tuple[int, int]:
         """Return how many of the announced windows, of each size by its newest overlap, are among names, and of how many."""

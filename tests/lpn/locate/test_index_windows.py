@@ -159,6 +159,18 @@ def test_windows_of_another_overlap_or_size_do_not_stand_for_those_that_lack(
     assert _partial(where, town) == []
 
 
+def test_windows_that_lie_close_together_do_not_make_an_estimate_grow_without_end(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    named = NamedWindow.all_of([Window(0.1 * i, 0.0, 60.0) for i in range(5)], town.frame)
+    with create_index(tmp_path / "index", KIND) as index:
+        close = [one.on(town.frame) for one in named]
+        index.add([one.name for one in named], window_describer(GridModel(), town)(close))  # type: ignore[arg-type]
+    monkeypatch.setattr(index_windows, "_MOST_ESTIMATED", 1000)
+    (told,) = _partial(tmp_path / "index", town)
+    assert 100 < int(told.removeprefix("The index holds 5 of some ").replace(",", "")) <= 1000
+
+
 def test_indexes_that_do_not_hold_the_windows_of_a_map_are_refused(town: Map, tmp_path: Path) -> None:
     windows = town.pyramid([60.0], 0.5)
     names = [one.name for one in NamedWindow.all_of(windows, town.frame)]
