@@ -172,11 +172,13 @@ class WindowIndex:
 
     def _compared(self, names: set[str]) -> tuple[int, int]:
         """Return how many of the announced windows, of each size by its newest overlap, are among names, and of how many."""
-        newest = {size: overlaps[-1] for size, overlaps in self._expected.items()}
-        whole = sum(self._map.count_pyramid([size], overlap) for size, overlap in newest.items())
-        held = 0
-        for size, overlap in newest.items():
-            for windows in self._map.pyramid_blocks([size], overlap):
+        held = whole = 0
+        for size, overlaps in self._expected.items():
+            whole += (count := self._map.count_pyramid([size], overlaps[-1]))
+            if count > len(names):  # windows lack anyway, and those of a county are not named for it
+                held += sum(one.size == round(size, 2) and not one.heading for one in self._named(names))
+                continue
+            for windows in self._map.pyramid_blocks([size], overlaps[-1]):
                 held += sum(one.name in names for one in NamedWindow.all_of(windows, self._map.frame))
         return held, whole
 

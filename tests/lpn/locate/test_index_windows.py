@@ -125,6 +125,10 @@ def test_an_index_that_stopped_between_two_sizes_is_told_and_a_whole_one_is_not_
     held = town.count_pyramid(sizes[:1])
     _fill(where, town, sizes, stop=2 * held, turns=2)
     assert _partial(where, town) == [f"The index holds {held} of {town.count_pyramid(sizes)}"]
+    with monkeypatch.context() as patch:
+        _fill(tmp_path / "begun", town, [40.0], stop=8, block=8)
+        patch.setattr(Map, "pyramid_blocks", lambda *_: pytest.fail("more windows are named than the index holds"))
+        assert _partial(tmp_path / "begun", town) == [f"The index holds 8 of {held}"]
     _fill(where, town, sizes, turns=2)
     assert _partial(where, town) == []
     with monkeypatch.context() as patch:
