@@ -34,7 +34,10 @@ _MAX_LENGTH = 20_000
 _MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
-_NO_OWN = "This link was made for a picture of somebody's own, which links do not carry. Here is the first picture of the place."
+_NO_OWN = (
+    "An own picture is held only by the page that opened it, until that is loaded again or the picture is forgotten. Open the "
+    "file again. Here is another picture."
+)
 # The words of parameters in the summary of an address; most have more values than one.
 _SUMMARY = {
     "scoring": "ranked anew",

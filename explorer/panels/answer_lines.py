@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from explorer import session_state
 from explorer.panels import answer_text, place_text
@@ -36,6 +36,7 @@ class AnswerLines:
         radius: for how many photos the radius of the place should hold.
         by_look: the verdict on the look alone where `verdict` is of all methods; else None.
         comparing: how far the comparison of an own picture's details with the map is.
+        waits: that comparison has not ended.
         ground: where the photo lies on the map, as HTML.
         next_step: what a person can do about a doubt.
         altered: what alters the query or the search, by the argument of `session_state.undo`.
@@ -53,6 +54,7 @@ class AnswerLines:
     radius: str
     by_look: _Verdict | None
     comparing: str
+    waits: bool
     ground: str
     next_step: str
     altered: Mapping[str, str]
@@ -65,7 +67,7 @@ class AnswerLines:
     @property
     def headline(self) -> str:
         """The verdict in some words, without HTML."""
-        return Markup(_headline(self.verdict)).striptags()
+        return _headline(self.verdict).striptags()
 
     @property
     def told(self) -> tuple[str, ...]:
@@ -73,7 +75,7 @@ class AnswerLines:
         lines = (
             self.verdict[2],
             self.radius,
-            _NOT_ENDED if "…" in self.comparing else self.comparing,
+            _NOT_ENDED if self.waits else self.comparing,
             self.ground,
             "" if self.by_look is None else Markup("{} {}").format(_headline(self.by_look), self.by_look[2]),
             self.next_step and f"What next: {self.next_step}",
@@ -83,7 +85,7 @@ class AnswerLines:
             self.criterion,
             self.purpose,
         )
-        return tuple(filter(None, (Markup(line).striptags() for line in lines if line)))
+        return tuple(filter(None, (escape(line).striptags() for line in lines if line)))
 
 
 def answer_lines(
@@ -106,7 +108,7 @@ def answer_lines(
     """
     state, task, registered = analysis.state, analysis.task, workspace.details(analysis)
     right, headline, sentence = concluded or looked
-    own = state.upload is not None
+    own, job = state.upload is not None, analysis.own_photo
     answer = "The model’s answer" if analysis.chosen.rank == 1 else f"Rank {analysis.chosen.rank_text}"
     if own and workspace.own_photos and analysis.chosen.rank == 1:
         answer = "Most similar by its look"
@@ -125,13 +127,14 @@ def answer_lines(
         question="Where was this picture taken?"
         if task.gallery_view == "satellite"
         else "Which picture shows this place?",
-        purpose=place_text.place(workspace, task, linked),
+        purpose=Markup(place_text.place(workspace, task, linked)),
         query="Your picture" if own else f"A picture {_FROM[task.query_view]}",
         answer=answer,
         verdict=(right, told(headline), told(sentence)),
         radius=holds(registered, workspace),
         by_look=None if concluded is None else looked,
-        comparing="" if analysis.own_photo is None else answer_text.comparing(analysis.own_photo),
+        comparing="" if job is None else answer_text.comparing(job),
+        waits=job is not None and job.value is None and job.error is None,
         ground=ground,
         next_step=answer_text.next_step(analysis, workspace),
         altered={str(kind): label for kind, label in altered.items()},
@@ -145,7 +148,7 @@ def answer_lines(
     )
 
 
-def _headline(verdict: _Verdict) -> str:
+def _headline(verdict: _Verdict) -> Markup:
     right, headline, _ = verdict
     return Markup("{} {}.").format(SIGNS[right], headline)
 

@@ -196,19 +196,21 @@ def flight_verdict(
         return look, None
     verdict = belief(located)
     if verdict.stage == "registration":
-        beside = _beside_look(analysis, look[0])
+        beside = _beside_look(analysis, look[0], verdict.sign is None)
         return look, (verdict.sign, verdict.headline, " ".join(filter(None, (elsewhere, beside))))
     nowhere = "Its details fit nowhere well enough." if registered else ""
     headline = _OTHER_MAP if elsewhere else verdict.headline
     return look, (verdict.sign, headline, " ".join(filter(None, (elsewhere, nowhere))))
 
 
-def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
+def _beside_look(analysis: StateAnalysis, right: bool | None, doubted: bool) -> str:
     """Say that the model's own answer disagrees with the place of a photo that is known by other means; "" if it does not."""
     if right is not False:
         return ""
     off = _error_m(analysis)
     away = "" if off is None else f", {distance(off)} away"
+    if doubted:
+        return f"The model's own guess, by its look alone, was probably wrong{away}, by its details, which are in doubt themselves."
     return f"The model's own guess, by its look alone, was wrong{away}."
 
 

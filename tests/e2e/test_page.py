@@ -139,7 +139,7 @@ def test_ones_own_picture_is_in_no_link(
     assert explorer.page.evaluate("navigator.clipboard.readText()") == "before"
     other = ExplorerPage(contexts().new_page())
     other.page.goto(explorer.page.url)
-    expect(other.notifications.first).to_contain_text("This link was made for a picture of somebody's own")
+    expect(other.notifications.first).to_contain_text("An own picture is held only by the page that opened it")
 
 
 @pytest.mark.slow
@@ -150,8 +150,10 @@ def test_the_link_is_copied_by_key(app: RunningApp, contexts: Callable[..., Brow
     explorer.fill("Rotate", "25")
     wait_address(explorer, "angle", "25")
     explorer.key("i")
-    expect(explorer.page.locator("#lpn-notice")).to_contain_text("Link copied")
-    assert explorer.page.evaluate("navigator.clipboard.readText()") == explorer.page.url
+    expect(explorer.page.locator("#lpn-notice")).to_have_text(
+        "Link copied: it opens what you see, on this computer only, as its address is 127.0.0.1."
+    )
+    assert explorer.page.evaluate("navigator.clipboard.readText()") == f"{explorer.page.url}&words=expert"
 
 
 def coarse(picture: np.ndarray) -> np.ndarray:

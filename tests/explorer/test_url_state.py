@@ -220,7 +220,8 @@ def test_the_page_that_holds_ones_own_picture_finds_it_by_its_address(workspace:
     lost, problems = links.read(written, plain, {"0000": held}.get)
     assert (lost.upload, lost.query, lost.angle) == (None, 3, 0)
     assert problems == [
-        "This link was made for a picture of somebody's own, which links do not carry. Here is the first picture of the place."
+        "An own picture is held only by the page that opened it, until that is loaded again or the picture is forgotten. "
+        "Open the file again. Here is another picture."
     ]
 
 

@@ -354,6 +354,11 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     job: Any = SimpleNamespace(error=None, value=None, done=2, total=8)
     waiting = replace(analyse(workspace, SessionState(TASK, 4, upload=photo)), own_photo=job)
     early = first_screen.said(waiting, workspace).sentences
+    job.error, job.cancelled = "No file <a&amp;b> …", False
+    assert "Its details could not be compared with the map: No file <a&amp;b> …" in (
+        first_screen.said(waiting, workspace).sentences
+    )
+    job.error = None
     assert "When this was saved, its details were still being compared with the map." in early
     assert "2 of 8 tries" in text(first_screen.page(waiting, workspace))
     assert told.headline == "✗ Wrong."
@@ -702,9 +707,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     of_doubted.tag = of_doubted.tag + 100
     beliefs = FlightView.of(flight, {}, "").beliefs
     assert (beliefs[placed].sign, beliefs[doubted].sign) == (True, None)
-    for index, sign, headline in (
-        (placed, "✓", "."),
-        (doubted, "?", ", but its GPS tag disagrees."),
+    for index, sign, headline, guess in (
+        (placed, "✓", ".", "was wrong, "),
+        (doubted, "?", ", but its GPS tag disagrees.", "was probably wrong, "),
     ):
         for why in (False, True):
             said = text(first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace))
@@ -714,9 +719,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             )
             assert (limit is None) == why
             assert (
-                f"{sign} Placed by its details, ± 6.1 m on earth {headline} The model's own guess, by its look alone, was wrong, "
+                f"{sign} Placed by its details, ± 6.1 m on earth {headline} The model's own guess, by its look alone, {guess}"
                 in said
             )
+            assert ("away, by its details, which are in doubt themselves." in said) == (index == doubted)
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
     before = flight.frames[placed].stages["registration"]
