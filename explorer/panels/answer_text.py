@@ -210,7 +210,9 @@ def _beside_look(analysis: StateAnalysis, right: bool | None, doubted: bool) -> 
     off = _error_m(analysis)
     away = "" if off is None else f", {distance(off)} away"
     if doubted:
-        return f"The model's own guess, by its look alone, was probably wrong{away}, by its details, which are in doubt themselves."
+        return (
+            f"The model's own guess, by its look alone, was probably wrong{away}, by its details, which are doubtful."
+        )
     return f"The model's own guess, by its look alone, was wrong{away}."
 
 

@@ -722,7 +722,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
                 f"{sign} Placed by its details, ± 6.1 m on earth {headline} The model's own guess, by its look alone, {guess}"
                 in said
             )
-            assert ("away, by its details, which are in doubt themselves." in said) == (index == doubted)
+            assert ("away, by its details, which are doubtful." in said) == (index == doubted)
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
     before = flight.frames[placed].stages["registration"]
