@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -18,6 +19,7 @@ from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
 from explorer.panels.navigation import Navigation
+from explorer.panels.radius_text import check
 from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.coordinates import MapCoordinate
@@ -30,6 +32,7 @@ from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
+from lpn.core.files import printable
 from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
@@ -342,7 +345,33 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
     elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
         picture, caption, right = _third_tile(analysis, workspace, positive.index, found.disputed)
         pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
-    return Said(lines.question, lines.headline, lines.told, tuple(pictures), _photo_facts(analysis))
+    registered = workspace.details(analysis)
+    checks = (check(workspace), _dependent(workspace)) if registered is not None and registered.accepted else ()
+    sentences = (*lines.told, *filter(None, checks))
+    return Said(
+        lines.question, lines.headline, sentences, tuple(pictures), _photo_facts(analysis), _map_facts(workspace)
+    )
+
+
+def _dependent(workspace: Workspace) -> str:
+    """Say that a map and the tags that place it are no two witnesses; "" if no tags place it."""
+    if workspace.basemap is None or not placing_sentence(workspace.basemap.notes):
+        return ""
+    return "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details."
+
+
+def _map_facts(workspace: Workspace) -> tuple[tuple[str, str], ...]:
+    """Return names and SHA-256 of the map's files that can be read; reads all of them."""
+    facts = []
+    for sheet in () if workspace.basemap is None else workspace.basemap.sheets:
+        for path in sheet.raster.files():
+            try:
+                with path.open("rb") as file:
+                    digest = hashlib.file_digest(file, "sha256").hexdigest()
+            except OSError:  # a file within an archive
+                continue
+            facts.append(("Map", f"{printable(path.name)}, SHA-256 {digest}"))
+    return tuple(facts)
 
 
 def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:

@@ -58,11 +58,11 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
             f"It joins ± {answer.radius_on_map:.1f} m for the place on this map and ± {error_figure(answer.place_error)} m for "
             f"the map's own place on earth: {by_tags}."
         )
-    sentences.append(_check(workspace))
+    sentences.append(check(workspace))
     return " ".join(filter(None, sentences))
 
 
-def _check(workspace: Workspace) -> str:
+def check(workspace: Workspace) -> str:
     """Return how many of the flight's places lie within 1, 2, and 3 radii of their GPS tags; "" where none has both."""
     calibration = _calibration(workspace)
     if calibration is None:

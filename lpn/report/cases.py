@@ -51,6 +51,7 @@ class Said:
         sentences: paragraphs of text.
         pictures: the photo, the answer, and the map with the ground that the photo shows.
         photo: what the photo's file says of it, as names and values.
+        map: the files of the map and their digests, as names and values.
     """
 
     question: str
@@ -58,6 +59,7 @@ class Said:
     sentences: tuple[str, ...]
     pictures: tuple[SaidPicture, ...] = ()
     photo: tuple[tuple[str, str], ...] = ()
+    map: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True)

@@ -628,6 +628,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     )
     with speaking(workspace.vocabulary(True)):
         told = first_screen.said(analyse(workspace, state), workspace)
+    assert workspace.basemap is not None
     _, file = reports.of_analysis(workspace, analyse(workspace, state), said=told)
     for sentence in (
         "✓ Placed by its details, ± 6.1 m on earth.",
@@ -635,6 +636,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
         "± 6.1 m should hold for 39 of 100 photos, and 12.1 m for 86; the check of this flight does not confirm it.",
+        "of the flight's photos lie within one, two, and three radii of their GPS tags",
+        "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
+        *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
         "Caliterra in Dripping Springs, Texas",
         "All 30 queries of the data set together: R@1 83.3 % (true tile first)",
     ):
