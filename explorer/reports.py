@@ -112,6 +112,11 @@ class Reporter:
             return
         self._job = BackgroundJob(lambda progress: self._run(work, noun, control, progress), self)
 
+    def refuse(self, why: str) -> None:
+        """Say why there is no report, in a sentence."""
+        if not self._left:
+            self._client.add_notification("No report", why, auto_close_seconds=_TOLD)
+
     def leave(self) -> None:
         """Cancel the report in progress; the browser has disconnected."""
         self._left = True

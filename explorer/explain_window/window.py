@@ -260,7 +260,7 @@ class ExplainWindow:
             ),
             ("Use the weights that put the true tile first", self._command(_COMPARISON, self._use_weights)),
             ("Search by the whole query, not a region", self._command(_REGION, partial(self._search_region, []))),
-            ("Save a report of this query", self._command(_EVIDENCE, self._report)),
+            ("Save this answer", self._command(_EVIDENCE, self._report)),
         ]
 
     def compare_models(self) -> None:
@@ -513,8 +513,10 @@ class ExplainWindow:
 
     def _report(self) -> None:
         content = self._content
-        if content is not None:
-            self._reporter.make(partial(self._reported, content.analysis), control="Save this answer")
+        if content is None:
+            self._reporter.refuse("The answer is still being computed. Press “Save” again when it is shown.")
+        else:
+            self._reporter.make(partial(self._reported, content.analysis), control="Save")
 
     def _reported(
         self, analysis: StateAnalysis, progress: ReportProgress, model: QueuedModel | None

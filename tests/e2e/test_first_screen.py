@@ -164,7 +164,7 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     expect(first.locator(".reason")).to_have_count(0)
     link = first.get_by_role("button", name="Link", exact=True)
     link.focus()
-    why = "A link cannot carry your own picture. “Save this answer” makes a file that can be sent."
+    why = "A link cannot carry your own picture. “Save” makes a file that can be sent."
     expect(link).to_have_accessible_description(why)
     with fresh.expect_download() as download:
         first.get_by_role("button", name="Save this answer").click()

@@ -235,7 +235,7 @@ def test_a_report_of_the_pair_is_saved(
 ) -> None:
     open_window(explorer)
     with explorer.page.expect_download() as download:
-        explorer.page.locator("#lpn-why a", has_text="Save this answer").click()
+        explorer.page.locator("#lpn-why").get_by_role("button", name="Save this answer").click()
     assert download.value.suggested_filename == "0007.html"
     download.value.save_as(tmp_path / "report.html")
     page = contexts().new_page()

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from explorer.compute.background_jobs import ReportProgress
+from explorer.explain_window.window import ExplainWindow
 from explorer.reports import Reporter
 
 
@@ -33,3 +34,11 @@ def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
         False,
     )
     assert told == ["Press “Export” again to cancel.", "1 of 2 done. Press “Export” again to cancel."]
+
+
+def test_a_report_before_there_is_an_answer_is_refused_by_a_sentence() -> None:
+    told: list[tuple[str, str]] = []
+    client = SimpleNamespace(add_notification=lambda title, body, **_: told.append((title, body)))
+    window: Any = SimpleNamespace(_content=None, _reporter=Reporter(client, None))  # type: ignore[arg-type]
+    ExplainWindow._report(window)
+    assert told == [("No report", "The answer is still being computed. Press “Save” again when it is shown.")]

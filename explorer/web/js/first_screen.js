@@ -3,7 +3,7 @@
   const lpn = window.lpn;
   if (lpn.first) return;
   const { SELECTORS } = lpn.viser;
-  const AT_ONCE = ["copy", "report", "dark", "glossary", "north", "upload", "choose", "not-now"]; // these need no answer
+  const AT_ONCE = ["copy", "dark", "glossary", "north", "upload", "choose", "not-now"]; // these need no answer
   const LATE = 20000; // ms after which the first answer is late
   let newest = ""; // the screen's content when it was last shown
   /** @type {"" | "first" | "all"} */

@@ -288,7 +288,7 @@ def test_an_own_picture_tells_what_becomes_of_it(workspace: Workspace) -> None:
     assert "pixels; the model sees it pressed into a square." in text(html)
     assert answer_text.OWN_KEPT in text(html)
     assert "2 of 3" in text(html)
-    no_link = 'data-tip="A link cannot carry your own picture. “Save this answer” makes a file that can be sent."'
+    no_link = 'data-tip="A link cannot carry your own picture. “Save” makes a file that can be sent."'
     for own_shown in (html, pages.header(workspace, analysis.task, own=True)):
         assert no_link in own_shown
         assert "lpn.copy()" not in own_shown
