@@ -86,8 +86,8 @@ class MapAgreement(msgspec.Struct, frozen=True):
             return ""
         found = "no place" if not count else f"only {count} place{'s' if count > 1 else ''}"
         return (
-            f"Beside its middle {found} of the photo could be found on the map, and {_FEW_PLACES} are needed, so nothing there "
-            "checks where it is laid."
+            f"Beside its middle {found} of the photo could be found on the map. At least {_FEW_PLACES} are needed to check "
+            "that the photo fits the map there."
         )
 
     @property

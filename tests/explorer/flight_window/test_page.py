@@ -167,8 +167,8 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
     assert "the farthest 1.0 m, at the bottom." in said(0.4, 0.2, 1.0)
     assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
     assert said(0.4, 5.2) == (
-        "Not checked: beside its middle only 2 places of the photo could be found on the map, and 3 are needed, so nothing there "
-        "checks where it is laid."
+        "Not checked: beside its middle only 2 places of the photo could be found on the map. At least 3 are needed to check "
+        "that the photo fits the map there."
     )
     assert "beside its middle no place of the photo" in said()
     unfit = said(4.0, 8.2, 3.2)
