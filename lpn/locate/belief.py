@@ -90,8 +90,8 @@ class Disagreement:
         """The finding in the field's words, as files have it."""
         if self.other == "map":
             return (
-                f"Away from its middle, the photo lies {self.metres:.1f} m off the map in the median; its radius allows "
-                f"{self.allowed:.1f} m. Its middle may still be right."
+                f"Away from its middle, the photo lies {self.metres:.1f} m off the map in the median; the radius on this "
+                f"map ({self.allowed / SIGMAS:.1f} m) allows {self.allowed:.1f} m. Its middle may still be right."
             )
         return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
 
