@@ -147,6 +147,8 @@ def test_map_timeline_and_stage_choose_the_same_frame(window: FlightPage) -> Non
     line, tip = box(window.timeline), window.page.locator("#lpn-flight .time .why")
     window.page.mouse.move(line["x"] + 44 + 0.8 * (line["width"] - 56), line["y"] + line["height"] - 8)
     expect(tip).to_have_text("photo4.png. Registration: refused. Too few.")
+    below = box(tip)
+    assert below["y"] + below["height"] <= line["y"] + line["height"] - 8, "a long one would lie below the window"
     window.page.mouse.move(5, 5)
     expect(tip).to_be_empty()
     cross = window.page.locator("#lpn-flight .legend .term").last
@@ -501,3 +503,12 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
     view.tap(position={"x": left, "y": top})
     expect(tip).to_contain_text("photo4.png. By its details: refused. Too few.")
     assert box(tip)["x"] + box(tip)["width"] <= box(page.locator("#lpn-flight .zoom"))["x"]
+    line, told = page.locator("#lpn-flight .time canvas"), page.locator("#lpn-flight .time .why")
+    for leave in (
+        lambda: page.locator("#lpn-flight [data-act=next]").tap(),
+        lambda: page.locator("#lpn-flight .sentence").first.tap(),
+    ):
+        line.tap(position={"x": 44 + 0.8 * (box(line)["width"] - 56), "y": 40})  # not on its mark
+        expect(told).to_contain_text("photo4.png. By its details: refused. Too few.")
+        leave()
+        expect(told).to_be_empty()

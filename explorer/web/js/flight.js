@@ -66,12 +66,13 @@
     flight.map.show([x, y], across);
     flight.mark();
   };
-  // Write a text into a tip beside a mark, within a width in pixels; an empty one hides it.
-  flight.tell = (tip, text, [left, top], width, reach, more = "") => {
+  // Write a text into a tip beside a mark, within a width in pixels; an empty one hides it. `more`: HTML that follows the text; `above`:
+  // it may rise over what lies above.
+  flight.tell = (tip, text, [left, top], width, reach, { more = "", above = false } = {}) => {
     tip.textContent = text;
     if (!text) return;
     tip.insertAdjacentHTML("beforeend", more);
-    const below = top < tip.offsetHeight + reach;
+    const below = !above && top < tip.offsetHeight + reach;
     tip.style.left = lpn.clamp(left - tip.offsetWidth / 2, 0, Math.max(width - tip.offsetWidth, 0)) + "px";
     tip.style.top = (below ? top + reach : top - reach - tip.offsetHeight) + "px";
   };

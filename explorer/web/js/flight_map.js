@@ -234,7 +234,7 @@
     offered = frame;
     const more = offers ? ' <a data-act="turnto" role="button" tabindex="0">Show this photo</a>' : "";
     // The buttons on the right stay free.
-    flight.tell(find(".why"), flight.data.names[frame] + ". " + reason, map.toPixels(place(track, frame)), find(".zoom").offsetLeft - 6, REACH, more);
+    flight.tell(find(".why"), flight.data.names[frame] + ". " + reason, map.toPixels(place(track, frame)), find(".zoom").offsetLeft - 6, REACH, { more });
   };
   const read = (at) => {
     const [x, y] = map.toPlane(at), pointed = hit(at), { frame } = pointed;

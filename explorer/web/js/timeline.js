@@ -24,16 +24,21 @@
       for (const value of [5 * power, 2 * power, power]) if (value < top && apart(value)) chosen.push(value);
     return chosen;
   };
-  // Pixels within which the pointer is at a mark, and the marks that are drawn: left, top, frame, and why it is doubted or refused.
+  // Pixels within which the pointer is at a mark, and the marks that are drawn: left, top, frame, and why it is doubted or refused, or "".
   const REACH = 10;
   let marks = [];
+  let held = null; // the frame and the plot whose reason a tap has brought
   const reasonOf = (name, i) => flight.data.tracks[name]?.reason?.[i];
-  // Say beside the mark at a place why it is contradicted or refused.
-  const explain = ([left, top]) => {
+  const hush = () => {
+    held = null;
+    flight.find(".time .why").textContent = "";
+  };
+  // Say above the nearest of some marks why it is contradicted or refused, if a place is as near as `reach` pixels.
+  const explain = ([left, top], chosen, reach) => {
     const far = (mark) => Math.hypot(mark[0] - left, mark[1] - top);
-    const mark = marks.reduce((best, one) => (far(one) < far(best) ? one : best), [0, -1000, 0, ""]), tip = flight.find(".time .why");
-    const reason = far(mark) < REACH ? mark[3] : "";
-    flight.tell(tip, reason && flight.data.names[mark[2]] + ". " + reason, mark, element.clientWidth, REACH);
+    const mark = chosen.reduce((best, one) => (far(one) < far(best) ? one : best), [0, -1000, 0, ""]);
+    const reason = far(mark) < reach ? mark[3] : "";
+    flight.tell(flight.find(".time .why"), reason && flight.data.names[mark[2]] + ". " + reason, mark, element.clientWidth, REACH, { above: true });
   };
   // Draw lines, each with values, states (2: refused), and a colour, between two heights of the canvas.
   const band = (pen, data, { plot, lines }, colour, width, head, foot) => {
@@ -71,8 +76,8 @@
       pen.stroke();
       known.forEach((value, i) => {
         if (value === null) return;
-        const at = [across(i, width, data), level(value)], small = data.names.length > 300, reason = reasonOf(name, i);
-        if (reason) marks.push([...at, i, reason]);
+        const at = [across(i, width, data), level(value)], small = data.names.length > 300;
+        marks.push([...at, i, reasonOf(name, i) || ""]);
         if (flight.doubted(name, i)) return lpn.pens.diamond(pen, at, small ? 3 : 5, lpn.colour("contradicted"));
         pen.fillStyle = pen.strokeStyle = ink;
         pen.beginPath();
@@ -129,8 +134,9 @@
       pen.fillStyle = flight.doubted(data.stages[i], i) ? lpn.colour("contradicted") : colour;
       pen.fillRect(across(i, width, data) - 2, foot + 13 - SIGNS[sign], 4, SIGNS[sign]);
       const reason = sign ? "" : reasonOf(data.stages[i], i) || reasonOf("registration", i);
-      if (reason) marks.push([across(i, width, data), foot + 9, i, reason]);
+      marks.push([across(i, width, data), foot + 9, i, reason || ""]);
     });
+    if (held && (held.frame !== (flight.wanted ?? chosen) || held.plot !== timeline.plot)) hush();
     say();
     if (flight.wanted !== null) {
       // The frame that was asked for, until it comes.
@@ -147,6 +153,7 @@
   };
 
   let element = null;
+  document.addEventListener("pointerdown", (event) => element?.isConnected && event.target !== element && hush());
   const timeline = (flight.timeline = {
     plot: "error", // or "radius", "height", or "all"
     draw,
@@ -165,8 +172,10 @@
       let finger = false;
       element.addEventListener("click", (event) => {
         if (!finger) return;
+        const frame = nearest(event.offsetX);
         choose(event);
-        explain([event.offsetX, event.offsetY]);
+        held = { frame, plot: timeline.plot };
+        explain([event.offsetX, event.offsetY], marks.filter((mark) => mark[2] === frame && mark[3]), Infinity);
       });
       element.addEventListener("pointerdown", (event) => {
         finger = event.pointerType === "touch";
@@ -176,10 +185,10 @@
       });
       element.addEventListener("pointermove", (event) => {
         if (event.pointerType === "touch" || !flight.data) return;
-        explain([event.offsetX, event.offsetY]);
+        explain([event.offsetX, event.offsetY], marks, REACH);
         if (element.hasPointerCapture(event.pointerId)) choose(event);
       });
-      element.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (flight.find(".time .why").textContent = ""));
+      element.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && hush());
     },
   });
 })();

@@ -693,7 +693,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     settled.stages["sequence"] = before
     unchecked = flight_names.index("IMG_9365.webp")
     said = text(first_screen.page(analyse(workspace, replace(state, query=unchecked)), workspace))
-    assert "Beside its middle only 1 place of the photo could be found on the map. At least 3 are needed to check" in said
+    assert (
+        "Beside its middle only 1 place of the photo could be found on the map. At least 3 are needed to check" in said
+    )
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
