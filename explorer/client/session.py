@@ -118,7 +118,8 @@ class ClientSession:
             if state == before:
                 return
             moved = (state.screen, state.query, state.upload) != (before.screen, before.query, before.upload)
-            if moved and self._shown is not None:  # what is told before the first picture is not over by it
+            # What is told before the first picture is not over by it.
+            if moved and (self._shown is not None or self.views.failed):
                 self.views.panels.forget_error()
             self.views.follow(before, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address

@@ -196,20 +196,20 @@ def flight_verdict(
         return look, None
     verdict = belief(located)
     if verdict.stage == "registration":
-        beside = _beside_look(analysis, look[0], verdict.sign is None)
+        beside = _beside_look(analysis, look[0], verdict.sign is None and workspace.flight.judge == "its details")
         return look, (verdict.sign, verdict.headline, " ".join(filter(None, (elsewhere, beside))))
     nowhere = "Its details fit nowhere well enough." if registered else ""
     headline = _OTHER_MAP if elsewhere else verdict.headline
     return look, (verdict.sign, headline, " ".join(filter(None, (elsewhere, nowhere))))
 
 
-def _beside_look(analysis: StateAnalysis, right: bool | None, doubted: bool) -> str:
+def _beside_look(analysis: StateAnalysis, right: bool | None, by_doubtful: bool) -> str:
     """Say that the model's own answer disagrees with the place of a photo that is known by other means; "" if it does not."""
     if right is not False:
         return ""
     off = _error_m(analysis)
     away = "" if off is None else f", {distance(off)} away"
-    if doubted:
+    if by_doubtful:
         return (
             f"The model's own guess, by its look alone, was probably wrong{away}, by its details, which are doubtful."
         )

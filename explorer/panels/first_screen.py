@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -51,6 +52,8 @@ from lpn.maps.tag_placed import placing_sentence
 from lpn.report import Said, SaidPicture
 from lpn.retrieval import DescribedPicture
 
+# Map files, and bytes of them, up to which a saved answer has their SHA-256.
+_MOST_MAP_FILES, _MOST_MAP_BYTES = 20, 1_000_000_000
 _ANSWER = "this answer"
 _BY_LOOK = "the most similar piece"
 # Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
@@ -361,17 +364,27 @@ def _dependent(workspace: Workspace) -> str:
 
 
 def _map_facts(workspace: Workspace) -> tuple[tuple[str, str], ...]:
-    """Return names and SHA-256 of the map's files that can be read; reads all of them."""
-    facts = []
-    for sheet in () if workspace.basemap is None else workspace.basemap.sheets:
-        for path in sheet.raster.files():
-            try:
-                with path.open("rb") as file:
-                    digest = hashlib.file_digest(file, "sha256").hexdigest()
-            except OSError:  # a file within an archive
-                continue
-            facts.append(("Map", f"{printable(path.name)}, SHA-256 {digest}"))
-    return tuple(facts)
+    """Return names and SHA-256 of the map's files that can be read; of many or large ones their number and size alone."""
+    sheets = () if workspace.basemap is None else workspace.basemap.sheets
+    # Files within an archive are none of their own.
+    paths = sorted({path for sheet in sheets for path in sheet.raster.files() if path.is_file()})
+    try:
+        size = sum(path.stat().st_size for path in paths)
+        if len(paths) > _MOST_MAP_FILES or size > _MOST_MAP_BYTES:
+            return (
+                ("Map", f"{len(paths):,} files of {size / 1e6:,.0f} MB, too many or too large for their SHA-256 here"),
+            )
+        digests = [(path.name, _digest(path, path.stat().st_mtime_ns)) for path in paths]
+    except OSError:  # a file has gone meanwhile
+        return ()
+    return tuple(("Map", f"{printable(name)}, SHA-256 {digest}") for name, digest in digests)
+
+
+@lru_cache(maxsize=64)
+def _digest(path: Path, *_: int) -> str:
+    """Return the SHA-256 of a file in hexadecimal digits; a time of its last change makes it be read again."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:

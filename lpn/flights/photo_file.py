@@ -38,14 +38,16 @@ class PhotoFile:
         place = "not told"
         if frame.latitude is not None and frame.longitude is not None:
             place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
-        named = " by the file's name alone" if self.photo.named else ""
+        place_by, time_by = (
+            " by the file's name alone" if one else "" for one in (self.photo.named, self.photo.time_named)
+        )
         return [
             ("File", printable(frame.name)),
             ("SHA-256", self.digest),
             ("Size", f"{frame.width} × {frame.height} pixels, {self.size:,} bytes"),
-            ("Taken", f"{self._taken}{named if self.photo.local is None and self.photo.utc is not None else ''}"),
+            ("Taken", f"{self._taken}{time_by}"),
             ("Camera", printable(self.photo.camera) or "not told"),
-            ("GPS tag", f"{place}{named}"),
+            ("GPS tag", f"{place}{place_by}"),
         ]
 
     @property

@@ -102,7 +102,7 @@ class Photo:
         oddities: predicates whose subject is the photo, such as "has no EXIF"; equal ones are counted in a note of the flight.
         heading_unread: its file has a value that looks like a heading, and that was not read.
         camera: maker and model by EXIF; "" if it does not tell them.
-        named: position, and a time that it has, are those of the file's name, as in AerialVL.
+        named, time_named: the position, or the time, is that of the file's name, as in AerialVL.
     """
 
     frame: Frame
@@ -113,6 +113,7 @@ class Photo:
     heading_unread: bool = False
     camera: str = ""
     named: bool = False
+    time_named: bool = False
 
 
 @dataclass
@@ -171,12 +172,15 @@ def photo_of(data: bytes, file: Path) -> Photo:
     lens = _lens(known, width, height, turns)
     frame = replace(frame, lens=lens, fov=_fov(known, width, height, turns) if lens is None else lens.fov)
     utc, local = _times(known)
+    told = utc
     if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:
         frame, utc = _named_frame(frame, named, known, utc)
     by_name = latitude is None and frame.latitude is not None
     _name_the_rest(known)
     unread = known.xmp.heading_unread or bool(_text_with_angles(known))
-    return Photo(frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread, _camera(known), by_name)
+    return Photo(
+        frame, utc, local, turns, tuple(dict.fromkeys(known.oddities)), unread, _camera(known), by_name, utc != told
+    )
 
 
 def _metadata(picture: Image.Image) -> _Metadata:
