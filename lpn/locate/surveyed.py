@@ -57,7 +57,7 @@ _BIAS = {4: 6.62, 5: 5.51, 6: 4.90, 8: 4.28, 10: 3.96, 15: 3.59, 25: 3.33, 50: 3
 _SYSTEMATIC = (
     "it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error is likely"
 )
-_CHANCE = "chance may explain it"
+_CHANCE = "chance is not ruled out at 99.7 %"
 _UNTOLD = f"there are too few independent photos to tell ({_LEAST_FOR_BIAS} are needed)"
 _RESIDUAL_COLUMNS = (
     *("photo", "point", "answer_is", "stage", "state", "doubt"),

@@ -194,14 +194,15 @@ def _errors(norths: Sequence[float]) -> SurveyedErrors:
 
 def test_a_mean_that_chance_hardly_explains_is_called_systematic() -> None:
     assert _errors([-3.0, -2.5, -2.9, -2.6, -2.8, -2.7]).bias_sentence == (
-        "The mean is 0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error: to the east chance may explain "
-        "it; to the north it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error "
+        "The mean is 0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error: to the east chance is not ruled out "
+        "at 99.7 %; to the north it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error "
         "is likely."
     )
     # 3.3 standard errors are rare in a large survey, and not among six photos.
-    assert "to the east and north chance may explain it" in _errors([-3.0, 0.0, -3.0, -0.5, -3.0, -1.5]).bias_sentence
+    few = _errors([-3.0, 0.0, -3.0, -0.5, -3.0, -1.5]).bias_sentence
+    assert "to the east and north chance is not ruled out at 99.7 %" in few
     one_leg = _errors([*[0.0] * 6, *[-3.0] * 6, *[0.0] * 6]).bias_sentence
-    assert "and -1.00 m north, with its standard error: to the east chance may explain it" in one_leg
+    assert "and -1.00 m north, with its standard error: to the east chance is not ruled out at 99.7 %" in one_leg
     assert "to the north there are too few independent photos to tell (5 are needed)" in one_leg, "a leg errs as one"
     assert one_leg.endswith("so the 18 count as 18 independent ones to the east and 1 independent one to the north.")
 
