@@ -194,9 +194,9 @@ def _errors(norths: Sequence[float]) -> SurveyedErrors:
 
 def test_a_mean_that_chance_hardly_explains_is_called_systematic() -> None:
     assert _errors([-3.0, -2.5, -2.9, -2.6, -2.8, -2.7]).bias_sentence == (
-        "The mean is 0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error: to the east chance is not ruled out "
-        "at 99.7 %; to the north it is more than chance gives in 99.7 % of surveys of as many independent photos, so a systematic error "
-        "is likely."
+        "The mean is 0.00 m east (± 0.45) and -2.75 m north (± 0.08), with its standard error: to the east chance is not ruled "
+        "out at 99.7 %; to the north it is more than chance gives in 99.7 % of surveys of as many independent photos, so a "
+        "systematic error is likely."
     )
     # 3.3 standard errors are rare in a large survey, and not among six photos.
     few = _errors([-3.0, 0.0, -3.0, -0.5, -3.0, -1.5]).bias_sentence
