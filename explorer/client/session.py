@@ -118,7 +118,7 @@ class ClientSession:
             if state == before:
                 return
             moved = (state.screen, state.query, state.upload) != (before.screen, before.query, before.upload)
-            # What is told before the first picture is not over by it.
+            # An error of the address is told before the first picture, and stays when that comes.
             if moved and (self._shown is not None or self.views.failed):
                 self.views.panels.forget_error()
             self.views.follow(before, state)

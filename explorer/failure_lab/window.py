@@ -36,7 +36,7 @@ _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
 _ROW_HEIGHT = 27  # pixels
 # Height of the window without the table, and of the line that offers the second model's ranks, in pixels.
 _FRAME_HEIGHT, _OFFER_HEIGHT = 180, 22
-# As the page's buttons call the window.
+# The page's buttons give the window this name.
 _NAME = "All pictures in a table"
 # Seconds between two looks at the second model's ranks.
 _SECOND_INTERVAL = 0.5

@@ -39,8 +39,8 @@ def holds(answer: StageRecord | None, workspace: Workspace) -> str:
 
 def _confirmed(workspace: Workspace) -> bool:
     """Return False if the tags of the flight's photos lie beyond three radii more often than radii that are right allow."""
-    check = _calibration(workspace)
-    return check is None or check[3] >= CONFIRMED_SHARE
+    calibration = _calibration(workspace)
+    return calibration is None or calibration[3] >= CONFIRMED_SHARE
 
 
 def _meaning(answer: StageRecord, workspace: Workspace) -> str:

@@ -41,7 +41,7 @@ def distance(metres: float) -> str:
 
 def upper_bound(value: float, digits: int = 1) -> str:
     """Return a number that is stated as a bound, such as the metres within which errors lie, rounded up to some digits."""
-    # What a float lacks of a decimal is no digit of its own.
+    # A float may lie a little above its decimal, and must not be rounded up by that.
     return f"{math.ceil(round(value * 10**digits, 6)) / 10**digits:,.{digits}f}"
 
 

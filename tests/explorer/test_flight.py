@@ -160,7 +160,7 @@ def test_registration_replaces_the_flight_when_it_is_done(
     assert newest.table.columns["reason"].values[5] == "Only 4 matches agree."
     assert newest.table.columns["sequence off tag"].about.startswith("Distance from the photo's GPS tag")
     assert "reason" not in [column.name for column in lab_state.charted_columns(newest)]
-    # What is of the look alone says so, and rows that are fetched later speak as the table does.
+    # Figures of the look alone say so, and rows that are fetched later use the table's words.
     lab, rows, feeds = LabState(task=TASK), newest.table.rows(), Feeds(workspace)
     with speaking(workspace.vocabulary(True)):
         table = lab_table.table(newest, lab, len(rows), 1, 300)
