@@ -193,7 +193,7 @@ class App:
         if self._sessions.get(client.client_id) is not session:
             return
         own = session.hand_over()
-        session.leave()
+        session.end()
         try:
             ready = session.preview(self._services[key], search)
             client.gui.reset()

@@ -38,6 +38,8 @@ log = logging.getLogger(__name__)
 _SLOW = 0.5
 # Seconds that a page may take to show the first screen of another workspace.
 _PREVIEWED = 3.0
+# Seconds that a drawing may take to end on a busy machine.
+_DRAWN = 30.0
 # Seconds between looks at the preparation of a scoring.
 _POLL = 0.5
 
@@ -167,6 +169,11 @@ class ClientSession:
         self._worker.stop()
         self.views.leave()
         self._requests.close()
+
+    def end(self) -> None:
+        """Leave, and wait for a drawing that goes on: the page would show it over what the next session draws."""
+        self.leave()
+        self._worker.join(_DRAWN)
 
     def preview(self, services: WorkspaceServices, search: str) -> StateAnalysis | None:
         """Show the first screen of another workspace, whose session is to replace this one, and return its analysis.

@@ -69,6 +69,11 @@ class Worker:
             self._stopped = True
         self._requested.set()
 
+    def join(self, seconds: float) -> None:
+        """Wait until the thread has ended after `stop`, the given seconds at most."""
+        if self._thread is not None:
+            self._thread.join(seconds)
+
     def _loop(self) -> None:
         delay: float | None = None
         while True:

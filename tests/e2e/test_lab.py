@@ -436,6 +436,16 @@ def test_a_map_has_a_scale_bar_north_and_the_position_under_the_cursor_and_choos
     expect(lab.count).not_to_contain_text(re.compile("^(0|40) of"))
     marks.press("Escape")
     expect(lab.count).to_contain_text("40 of 40 queries")
+    # Escape undoes a choice that the server has not confirmed.
+    sent = marks.evaluate("""(canvas) => {
+      const { send } = lpn, sent = [];
+      lpn.send = (kind, value) => (sent.push(kind), send(kind, value));
+      for (const key of ["Enter", "Escape"]) canvas.dispatchEvent(new KeyboardEvent("keydown", { key }));
+      lpn.send = send;
+      return sent;
+    }""")
+    assert sent == ["lab-lasso", "lab-unpick"]
+    expect(lab.count).to_contain_text("40 of 40 queries")
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from playwright.sync_api import Locator, Page, expect
 from explorer.app import App
 from explorer.client.services import WorkspaceServices
 from explorer.client.session import ClientSession
+from explorer.client.views import ClientViews
 from explorer.compute.background_jobs import ReportProgress
 from explorer.opening import open_model
 from explorer.stage.viewport import EDGE
@@ -134,12 +135,36 @@ def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses
         assert services.workspace.key != "whole" or may_build.wait(PATIENCE)
         build(session, client, services, *rest)
 
+    show, preview = ClientViews.show, ClientViews.preview
+    previewed, drawn, order = threading.Event(), threading.Event(), list[str]()
+
+    def draw_slowly(views: ClientViews, *rest: Any) -> None:
+        opening = offer.may_open.is_set() and views._workspace.key != "whole"
+        if opening:
+            previewed.wait(2)
+        show(views, *rest)
+        if opening:
+            order.append("the place before")
+            drawn.set()
+
+    def note(views: ClientViews, *rest: Any) -> None:
+        preview(views, *rest)
+        order.append("the next place")
+        previewed.set()
+
     monkeypatch.setattr(ClientSession, "__init__", late)
-    offer.may_open.set()
+    monkeypatch.setattr(ClientViews, "show", draw_slowly)
+    monkeypatch.setattr(ClientViews, "preview", note)
     page = new_page()
     page.goto(f"{offer.url}/?screen=first")
     page.locator("#lpn-first .choice", has_text="whole pictures").click()
+    expect(page.locator(".mantine-Notification-root", has_text="Opening whole pictures")).to_be_visible()
+    offer.may_open.set()
+    for session in offer.app._sessions.values():
+        session._worker.wake()
     expect(page.locator("#lpn-first .choice.chosen")).to_have_text("whole pictures")
+    assert drawn.wait(PATIENCE)
+    assert order[-1] == "the next place"
     page.locator("#lpn-first [data-act=why]").click()
     may_build.set()
     expect(page.locator("#lpn-first .reason")).to_be_visible()

@@ -479,6 +479,7 @@
       const step = Math.ceil(pixels.length / CORNERS);
       const places = pixels.filter((_, i) => i % step === 0).map(map.toPlane);
       lpn.send("lab-lasso", [data.map, places.map((place) => place.map((value) => +value.toFixed(6))), number > 0]);
+      data.lasso = true; // Escape may come before the answer
     };
     // The corners of the map in pixels, and the number of selected queries between them.
     const corners = () => {
