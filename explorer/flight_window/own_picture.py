@@ -12,11 +12,12 @@ from explorer.flight_window import flight_text, page
 from explorer.flight_window.pictures import encoded, ground, middle_square
 from explorer.flight_window.service import FlightView
 from explorer.panels import answer_text
-from explorer.panels.radius_text import with_radius
+from explorer.panels.radius_text import holds, with_radius
 from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
+from lpn.drawing import words
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFlight
 from lpn.maps.named_window import describe_offset
@@ -62,6 +63,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
         sign=sign,
         headline=headline,
         sentence=with_radius(sentence, answer, workspace),
+        holds=holds(answer, workspace) if words.plain() else "",
         next_step=answer_text.next_step(analysis, workspace),
         comparing="" if job is None else answer_text.comparing(job),
         at=None if place is None else describe_offset(*place) if flight.rendered else MapCoordinate.on(basemap, place),

@@ -33,7 +33,7 @@ class AnswerLines:
         purpose: what the program searches, as HTML.
         query, answer: what the two pictures are.
         verdict: what the program concludes.
-        radius: for how many photos the radius of the place should hold.
+        radius: how exact the place should be, as HTML.
         by_look: the verdict on the look alone where `verdict` is of all methods; else None.
         comparing: how far the comparison of an own picture's details with the map is.
         waits: that comparison has not ended.

@@ -15,8 +15,8 @@ from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
-from lpn.locate.located import LocatedFrame
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, Belief, belief, disagreements, on_what
+from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
@@ -191,29 +191,35 @@ def flight_verdict(
     elif right is not None:
         look = right, f"{'Right' if right else 'Wrong'} by its look, judged by {workspace.flight.judge}", sentence
     located, elsewhere = workspace.flight.frames[analysis.state.query], other_map(workspace.flight)
-    registered = "registration" in located.stages
+    registration = located.stages.get("registration")
+    registered = registration is not None
     if not registered and not elsewhere:
         return look, None
     verdict = belief(located)
-    if verdict.stage == "registration":
-        beside = _beside_look(analysis, look[0], verdict.sign is None and workspace.flight.judge == "its details")
-        return look, (verdict.sign, verdict.headline, " ".join(filter(None, (elsewhere, beside))))
+    told = verdict.summary if words.plain() else verdict.headline
+    if registration is not None and verdict.stage == "registration":
+        if right is not None and verdict.sign is None and workspace.flight.judge == "its details":
+            look = None, f"{'Right' if right else 'Wrong'} by its look, if its details are right", sentence
+        beside = _beside_look(analysis, look[0])
+        return look, (verdict.sign, _checked(told, verdict, registration), " ".join(filter(None, (elsewhere, beside))))
     nowhere = "Its details fit nowhere well enough." if registered else ""
-    headline = _OTHER_MAP if elsewhere else verdict.headline
+    headline = _OTHER_MAP if elsewhere else told
     return look, (verdict.sign, headline, " ".join(filter(None, (elsewhere, nowhere))))
 
 
-def _beside_look(analysis: StateAnalysis, right: bool | None, by_doubtful: bool) -> str:
+def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
     """Say that the model's own answer disagrees with the place of a photo that is known by other means; "" if it does not."""
     if right is not False:
         return ""
     off = _error_m(analysis)
     away = "" if off is None else f", {distance(off)} away"
-    if by_doubtful:
-        return (
-            f"The model's own guess, by its look alone, was probably wrong{away}, by its details, which are doubtful."
-        )
     return f"The model's own guess, by its look alone, was wrong{away}."
+
+
+def _checked(headline: str, verdict: Belief, answer: StageRecord) -> str:
+    """Return the headline of a registration, with a word if too few places beside its middle were found to check it."""
+    unchecked = verdict.sign and answer.agreement is not None and answer.agreement.unchecked
+    return f"{headline}, not checked beside its middle" if unchecked else headline
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
@@ -270,11 +276,13 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     contradictions = disagreements([own.located])
     concluded, against_tag = belief(own.located, contradictions), any(one.other == "tag" for one in contradictions)
-    fits = f"By its details, your picture fits the map to ± {answer.radius or 0:.1f} m {on_what(answer)}"
+    fits = "By its details, your picture fits the map"
+    if not words.plain():
+        fits += f" to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
-    against, headline = "", "On this map"
+    against, headline = "", _checked("On this map", concluded, answer)
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     doubts = [unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")]
     if against_tag:
@@ -526,12 +534,19 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     look += f"; their details placed {count}"
     if doubted := len(set().union(*_doubted(workspace))):
         look += f", {doubted} of them in doubt"
+    if unchecked := sum(_unchecked(located) for located in placed):
+        look += f", and {unchecked} not checked beside their middle"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"
         return f"{look}, at most {upper_bound(max(errors))} m from {judge}."
     elsewhere, _ = trials(workspace)
     return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
+
+
+def _unchecked(located: LocatedFrame) -> bool:
+    answer = located.stages["registration"]
+    return answer.agreement is not None and bool(answer.agreement.unchecked)
 
 
 def doubts(workspace: Workspace) -> str:

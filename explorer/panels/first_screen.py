@@ -251,6 +251,7 @@ def page(
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
+        sign=_frame_sign(analysis, found),
         laid=laid,
         turn=_turn(analysis, workspace),
         turned_by=_TURNED_BY,
@@ -288,14 +289,20 @@ def page(
 
 def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
     look = answer_text.plain_verdict(analysis, workspace)
-    disputed = look[0] is not None and _lies_on_answer(analysis, workspace) is (not look[0])
-    look_errs = look[0] is False and not disputed
+    right = look[0]
+    disputed = right is not None and _lies_on_answer(analysis, workspace) is (not right)
+    look_errs = right is False and not disputed
     look, concluded = answer_text.flight_verdict(analysis, workspace, look)
     if disputed and concluded is not None and concluded[0]:
         look = None, "Not graded", "Its GPS tag and its place by its details lie on two sides of this piece's border."
     elif disputed:
-        look = None, "Its GPS tag and the map disagree", _DISPUTED[look[0] is True]
+        look = None, "Its GPS tag and the map disagree", _DISPUTED[right is True]
     return _Verdicts(look, concluded, disputed, look_errs)
+
+
+def _frame_sign(analysis: StateAnalysis, found: _Verdicts) -> bool | None:
+    """Return if the answer that is shown is right; None where that is not known, or its judge is in doubt."""
+    return None if found.look[0] is None else analysis.chosen.true
 
 
 def _lines(
@@ -339,7 +346,7 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
             lines.answer,
             place_text.piece(task.gallery[chosen.index]),
             _picture(analysis, workspace, analysis.tile, task.gallery_view),
-            chosen.true,
+            _frame_sign(analysis, found),
             0.0 if turn is None else -turn.degrees,
         ),
     ]

@@ -8,8 +8,9 @@ from markupsafe import Markup
 
 from explorer.web.terms import explained
 from explorer.workspace import Workspace
-from lpn.core.numbers import SIGMA, error_figure
+from lpn.core.numbers import SIGMA, error_figure, upper_bound
 from lpn.drawing.verdicts import listed
+from lpn.drawing.words import plain
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
@@ -17,7 +18,7 @@ from lpn.maps.tag_placed import placing_sentence
 
 
 def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
-    """Return a text in which an answer's radius, where it is first told, explains itself."""
+    """Return a text in which an answer's radius, where it is first told, explains itself; plain words tell it in `holds` alone."""
     if answer is None or answer.radius is None:
         return text
     radius = f"± {answer.radius:.1f} m {on_what(answer)}"
@@ -26,21 +27,51 @@ def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> 
 
 
 def holds(answer: StageRecord | None, workspace: Workspace) -> str:
-    """Say for how many photos the radius of an accepted answer should hold, and if a check confirms it; "" without one."""
+    """Say how exact an accepted answer should be, and if a check confirms it, as HTML; "" without one.
+
+    In plain words that is one distance within which nearly all places should lie, which is three radii.
+    """
     if answer is None or answer.radius is None or not answer.accepted:
         return ""
+    confirmed = _confirmed(workspace)
+    if plain():
+        return _nearly_all(answer, workspace, confirmed)
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     text = (
         f"± {answer.radius:.1f} m should hold for {first:.0f} of 100 photos, and {error_figure(2 * answer.radius)} m for "
         f"{second:.0f}"
     )
-    return f"{text}." if _confirmed(workspace) else f"{text}; the check of this flight does not confirm it."
+    return f"{text}; the check of this flight does not confirm it." if confirmed is False else f"{text}."
 
 
-def _confirmed(workspace: Workspace) -> bool:
-    """Return False if the tags of the flight's photos lie beyond three radii more often than radii that are right allow."""
+def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | None) -> str:
+    assert answer.radius is not None
+    limit = explained(f"{upper_bound(3 * answer.radius)} m", _meaning(answer, workspace))
+    where = Markup("{} of the true place {}").format(limit, on_what(answer))
+    of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[3])
+    if confirmed is None:
+        return Markup("It should lie within {}, as {} do; nothing here checks that.").format(where, of)
+    assert workspace.flight is not None
+    summary = workspace.flight.summaries()["registration"]
+    near = f"{round(summary.calibration[3] / 100 * summary.answered)} of {summary.answered}"
+    if confirmed:
+        return Markup("It should lie within {}, as {} do; {} here lie that near to their {}.").format(
+            where, of, near, _truths(workspace)
+        )
+    off = "" if workspace.flight.rendered else ", which may be off, too"
+    return Markup(
+        "Nobody knows how exact that is: {} should lie within {}, but only {} here lie that near to their {}{}."
+    ).format(of, where, near, _truths(workspace), off)
+
+
+def _confirmed(workspace: Workspace) -> bool | None:
+    """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
     calibration = _calibration(workspace)
-    return calibration is None or calibration[3] >= CONFIRMED_SHARE
+    return None if calibration is None else calibration[3] >= CONFIRMED_SHARE
+
+
+def _truths(workspace: Workspace) -> str:
+    return "places" if workspace.flight is None or workspace.flight.rendered else "GPS tags"
 
 
 def _meaning(answer: StageRecord, workspace: Workspace) -> str:
@@ -70,8 +101,10 @@ def check(workspace: Workspace) -> str:
     shares, right = (
         f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (calibration, RIGHT_CALIBRATION)
     )
-    whose = "places" if workspace.flight is None or workspace.flight.rendered else "GPS tags"
-    text = f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {whose}, where {right} should."
+    text = (
+        f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {_truths(workspace)}, where "
+        f"{right} should."
+    )
     if _confirmed(workspace):
         return text
     return (

@@ -96,12 +96,15 @@ class Disagreement:
         return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
 
     def told(self, verdict: Belief) -> str:
-        """Return the finding in the words that are spoken, with what the verdict on the frame makes of it.
-
-        A contradiction of the map reads alike in all words.
-        """
-        if not plain() or self.other == "map":
+        """Return the finding in the words that are spoken, with what the verdict on the frame makes of it."""
+        if not plain():
             return self.sentence
+        if self.other == "map":
+            return (
+                f"Away from its middle, the photo's places lie {self.metres:.1f} m from where the map has them, in the median, "
+                f"and {self.allowed:.1f} m are allowed. Uneven ground, the lens, or ground that has changed can do that, and "
+                "its middle may still be right."
+            )
         if verdict.sign:  # tag and details agree, and the neighbours alone differ
             place = "here" if self.one == "registration" else ENDS[self.other]
             return f"Its neighbours would place it {self.metres:.1f} m from {place}."

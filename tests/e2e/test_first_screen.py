@@ -302,11 +302,14 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
         expect(first.locator(".comparing")).to_contain_text("Its details are compared with the map")
 
     fresh.goto(demo_app.url)
-    expect(sentence).to_contain_text("Placed by its details, ± 6.1 m on earth.")
+    expect(sentence).to_contain_text("Placed by its details.")
     send(DEMO_PLACE[1] / "IMG_9368.webp")
     place.locator("summary").click()
     expect(sentence).to_contain_text("On this map.")
-    expect(sentence).to_contain_text("your picture fits the map to ±")
+    expect(sentence).to_contain_text("your picture fits the map; its GPS tag lies ")
+    expect(first).to_contain_text(
+        "99 of 100 photos should lie within 18.2 m of the true place on earth, but only 19 of 30 here"
+    )
     expect(captions.nth(2)).to_contain_text("On the map")
     # The opened details and the focus outlast the answer.
     expect(place).to_have_attribute("open", "")
