@@ -39,7 +39,9 @@ class AnswerPanel:
         why = gui.add_button("Why this answer?", icon=viser.Icon.ZOOM_QUESTION, visible=workspace.model is not None)
         why.on_click(lambda _: change(session_state.flip_why))
         gui.add_html(pages.main_button(uuid_of(why)))
-        with gui.add_folder("Matches"):
+        matches, pair = gui.add_folder("Matches"), gui.add_folder("Compared pair")
+        self._folders = matches, pair
+        with matches:
             self._matches = Html(gui)
             buttons = [gui.add_button(f"match {slot + 1}") for slot in range(SHOWN)]
             for slot, button in enumerate(buttons):
@@ -48,7 +50,7 @@ class AnswerPanel:
             buttons[-1].on_click(lambda _: change(lambda state: replace(state, selected=POSITIVE)))
             self._match_buttons = [uuid_of(button) for button in buttons]
             gui.add_html(pages.hidden(self._match_buttons))
-        with gui.add_folder("Compared pair"):
+        with pair:
             self._table = Html(gui)
         self.stories = Html(gui)
         gui.add_html(pages.keys(workspace))
@@ -74,6 +76,11 @@ class AnswerPanel:
         self._last = pages.ShownAnalysis(analysis, sequence)
         self.show_results(self._workspace.rankings[analysis.task.key])
         self._verdict.show(pages.verdict(analysis, workspace))
+        # In plain words the window of a flight tells where a photo lies, and nothing of the tiles.
+        tiles = not (analysis.state.plain and analysis.state.flight)
+        for folder in self._folders:
+            if folder.visible != tiles:
+                folder.visible = tiles
         if not covered:
             self._matches.show(pages.matches(analysis, workspace, self._match_buttons))
             self._table.show(pages.parts_table(analysis, workspace))

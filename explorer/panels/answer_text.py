@@ -532,10 +532,11 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
         return f"{look}."
     count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
     look += f"; their details placed {count}"
-    if doubted := len(set().union(*_doubted(workspace))):
-        look += f", {doubted} of them in doubt"
-    if unchecked := sum(_unchecked(located) for located in placed):
-        look += f", and {unchecked} not checked beside their middle"
+    doubted, unchecked = len(set().union(*_doubted(workspace))), sum(_unchecked(located) for located in placed)
+    kinds = [
+        f"{many} {of}" for many, of in ((doubted, "in doubt"), (unchecked, "not checked beside their middle")) if many
+    ]
+    look += f" ({', '.join(kinds)})" if kinds else ""
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         judge = "their true places" if workspace.flight.rendered else "their GPS tags"

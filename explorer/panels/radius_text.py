@@ -18,7 +18,7 @@ from lpn.maps.tag_placed import placing_sentence
 
 
 def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
-    """Return a text in which an answer's radius, where it is first told, explains itself; plain words tell it in `holds` alone."""
+    """Return a text in which an answer's radius, where it is first told, explains itself."""
     if answer is None or answer.radius is None:
         return text
     radius = f"± {answer.radius:.1f} m {on_what(answer)}"
@@ -50,17 +50,17 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | Non
     where = Markup("{} of the true place {}").format(limit, on_what(answer))
     of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[3])
     if confirmed is None:
-        return Markup("It should lie within {}, as {} do; nothing here checks that.").format(where, of)
+        return Markup("<strong>It should lie within {}</strong>, as {} do; nothing here checks that.").format(where, of)
     assert workspace.flight is not None
     summary = workspace.flight.summaries()["registration"]
     near = f"{round(summary.calibration[3] / 100 * summary.answered)} of {summary.answered}"
     if confirmed:
-        return Markup("It should lie within {}, as {} do; {} here lie that near to their {}.").format(
+        return Markup("<strong>It should lie within {}</strong>, as {} do; {} here lie that near to their {}.").format(
             where, of, near, _truths(workspace)
         )
     off = "" if workspace.flight.rendered else ", which may be off, too"
     return Markup(
-        "Nobody knows how exact that is: {} should lie within {}, but only {} here lie that near to their {}{}."
+        "<strong>Nobody knows how exact that is:</strong> {} should lie within {}, but only {} here lie that near to their {}{}."
     ).format(of, where, near, _truths(workspace), off)
 
 

@@ -224,6 +224,7 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     first.get_by_text("Another picture").tap()
     expect(first.locator(".pair")).not_to_have_attribute("data-query", before)
     expect(query).to_be_in_viewport(ratio=0.99)
+    expect(first.get_by_text("Another picture")).to_be_in_viewport(ratio=1)
     large = page.locator("#lpn-large")
     for close_large in (lambda: page.keyboard.press("Escape"), large.locator("img").tap, page.go_back):
         query.tap()
@@ -308,7 +309,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(sentence).to_contain_text("On this map.")
     expect(sentence).to_contain_text("your picture fits the map; its GPS tag lies ")
     expect(first).to_contain_text(
-        "99 of 100 photos should lie within 18.2 m of the true place on earth, but only 19 of 30 here"
+        "99 of 100 photos should lie within 18.5 m of the true place on earth, but only 19 of 30 here"
     )
     expect(captions.nth(2)).to_contain_text("On the map")
     # The opened details and the focus outlast the answer.
@@ -319,6 +320,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(window.locator(".laid img")).to_be_visible()
     expect(window.locator("#lpn-flight-verdict")).to_contain_text("Middle of the picture: latitude 30.17")
     expect(window.locator(".time")).to_be_hidden()
+    expect(fresh.get_by_text("Matches", exact=True)).to_have_count(0)
     fresh.get_by_label("Close the flight").click()
 
     send(DEMO_FLIGHT[1] / "LPN_0086.webp")

@@ -55,7 +55,7 @@
     document.documentElement.classList.add("lpn-starts");
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
-    const restoreFocus = keptFocus(page), restoreDetails = keptDetails(page), offer = page.querySelector(".offer");
+    const scrolled = page.scrollTop, restoreFocus = keptFocus(page), restoreDetails = keptDetails(page), offer = page.querySelector(".offer");
     page.innerHTML = html;
     for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
@@ -74,9 +74,12 @@
     if (offer && !another) page.querySelector(".acts:has([data-act=upload])")?.after(offer); // an answer to all pictures may come meanwhile
     if (reason && !explained && query) page.querySelector("[data-act=why]")?.focus({ preventScroll: true });
     else restoreFocus(); // a page that opens with a reason has its first stop at the top
-    // Another picture comes into sight. A reason does with its button, and with the pictures where they leave it room; a screen
-    // that comes back, as after the tour, begins at its top.
-    if (another) page.scrollTop = 0;
+    // Another picture comes into sight, and the button that brought it stays there. A reason does with its button, and with the
+    // pictures where they leave it room; a screen that comes back, as after the tour, begins at its top.
+    if (another) {
+      page.scrollTop = 0;
+      if (!reason) page.scrollTop = Math.min(scrolled, pair.getBoundingClientRect().top - 8);
+    }
     if (reason && query && (another || !explained)) {
       const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
       const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;

@@ -3,11 +3,11 @@ from __future__ import annotations
 import base64
 import json
 import re
-from html import unescape
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -619,9 +619,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     flight_names = workspace.tasks[TASK].query_names
     assert (
-        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30, 4 of them in doubt, "
-        "and 9 not checked beside their middle. Nobody measured where they really are. Of 68 photos of other places, none was placed on this map."
-        in said
+        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30 (4 in doubt, 9 not "
+        "checked beside their middle). Nobody measured where they really are. Of 68 photos of other places, none was placed on "
+        "this map." in said
     )
     assert (
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map away from its "
