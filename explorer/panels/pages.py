@@ -107,7 +107,9 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the analysis in words."""
     right, headline, reason = answer_text.verdict(analysis, workspace)
-    _, concluded = answer_text.flight_verdict(analysis, workspace, answer_text.plain_verdict(analysis, workspace))
+    look, concluded = answer_text.flight_verdict(analysis, workspace, answer_text.plain_verdict(analysis, workspace))
+    if words.plain() and concluded is not None:
+        right, headline, reason = look
     registered = workspace.details(analysis)
     all_parts_off = not analysis.state.parts_left()
     note = analysis.query_note
