@@ -16,12 +16,14 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import TAG_RADIUS, Disagreement, on_what
+from lpn.locate.belief import TAG_RADIUS, Belief, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
-from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy
+from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, placed_errors, share_within
+from lpn.locate.surveyed import AxisMean
+from lpn.locate.tag_errors import Leg, TagErrors
 
 # The list of contradictions alone would read as if all answers were independent, and equally good.
 EVIDENCE = (
@@ -30,9 +32,15 @@ EVIDENCE = (
     "of them errs. What the map has beside a photo's middle is a third."
 )
 WORST = (
-    "Contradicted photos come first, by how far they are beyond what their errors allow. The others follow by how far the answer "
-    "that counts lies from the GPS tag, or the correction by hand: the error of both together. Mere guesses are last."
+    "The photo that lies farthest from its GPS tag, or its correction by hand, comes first: the error of both together. A ? "
+    "marks contradicted ones. Mere guesses come last."
 )
+UNCHECKED = (
+    "Their details place these photos. Beside the middle, too few places were found on the map to check that all of a photo "
+    "fits."
+)
+# Legs of a flight whose shift is told, at most, and the degrees of an unknown tilt whose effect is told.
+_MOST_LEGS, _TILT = 8, 15
 _METHODS = {
     "retrieval": "the most similar piece of the map",
     "sequence": "the path of the flight through such pieces",
@@ -76,10 +84,11 @@ def reason(view: FlightView, frame: int) -> str:
     if any(text.endswith(verdict.reason) for text in refusals(located)):
         return ""
     answer = located.stages.get("registration")
-    if not plain() or verdict.stage != "registration" or answer is None:
-        return verdict.reason
-    sentences = [] if answer.inliers is None else [f"{answer.inliers} details of the photo agree with the map."]
     against = [one for one in view.contradictions if one.frame == frame and one.one == "registration"]
+    if not plain() or verdict.stage != "registration" or answer is None:
+        told = (contradiction(view, one) for one in against if one.other == "map" and one.sentence == verdict.reason)
+        return next(told, verdict.reason)
+    sentences = [] if answer.inliers is None else [f"{answer.inliers} details of the photo agree with the map."]
     error = located.error("registration")
     if error is not None and all(one.other != "tag" for one in against):
         place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
@@ -89,7 +98,25 @@ def reason(view: FlightView, frame: int) -> str:
             f"The picture is turned by {abs(answer.turn):.0f} degrees here: its file tells another heading, by which the first "
             "screen turns it."
         )
-    return " ".join([*sentences, *(one.told(verdict) for one in against)])
+    return " ".join([*sentences, *(contradiction(view, one) for one in against)])
+
+
+def contradiction(view: FlightView, one: Disagreement) -> str:
+    """Say what contradicts a photo's answer, and by how much; where the map does, harmless causes are named, too."""
+    answer = view.flight.frames[one.frame].stages.get("registration")
+    measured = None if answer is None else answer.agreement
+    if one.other != "map" or answer is None or measured is None or measured.largest is None:
+        return one.told(view.beliefs[one.frame])
+    beyond = int((measured.metres > one.allowed).sum())
+    text = (
+        f"Beside its middle, {beyond} of {len(measured.rows)} places of the photo lie too far from where the map has them: "
+        f"{one.metres:.1f} m in the median, {measured.largest:.1f} m at the farthest, {_farthest(measured)}. Up to "
+        f"{one.allowed:.1f} m is usual: three times the ± {answer.radius_on_map or 0:.1f} m of its middle on this map. Uneven "
+        "ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
+    )
+    if answer.on_earth:
+        text += f" The ± {answer.radius or 0:.1f} m on earth also holds the map's own error, which moves all of the photo alike."
+    return text
 
 
 def _truth(located: LocatedFrame) -> str:
@@ -101,7 +128,7 @@ def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
     median, largest = measured.median, measured.largest
     if median is None or largest is None:
         return f"Not checked: {measured.unchecked[:1].lower()}{measured.unchecked[1:]}"
-    side = _side(*measured.places[measured.metres.argmax()].tolist())
+    side = _farthest(measured)
     beyond = ", as nothing beyond was looked for" if measured.may_be_larger else ""
     text = (
         f"Beside its middle, {len(measured.rows)} places of the photo were found on the map one by one, looked for within "
@@ -116,6 +143,11 @@ def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
     return f"\u2713 {text} That fits ± {answer.radius_on_map:.1f} m on this map, of which three times are allowed."
 
 
+def _farthest(measured: MapAgreement) -> str:
+    """Return where in the picture the place lies that is farthest off."""
+    return _side(*measured.places[measured.metres.argmax()].tolist())
+
+
 def _side(across: float, down: float) -> str:
     """Return where in a picture a place lies, given as shares of its width and height."""
     row = "upper" if down < 1 / 3 else "lower" if down > 2 / 3 else ""
@@ -128,8 +160,7 @@ def _side(across: float, down: float) -> str:
 def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
     """Return frame, name, and words of each photo that has a place, the worst first.
 
-    Contradicted answers are first, by how many times more they are off than is allowed, then the others by their metres from
-    the GPS tag, without a tag by their radii, and best guesses last.
+    Placed photos are first, by their metres from the GPS tag; without a tag they follow by their radii. Best guesses are last.
     """
     doubts: dict[int, list[Disagreement]] = {}
     for one in view.contradictions:
@@ -141,27 +172,27 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
         against = [one for one in doubts.get(i, ()) if verdict.stage == "registration" and not verdict.sign]
         answer, error = located.stages[verdict.stage], located.error(verdict.stage)
         radius = answer.radius or 0.0
-        order = (
-            (2, max(one.metres / one.allowed for one in against))
-            if against
-            else (1 if verdict.stage in PLACED else 0, error or 0.0)
-        )
+        order = (verdict.stage in PLACED, -1.0 if error is None else error, radius)
         words = [] if error is None else [f"{error:.1f} m from {_truth(located)}{_allowed(against, 'tag')}"]
-        words.append(say(verdict.stage))
-        words.append("not verified" if answer.radius is None else f"± {radius:.1f} m {on_what(answer)}")
+        if verdict.stage != "registration" or not plain() or error is None:
+            words += [
+                say(verdict.stage),
+                "not verified" if answer.radius is None else f"± {radius:.1f} m {on_what(answer)}",
+            ]
         misfit = None if answer.agreement is None else answer.agreement.median
         if answer.agreement is not None and answer.agreement.unchecked:
             words.append("not checked beside its middle")
         if misfit is not None:
             words.append(f"beside its middle {misfit:.1f} m off{_allowed(against, 'map')}")
         line = f"{'? ' if against else ''}{', '.join(words)}"
-        placed.append(((*order, radius), i, printable(located.frame.name), [line]))
+        placed.append((order, i, printable(located.frame.name), [line]))
     placed.sort(key=lambda one: one[0], reverse=True)
     return [(i, name, lines) for _, i, name, lines in placed]
 
 
 def _allowed(against: Sequence[Disagreement], other: str) -> str:
-    return next((f" where {one.allowed:.1f} m are allowed" for one in against if one.other == other), "")
+    usual = "usual" if other == "map" else "allowed"
+    return next((f" where {one.allowed:.1f} m are {usual}" for one in against if one.other == other), "")
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
@@ -188,10 +219,10 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
     if answer.camera and not answer.by_pose:
         return f"{place}. Its place rests on the tilt in the photo's file."
     flat = " The map has no heights, and over flat ground a tilt and a shift of the drone look nearly alike."
-    return f"{place}. {_tilt(pose)}{flat if pose.flat else ''}"
+    return f"{place}. {_tilt_of(pose)}{flat if pose.flat else ''}"
 
 
-def _tilt(pose: CameraPose) -> str:
+def _tilt_of(pose: CameraPose) -> str:
     tilt = pose.tilt
     if tilt.degrees < tilt.error:
         return f"Its camera looked straight down, to within {upper_bound(tilt.error)}°."
@@ -211,9 +242,14 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
     on_earth, earth = _on_earth(view.flight, known)
     shape, shape_failed = _whole_photos(view)
     lines = [_on_map(view.flight, known), *shape, earth]
-    audit = view.flight.audit
-    if audit is not None and audit.frames:
-        lines.append(AccuracyLine("GPS tags", f"{audit.median:.1f} m", _tags(audit)))
+    errors = placed_errors(view.flight, view.beliefs)
+    if errors is not None:
+        lines.append(AccuracyLine("GPS tags", f"{errors.offsets.median:.1f} m", _tags(errors, view.flight.audit)))
+        if errors.offsets.photos > 1:
+            lines.append(_shift(errors))
+        if errors.legs:
+            lines.append(_by_leg(errors.legs))
+        lines += filter(None, [_camera_and_ground(view.flight, view.beliefs)])
     radii, radii_failed = _radii(view.flight, known)
     lines += radii
     if known.place_error is not None and known.map_source:
@@ -295,19 +331,105 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
     )
 
 
-def _tags(audit: TagAudit) -> str:
-    """Say how far the tags lie from the places on the map, and how much of that a lag or a tilted camera explains."""
+def _tags(errors: TagErrors, audit: TagAudit | None) -> str:
+    """Say how far the places lie from the tags, and how much of that a lag or a tilted camera explains."""
     text = (
-        f"Median of {audit.frames} photos, {upper_bound(audit.largest)} m at most, between the GPS tag and the place on this "
-        "map: the error of both together."
+        f"Median of {errors.offsets.photos} photos{share_within(errors)} and {upper_bound(errors.offsets.largest)} m at most, "
+        "between the GPS tag and the place on this map: the error of both together."
     )
-    if not audit.has_lag or audit.lag is None:
+    if audit is None or not audit.has_lag or audit.lag is None:
         return text
     ahead = f", or that {audit.looks_ahead}" if audit.looks_ahead else ""
+    where = "" if audit.bearing is None else f" of the tags to the {compass(audit.bearing)}"
     return (
         f"{text} It may be that the tags are {abs(audit.lag):.1f} s (± {audit.lag_error or 0:.1f} s) "
-        f"{'late' if audit.lag > 0 else 'early'}{ahead}. With a constant offset of {audit.offset:.1f} m that explains a part: "
-        f"{audit.without_lag:.1f} m remain in the median, which nothing here explains."
+        f"{'late' if audit.lag > 0 else 'early'}{ahead}. With a constant offset of {audit.offset:.1f} m{where} that explains a "
+        f"part: {audit.without_lag:.1f} m remain in the median, which nothing here explains."
+    )
+
+
+def _shift(errors: TagErrors) -> AccuracyLine:
+    """Say if the places lie to one side of the tags by more than chance explains, by the rule for surveys."""
+    offsets = errors.offsets
+    east, north = offsets.means.values()
+    means = f"{_toward(east, 'east', 'west')} and {_toward(north, 'north', 'south')}"
+    known = " (±: the standard error of the mean)" if east.enough or north.enough else ""
+    proven = [axis for axis, mean in offsets.means.items() if mean.systematic]
+    text = f"On average the places lie {means} of their GPS tags{known}."
+    if proven:
+        text += f" To the {' and '.join(proven)} that is more than chance explains, so a steady shift of map or tags is likely."
+    elif east.enough and north.enough:
+        text += " Chance explains as much, so no steady shift to one side is shown."
+    else:
+        text += " No steady shift to one side is shown: there are too few independent photos to tell one from chance."
+    figure = f"{math.hypot(east.mean, north.mean):.1f} m" if proven else "not shown"
+    return AccuracyLine("Shift to one side", figure, f"{text} {offsets.counted_as}".rstrip())
+
+
+def _toward(mean: AxisMean, above: str, below: str) -> str:
+    error = f" (±\N{NO-BREAK SPACE}{mean.error:.1f} m)" if mean.enough else ""
+    return f"{abs(mean.mean):.1f} m{error} {above if mean.mean >= 0 else below}"
+
+
+def _by_leg(legs: Sequence[Leg]) -> AccuracyLine:
+    """Say to which side of their tags the photos of each leg lie; the legs that lie farthest off are told."""
+    chosen = sorted(sorted(legs, key=lambda leg: -leg.metres)[:_MOST_LEGS], key=lambda leg: leg.first)
+    told = [
+        f"photos {leg.first + 1} to {leg.last + 1}, flown to the {compass(leg.azimuth)}, {leg.metres:.1f} m to the "
+        f"{compass(math.degrees(math.atan2(leg.east, leg.north)))}"
+        for leg in chosen
+    ]
+    some = f" Only the {_MOST_LEGS} farthest of {len(legs)} legs are told." if len(legs) > len(chosen) else ""
+    return AccuracyLine(
+        "Leg by leg",
+        f"{max(leg.metres for leg in legs):.1f} m at most",
+        f"Where the places of a leg lie on average, seen from their GPS tags: {'; '.join(told)}.{some} Each is the mean of a few "
+        "photos. Sides that turn with the direction of flight point to late tags or a tilted camera, and one side in all of "
+        "them to the map.",
+    )
+
+
+def _camera_and_ground(flight: LocatedFlight, verdicts: Sequence[Belief]) -> AccuracyLine | None:
+    """Say how far the camera, of which the tag is, and the ground at the photo's middle lie apart; None without such a place."""
+    placed = [
+        (one, one.stages[told.stage])
+        for one, told in zip(flight.frames, verdicts, strict=True)
+        if told.stage == "registration"
+    ]
+    middles = [(one, answer) for one, answer in placed if not answer.camera]
+    if not placed:
+        return None
+    if not middles:
+        text = "The GPS tag is of the camera, and so are the places: the photos tell their tilt."
+        laid = [(one, answer) for one, answer in placed if answer.homography is not None]
+        apart = [math.dist(one.middle(answer), (answer.x or 0.0, answer.y or 0.0)) for one, answer in laid]
+        if not apart:
+            return None
+        return AccuracyLine(
+            "Camera and ground",
+            f"{np.median(apart):.1f} m",
+            f"{text} The ground at a photo's middle lies {np.median(apart):.1f} m from there in the median.",
+        )
+    text = "The GPS tag is of the camera, and the place is of the ground at the photo's middle, as its radius is"
+    apart = [
+        math.dist(one.middle(answer), (answer.pose.east, answer.pose.north))
+        for one, answer in middles
+        if answer.pose is not None and answer.homography is not None
+    ]
+    high = [
+        one.frame.flying_height or (answer.pose and answer.pose.height) or (answer.width or 0.0) / 2
+        for one, answer in middles
+    ]
+    height = float(np.median(high))
+    moved = height * math.tan(math.radians(_TILT))
+    source = f"from a height of {height:.0f} m, an unknown tilt of {_TILT}° moves the middle by {moved:.1f} m"
+    if not apart:
+        return AccuracyLine("Camera and ground", "", f"{text}: {source}.")
+    few = f"In the {len(apart)} photos whose details" if len(apart) > 1 else "In the one photo whose details"
+    return AccuracyLine(
+        "Camera and ground",
+        f"{np.median(apart):.1f} m",
+        f"{text}. {few} tell the camera's place, the two lie {np.median(apart):.1f} m apart in the median; {source}.",
     )
 
 

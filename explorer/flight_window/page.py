@@ -23,7 +23,7 @@ from lpn.drawing import overlays, score_map, theme
 from lpn.drawing.words import plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFrame, StageRecord
-from lpn.locate.summary import PLACED, describe_flight
+from lpn.locate.summary import NOT_CHECKED, PLACED, describe_flight, is_unchecked
 from lpn.maps import Window
 from lpn.maps.named_window import describe_offset
 
@@ -131,7 +131,7 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     if name == "registration":
         for one in view.contradictions:
             if one.one == name and view.beliefs[one.frame].sign is None:
-                reasons[one.frame] = " ".join(filter(None, (reasons[one.frame], one.told(view.beliefs[one.frame]))))
+                reasons[one.frame] = " ".join(filter(None, (reasons[one.frame], flight_text.contradiction(view, one))))
     track["reason"] = reasons
     columns = list(zip(*rows, strict=True)) or [()] * 5
     for key, values in zip(("x", "y", "state", "radius", "error"), columns, strict=True):
@@ -324,11 +324,12 @@ def lists(view: FlightView) -> dict[str, str]:
         (i, printable(located.frame.name), [flight_text.agreement(view, i, told)])
         for i, located in enumerate(flight.frames)
         if view.beliefs[i].stage == "registration"
+        and view.beliefs[i].sign is not None
+        and is_unchecked(located)
         and (told := located.stages["registration"].agreement) is not None
-        and told.unchecked
     ]
     apart = [
-        (one.frame, printable(flight.frames[one.frame].frame.name), [one.told(view.beliefs[one.frame])])
+        (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.contradiction(view, one)])
         for one in view.contradictions
     ]
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]
@@ -350,11 +351,19 @@ def lists(view: FlightView) -> dict[str, str]:
             if plain()
             else "Registration, sequence, and tags agree within their radii.",
             ("tag", "radius", "median", "time lag", "offset") if audit else (),
-            [("Not checked beside their middle", unchecked)],
+        ),
+        "unchecked": _list(
+            unchecked, flight_text.UNCHECKED if unchecked else "", "Every photo by its details was checked."
         ),
         "worst": _list(flight_text.worst(view), flight_text.WORST, "No photo has a place."),
         "notes": render("flight/notes", notes=notes),
-        "counts": render("flight/counts", refused=len(refused), apart=len({one[0] for one in apart})),
+        "counts": render(
+            "flight/counts",
+            refused=len(refused),
+            apart=len({one[0] for one in apart}),
+            unchecked=len(unchecked),
+            not_checked=NOT_CHECKED,
+        ),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import cast
 
@@ -31,10 +32,11 @@ class TagAudit:
         lag: seconds by which tags are late; None if it cannot be estimated.
         lag_error: its standard error in seconds.
         without_lag: median of the metres that remain without the lag and the constant offset beside it.
-        offset: metres of that offset, which may be the map's.
+        offset: metres of that offset, from the positions to the tags without the lag; it may be the map's.
         without_offset: median of the metres that remain without the constant offset that explains most if there is no lag.
         ahead: metres flown in the lag at the median speed, which a tilted camera may look ahead instead (behind, if negative);
             None if the positions are the camera's.
+        bearing: direction of `offset`, degrees clockwise from north; None without one.
     """
 
     frames: int
@@ -46,6 +48,7 @@ class TagAudit:
     offset: float | None = None
     without_offset: float | None = None
     ahead: float | None = None
+    bearing: float | None = None
 
     @property
     def has_lag(self) -> bool:
@@ -126,6 +129,7 @@ def audit_tags(times: Float64Array, tags: Float64Array, positions: Float64Array,
         float(np.linalg.norm(solution[1:])),
         float(np.median(np.linalg.norm(d - constant, axis=1))),
         float(-solution[0] * np.median(np.linalg.norm(v, axis=1))) if middles else None,
+        math.degrees(math.atan2(solution[1], solution[2])) % 360,
     )
 
 

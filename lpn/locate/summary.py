@@ -14,12 +14,17 @@ from lpn.drawing.verdicts import listed
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.locate.tag_errors import TagErrors, tag_errors
 from lpn.maps.tag_placed import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
 PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}
+# The list of photos that could not be checked.
+NOT_CHECKED = "Not checked"
 # Names in one sentence at most.
 _MOST_NAMES = 10
+# Distances from which their 95th percentile is told, at least.
+_FEWEST = 5
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,21 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
     )
 
 
+def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagErrors | None:
+    """Return the errors of a flight's placed photos against their tags; None if no placed photo has one.
+
+    Args:
+        verdicts: of the frames, see `lpn.locate.belief.beliefs`.
+    """
+    pairs = zip(flight.frames, verdicts, strict=True)
+    return tag_errors(flight.frames, [one.stages[told.stage] if told.stage in PLACED else None for one, told in pairs])
+
+
+def share_within(errors: TagErrors) -> str:
+    """Return the metres within which 95 % of the distances lie, in words with a comma before; "" of few distances."""
+    return f", 95 % of them within {upper_bound(errors.p95)} m" if errors.offsets.photos >= _FEWEST else ""
+
+
 def other_map(flight: LocatedFlight) -> str:
     """Say that the map is probably not of the flight's place, as all tags lie far off it, and what to do; else ""."""
     if not flight.elsewhere:
@@ -83,8 +103,8 @@ def other_map(flight: LocatedFlight) -> str:
 def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
-    Contradicted photos, and those that could not be checked beside their middle, are named. A flight whose tags lie far off the
-    map begins with that.
+    Contradicted photos are named, and others that could not be checked beside their middle are counted. A flight whose tags
+    lie far off the map begins with that.
 
     A photo is placed where registration or sequence is accepted, and guessed where there is a most similar window alone.
 
@@ -105,11 +125,10 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
     sentences = [other_map(flight)] if flight.elsewhere else []
     sentences.append(f"A drone took {len(frames):,} photos{over}: {', '.join(pieces)}.")
     pairs = list(zip(frames, verdicts, strict=True))
-    errors = [frame.error(one.stage) for frame, one in pairs if one.stage in PLACED]
-    if known := [error for error in errors if error is not None]:
+    if (known := placed_errors(flight, verdicts)) is not None:
         sentences.append(
-            f"Half of the placed ones lie within {upper_bound(median(known))} m of their GPS tags, which is the error of both "
-            "together."
+            f"The placed ones lie {known.offsets.median:.1f} m from their GPS tags in the median{share_within(known)}, "
+            "which is the error of both together."
         )
     stems = {PurePath(frame.frame.name).stem for frame in frames}
     short = len(stems) == len(frames)
@@ -122,19 +141,22 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
         return listed([*map(printable, told), *further])
 
     registered = [(frame, one.sign) for frame, one in pairs if one.stage == "registration"]
-    if contradicted := [frame for frame, sign in registered if sign is None]:
+    contradicted = [frame for frame, sign in registered if sign is None]
+    if contradicted:
         sentences.append(
             f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
             f"beside the middle: {names(contradicted)}."
         )
-    if unchecked := [frame for frame, _ in registered if _unchecked(frame)]:
+    if unchecked := [frame for frame, sign in registered if sign is not None and is_unchecked(frame)]:
+        more = " more" if contradicted else ""
         sentences.append(
-            f"{len(unchecked):,} could not be checked beside the middle, where too few places were found on the map: "
-            f"{names(unchecked)}."
+            f"{len(unchecked):,}{more} could not be checked beside the middle, where too few places were found on the map; the "
+            f"list {NOT_CHECKED} names {'them' if len(unchecked) > 1 else 'it'}."
         )
     return " ".join(sentences)
 
 
-def _unchecked(located: LocatedFrame) -> bool:
+def is_unchecked(located: LocatedFrame) -> bool:
+    """Return whether too few places beside the middle of a registered photo were found on the map to check it."""
     agreement = located.stages["registration"].agreement
     return agreement is not None and bool(agreement.unchecked)

@@ -133,6 +133,35 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class AxisMean:
+    """The mean of errors along one axis, in metres.
+
+    Attributes:
+        mean, sd: of the errors; the standard deviation is NaN for one error.
+        independent: errors that do not depend on each other and tell as much.
+    """
+
+    mean: float
+    sd: float
+    independent: float
+
+    @property
+    def error(self) -> float:
+        """The standard error of the mean; it means little unless `enough`."""
+        return self.sd / math.sqrt(self.independent)
+
+    @property
+    def enough(self) -> bool:
+        """True if there are enough independent errors to compare the mean with its standard error."""
+        return self.independent >= _LEAST_FOR_BIAS
+
+    @property
+    def systematic(self) -> bool:
+        """True if chance leaves so large a mean in less than 0.3 % of surveys."""
+        return self.enough and abs(self.mean) > _most_by_chance(self.independent - 1) * self.error
+
+
+@dataclass(frozen=True)
 class SurveyedErrors:
     """Errors of a stage's accepted answers against surveyed positions of one point, in metres.
 
@@ -166,32 +195,38 @@ class SurveyedErrors:
     within: dict[int, float]
 
     @property
+    def means(self) -> dict[str, AxisMean]:
+        """The mean along each axis, "east" and "north"."""
+        return {
+            "east": AxisMean(self.bias_east, self.sd_east, self.independent_east),
+            "north": AxisMean(self.bias_north, self.sd_north, self.independent_north),
+        }
+
+    @property
+    def counted_as(self) -> str:
+        """Say as how many independent photos these count, as neighbours err alike; "" if each counts as one."""
+        if min(self.independent_east, self.independent_north) > self.photos - 0.5:
+            return ""
+        east, north = (
+            f"{number} independent {'ones' if number > 1 else 'one'} to the {axis}"
+            for axis, mean in self.means.items()
+            for number in [int(mean.independent)]
+        )
+        return f"Photos that follow each other err alike, so the {self.photos} count as {east} and {north}."
+
+    @property
     def bias_sentence(self) -> str:
         """Say along which axes the mean is more than chance explains; "" of fewer photos than could tell."""
         if self.photos < _LEAST_FOR_BIAS:
             return ""
-        axes = {
-            "east": (self.bias_east, self.sd_east, self.independent_east),
-            "north": (self.bias_north, self.sd_north, self.independent_north),
-        }
         means, verdicts = [], dict[str, list[str]]()
-        for axis, (mean, sd, independent) in axes.items():
-            error = sd / math.sqrt(independent)
-            told = independent >= _LEAST_FOR_BIAS
-            means.append(f"{round(mean, 2) + 0.0:.2f} m {axis}" + (f" (± {error:.2f})" if told else ""))
-            beyond = told and abs(mean) > _most_by_chance(independent - 1) * error
-            verdicts.setdefault(_SYSTEMATIC if beyond else _CHANCE if told else _UNTOLD, []).append(axis)
+        for axis, one in self.means.items():
+            means.append(f"{round(one.mean, 2) + 0.0:.2f} m {axis}" + (f" (± {one.error:.2f})" if one.enough else ""))
+            verdict = _SYSTEMATIC if one.systematic else _CHANCE if one.enough else _UNTOLD
+            verdicts.setdefault(verdict, []).append(axis)
         judged = "; ".join(f"to the {' and '.join(named)} {verdict}" for verdict, named in verdicts.items())
         known = ", with its standard error" if {*verdicts} - {_UNTOLD} else ""
-        sentence = f"The mean is {' and '.join(means)}{known}: {judged}."
-        if min(self.independent_east, self.independent_north) > self.photos - 0.5:
-            return sentence
-        east, north = (
-            f"{number} independent {'ones' if number > 1 else 'one'} to the {axis}"
-            for axis, (_, _, independent) in axes.items()
-            for number in [int(independent)]
-        )
-        return f"{sentence} Photos that follow each other err alike, so the {self.photos} count as {east} and {north}."
+        return f"The mean is {' and '.join(means)}{known}: {judged}. {self.counted_as}".rstrip()
 
 
 def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list[SurveyedPosition]:
@@ -284,13 +319,21 @@ def summarise_surveyed(rows: Sequence[Residual]) -> dict[str, dict[SurveyedPoint
 
 def _summary(rows: Sequence[Residual]) -> SurveyedErrors:
     off = np.array([(row.east, row.north) for row in rows])
+    return summarise_offsets(off, np.array([row.radii for row in rows if not math.isnan(row.radii)]))
+
+
+def summarise_offsets(off: Float64Array, radii: Float64Array) -> SurveyedErrors:
+    """Summarise errors in metres east and north, (N, 2), in the flight's order; N is at least 1.
+
+    Args:
+        radii: the lengths of some of them in radii, (M,).
+    """
     metres = np.linalg.norm(off, axis=1)
-    radii = np.array([row.radii for row in rows if not math.isnan(row.radii)])
     rmse_east, rmse_north = np.sqrt((off**2).mean(axis=0)).tolist()
     bias_east, bias_north = off.mean(axis=0).tolist()
-    sd_east, sd_north = off.std(axis=0, ddof=1).tolist() if len(rows) > 1 else (math.nan, math.nan)
+    sd_east, sd_north = off.std(axis=0, ddof=1).tolist() if len(off) > 1 else (math.nan, math.nan)
     return SurveyedErrors(
-        len(rows),
+        len(off),
         rmse_east,
         rmse_north,
         math.hypot(rmse_east, rmse_north),

@@ -1,0 +1,66 @@
+"""Places against tags: their share, their mean, and the legs of the flight."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.core.arrays import Float64Array
+from lpn.flights import Frame
+from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.tag_errors import TagErrors, tag_errors
+
+
+def errors(tags: Sequence[tuple[float, float] | None], off: Float64Array) -> TagErrors | None:
+    """Return the errors of places that lie so many metres east and north of their tags; NaN for no place."""
+    frames, answers = list[LocatedFrame](), list[StageRecord | None]()
+    for i, (tag, (east, north)) in enumerate(zip(tags, off.tolist(), strict=True)):
+        known = None if tag is None else np.array(tag, np.float64)
+        frames.append(LocatedFrame(Frame(f"{i}.jpg", Path(f"{i}.jpg"), 8, 6), known))
+        x, y = (0.0, 0.0) if tag is None else tag
+        answers.append(None if np.isnan(east) else StageRecord("accepted", "", x + east, y + north))
+    return tag_errors(frames, answers)
+
+
+def test_the_median_and_the_share_are_of_the_photos_that_have_both() -> None:
+    tags = [(float(i), 0.0) for i in range(22)]
+    off = np.column_stack([np.arange(22.0), np.zeros(22)])
+    off[21] = np.nan
+    known = errors([*tags[:20], None, tags[21]], off)
+    assert known is not None
+    assert known.offsets.photos == 20
+    assert known.offsets.median == pytest.approx(9.5)
+    assert known.p95 == pytest.approx(np.quantile(np.arange(20.0), 0.95))
+    assert errors([None, (0.0, 0.0)], np.array([[1.0, 0.0], [np.nan, np.nan]])) is None
+
+
+def test_a_leg_ends_where_the_flight_turns_or_stands() -> None:
+    north = [(0.0, 10.0 * i) for i in range(5)]
+    back = [(30.0, 40.0 - 10.0 * i) for i in range(5)]
+    off = np.array([(0.0, 6.0)] * 5 + [(0.0, -6.0)] * 5)
+    known = errors([*north, *back], off)
+    assert known is not None
+    # The photos at the turn are of neither leg.
+    assert [(leg.first, leg.last, round(leg.azimuth) % 360) for leg in known.legs] == [(0, 3, 0), (6, 9, 180)]
+    assert [(leg.east, leg.north) for leg in known.legs] == [(0.0, 6.0), (0.0, -6.0)]
+    hover = errors([(0.1 * i, 0.0) for i in range(6)], off[:6])
+    assert hover is not None
+    assert hover.legs == []
+    stands = errors([*north, *[(0.0, 40.2)] * 3, *[(0.0, 50.0 + 10.0 * i) for i in range(4)]], np.zeros((12, 2)))
+    assert stands is not None
+    assert [(leg.first, leg.last) for leg in stands.legs] == [(0, 4), (7, 11)]
+
+
+def test_a_leg_of_few_places_is_not_told() -> None:
+    off = np.full((5, 2), np.nan)
+    off[:2] = 3.0
+    known = errors([(0.0, 10.0 * i) for i in range(5)], off)
+    assert known is not None
+    assert known.legs == []
+    off[4] = 6.0
+    known = errors([(0.0, 10.0 * i) for i in range(5)], off)
+    assert known is not None
+    assert [(leg.first, leg.last, leg.east) for leg in known.legs] == [(0, 4, 4.0)]
