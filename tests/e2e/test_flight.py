@@ -388,6 +388,120 @@ def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over
 
 
 @pytest.mark.slow
+def test_a_link_has_the_methods_the_plot_and_the_list_and_says_what_of_it_is_damaged(
+    window: FlightPage, flight_app: RunningFlight
+) -> None:
+    page = window.page
+    for name in ("tag", "retrieval"):
+        page.locator(f"[data-track={name}]").click()
+    for choice in ("[data-plot=radius]", "[data-list=worst]"):
+        page.locator(choice).click()
+    window.expect_frame(0)
+    link = page.evaluate("lpn.flight.link()")
+    assert link.endswith(",sequence.registration,radius,worst")
+
+    def opened(look: str) -> Page:
+        other = page.context.new_page()
+        other.goto(f"{flight_app.url}/?flight=1&query=photo2.png&words=expert{look}")
+        expect(other.locator("#lpn-flight-verdict")).to_have_attribute("data-frame", "2")
+        return other
+
+    def expect_choices(other: Page, tracks: list[str], plot: str, named: str) -> None:
+        expect(other.locator(f"[data-plot={plot}]")).to_have_attribute("aria-pressed", "true")
+        expect(other.locator(f"[data-list={named}]")).to_have_attribute("aria-pressed", "true")
+        switched = other.locator("[data-track][aria-checked=true]").evaluate_all(
+            "all => all.map((a) => a.dataset.track)"
+        )
+        assert switched == tracks
+
+    other = opened(link)
+    expect_choices(other, ["sequence", "registration"], "radius", "worst")
+    expect(other.locator(".listed .entry")).to_have_count(6)
+    other.close()
+    # Each damaged value is told, and the others are shown; a link of an older version has the view alone.
+    notice = "#lpn-notice"
+    other = opened("&look=swipe,50,1.0,2.0,100.0,tag.nothing,constructor,audit")
+    expect_choices(other, ["tag", "retrieval", "sequence", "registration"], "error", "audit")
+    expect(other.locator("[data-photo=swipe]")).to_have_attribute("aria-pressed", "true")
+    expect(other.locator(notice)).to_have_text(
+        "Not all of the link can be shown. look=swipe,50,1.0,2.0,100.0,tag.nothing,constructor,audit: expected methods such as "
+        "tag.retrieval.sequence.registration; then a plot among error, radius, height, all. Take the link from the flight again."
+    )
+    # No notice lies over the controls and the timeline.
+    assert (
+        box(other.locator(notice))["y"] + box(other.locator(notice))["height"]
+        <= box(other.locator(".flight .time"))["y"]
+    )
+    other.close()
+    other = opened("&look=swipe,50,x,2.0,0")
+    expect(other.locator(notice)).to_contain_text("expected off, swipe, or blink with four numbers. Take the link")
+    expect(other.locator("[data-photo=off]")).to_have_attribute("aria-pressed", "true")
+    other.close()
+    other = opened("&look=off,50,1.0,2.0,100.0,,error,spot,25.0,15.0")
+    expect_choices(other, [], "error", "spot")
+    expect(other.locator(".listed")).to_contain_text("3 of 6 frames show")
+    assert other.evaluate("lpn.flight.link()").endswith(",,error,spot,25.0,15.0")
+    assert not other.locator(notice).is_visible() or "Not all" not in other.locator(notice).inner_text()
+    other.close()
+
+
+@pytest.mark.slow
+def test_a_link_that_is_taken_while_the_next_photo_is_coming_is_of_that_photo(window: FlightPage) -> None:
+    window.expect_frame(0)
+    copied = window.page.evaluate(
+        """async () => {
+          const texts = [];
+          navigator.clipboard.writeText = async (text) => void texts.push(text);
+          lpn.send = () => {}; // the server is slow
+          lpn.flight.choose(3);
+          await lpn.copy();
+          return texts;
+        }"""
+    )
+    assert len(copied) == 1
+    assert "query=~3" in copied[0].replace("%7E", "~")
+
+
+@pytest.mark.slow
+def test_a_method_that_is_switched_on_has_a_tick_and_a_card_in_other_words_its_own_folding(window: FlightPage) -> None:
+    page, track = window.page, window.page.locator("[data-track=tag]")
+
+    def tick() -> str:
+        text: str = track.evaluate("one => getComputedStyle(one.querySelector('.check'), '::before').content")
+        return text
+
+    assert track.get_attribute("aria-checked") == "true"
+    assert tick() == '"✓"'
+    track.click()
+    expect(track).to_have_attribute("aria-checked", "false")
+    assert tick() == "none"
+    tall = page.locator("#lpn-flight-tall")
+    expect(tall).to_have_text("⤡ Smaller")
+    tall.click()
+    expect(tall).to_have_text("⤢ Larger")
+    card = """([words, open, card]) => {
+      const details = `<details data-words="${words}"${open ? " open" : ""}><summary>More of it</summary>${card}</details>`;
+      const frame = { ...lpn.flight.followed, card: details };
+      lpn.flight.follow({ address: lpn.flight.of, frame, answer: null, scores: null, sequence: 0 });
+      return document.querySelector("#lpn-flight .about details").open;
+    }"""
+    assert page.evaluate(card, ["expert", True, 1])
+    assert not page.evaluate(card, ["plain", False, 2]), "in plain words it is folded at first"
+    assert not page.evaluate(card, ["plain", True, 3]), "and stays so from photo to photo"
+    assert page.evaluate(card, ["expert", True, 4])
+
+
+@pytest.mark.slow
+def test_a_flight_without_heights_has_no_plot_of_them(window: FlightPage) -> None:
+    page, plot = window.page, window.page.locator("[data-plot=height]")
+    expect(plot).to_be_visible()
+    page.evaluate("() => lpn.flight.show({ ...lpn.flight.data, heights: lpn.flight.data.heights.map(() => null) })")
+    expect(plot).to_be_hidden()
+    page.locator("[data-plot=all]").click()
+    window.expect_frame(0)
+
+
+@pytest.mark.slow
 def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_flight(window: FlightPage) -> None:
     page = window.page
     whole, corner = page.locator('[data-tie="all"]'), page.locator('[data-tie="1"]')
@@ -510,5 +624,6 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
     ):
         line.tap(position={"x": 44 + 0.8 * (box(line)["width"] - 56), "y": 40})  # not on its mark
         expect(told).to_contain_text("photo4.png. By its details: refused. Too few.")
+        assert box(told)["y"] >= box(line)["y"] + box(line)["height"], "the buttons above the timeline stay free"
         leave()
         expect(told).to_be_empty()

@@ -43,28 +43,55 @@
     drawing ||= requestAnimationFrame(() => {
       drawing = 0;
       if (!flight.root?.isConnected || !flight.whole() || !flight.map.draw()) return;
-      if (lpn.look && flight.followed && !flight.own()) relook();
+      if (typeof lpn.look === "string" && flight.followed && !flight.own()) relook();
       flight.photo.lay();
       if (!flight.own()) flight.timeline.draw();
     });
   };
 
-  // What a link has of the map, which the server does not know: photo and slider, and the middle and the width of the view in metres.
+  // What a link has of the window, which the server does not know: photo and slider, the middle and the width of the view in metres, the
+  // methods that are switched on, the plot, and the list; of a spot its place, too.
   flight.link = () => {
     if (!flight.root?.isConnected || !flight.whole() || flight.own() || !flight.map.view()) return "";
-    const { x, y, scale } = flight.map.view(), { mode } = flight.photo;
-    const metres = [x, y, flight.map.size()[0] / scale].map((value) => value.toFixed(1));
-    return "&look=" + [mode === "correct" ? "off" : mode, find(".swipe").value, ...metres].join();
+    const { x, y, scale } = flight.map.view(), { mode } = flight.photo, { spotted } = flight;
+    const metres = [x, y, flight.map.size()[0] / scale, ...(list === "spot" && spotted ? spotted.spot : [])].map((value) => value.toFixed(1));
+    const on = Object.keys(flight.data.tracks).filter((name) => !flight.hidden.has(name));
+    const shown = [mode === "correct" ? "off" : mode, find(".swipe").value, ...metres.slice(0, 3), on.join("."), flight.timeline.plot, list];
+    return "&look=" + [...shown, ...metres.slice(3)].join();
   };
-  // Show what a link tells; one that is damaged shows nothing of it.
+  const NUMBER = /^-?\d+(\.\d+)?$/;
+  // Show what a link tells, and say what of it is damaged. Older links tell the view alone.
   const relook = () => {
-    const [mode, ...rest] = lpn.look.split(","), [slider, x, y, across] = rest.map(Number);
+    const told = lpn.look, [mode, ...rest] = told.split(","), view = rest.slice(0, 4), [on, plot, named, ...spot] = rest.slice(4);
     lpn.look = null;
-    if (!["off", "swipe", "blink"].includes(mode) || ![slider, x, y].every(Number.isFinite) || !(across > 0)) return;
-    flight.photo.use(mode);
-    find(".swipe").value = slider;
-    flight.map.show([x, y], across);
-    flight.mark();
+    const faults = [];
+    const read = (good, expected, show) => void (good ? show() : faults.push(expected));
+    const [slider, x, y, across] = view.map(Number);
+    read(["off", "swipe", "blink"].includes(mode) && view.length === 4 && view.every((text) => NUMBER.test(text)) && across > 0, "off, swipe, or blink with four numbers", () => {
+      flight.photo.use(mode);
+      find(".swipe").value = slider;
+      flight.map.show([x, y], across);
+    });
+    if (on !== undefined) {
+      const known = Object.keys(flight.data.tracks), names = on ? on.split(".") : [];
+      read(names.every((name) => known.includes(name)), `methods such as ${known.join(".")}`, () => {
+        switched = true;
+        flight.hidden = new Set(known.filter((name) => !names.includes(name)));
+      });
+    }
+    const choices = (kind) => all(`[data-${kind}]`).map((one) => one.dataset[kind]);
+    const plots = choices("plot").filter((name) => name !== "height" || flight.timeline.highs());
+    if (plot !== undefined) read(plots.includes(plot), `a plot among ${plots.join(", ")}`, () => (flight.timeline.plot = plot));
+    if (named !== undefined) {
+      const [right, up] = spot.map(Number), placed = spot.length === 2 && spot.every((text) => NUMBER.test(text));
+      read(choices("list").includes(named) && (placed || !spot.length), `a list among ${choices("list").join(", ")}`, () => {
+        list = named;
+        more ||= list === "spot"; // whose tab is one of those
+        if (placed) lpn.send("flight-spot", [right, up]);
+      });
+    }
+    if (faults.length) lpn.say(`Not all of the link can be shown. look=${told.slice(0, 60)}: expected ${faults.join("; then ")}. Take the link from the flight again.`, 12);
+    refresh();
   };
   // Write a text into a tip beside a mark, within a width in pixels; an empty one hides it. `more`: HTML that follows the text; `above`:
   // it may rise over what lies above.
@@ -74,7 +101,8 @@
     tip.insertAdjacentHTML("beforeend", more);
     const below = !above && top < tip.offsetHeight + reach;
     tip.style.left = lpn.clamp(left - tip.offsetWidth / 2, 0, Math.max(width - tip.offsetWidth, 0)) + "px";
-    tip.style.top = (below ? top + reach : top - reach - tip.offsetHeight) + "px";
+    const wanted = below ? top + reach : top - reach - tip.offsetHeight;
+    tip.style.top = (above ? wanted : lpn.clamp(wanted, 0, Math.max(tip.parentElement.clientHeight - tip.offsetHeight, 0))) + "px";
   };
 
   // ---- from the server
@@ -159,7 +187,7 @@
     const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0));
     const rows = Object.entries(data.tracks).map(([name, track]) => {
       const cells = [
-        `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><i style="background:${track.colour}"></i>${track.label}</a>`,
+        `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><b class="check"></b><i style="background:${track.colour}"></i>${track.label}</a>`,
         ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : sign(name, track, chosen) + metres(track.radius[chosen])]),
         chosen < 0 ? "" : metres(track.error[chosen]),
       ];
@@ -183,10 +211,11 @@
     fill(find(".lists"), html.counts);
     fill(find(".listed"), html[list] || `<p class="dim">${byPointer("Shift and click on the map", "Tap Who saw? and then the map")}: the frames that show the spot.</p>`);
     if (followed) {
-      const open = find(".about details")?.open;
+      const before = find(".about details"), { open } = before ?? {};
       fill(find(".about"), followed.card);
-      // Folded or not, it stays so from photo to photo.
-      if (open !== undefined) find(".about details")?.toggleAttribute("open", open);
+      const after = find(".about details");
+      // Folded or not, it stays so from photo to photo; other words begin as they do at first.
+      if (before && before.dataset.words === after?.dataset.words) after.toggleAttribute("open", open);
     }
     const bar = find(".scores");
     bar.style.display = painted ? "flex" : "none";
@@ -216,6 +245,7 @@
       });
     set("[data-part]", "part", flight.painted ? flight.painted.part : "off");
     set("[data-photo]", "photo", flight.photo.mode);
+    if (flight.data && !flight.timeline.highs()) all("[data-plot=height]").forEach((one) => (one.style.display = "none"));
     set("[data-plot]", "plot", flight.timeline.plot);
     set("[data-list]", "list", list);
     all("[data-act=more]").forEach((one) => {

@@ -4,8 +4,8 @@
   const { flight } = lpn;
   if (flight.timeline) return;
   const TURNS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 };
-  const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius.", height: "No height is known." };
-  const LABELS = { error: "Off tag", radius: "Radius", height: "Height" };
+  const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius." };
+  const LABELS = { error: ["Off tag", "Metres from GPS"], radius: ["Radius", "± metres"], height: ["Height", "Height"] };
   // How tall the marks of verdicts are, in pixels: to believe, to doubt, without a position.
   const SIGNS = { true: 9, null: 5, false: 2 };
   // Where a frame lies between the left and the right border, in pixels.
@@ -33,12 +33,14 @@
     held = null;
     flight.find(".time .why").textContent = "";
   };
-  // Say above the nearest of some marks why it is contradicted or refused, if a place is as near as `reach` pixels.
+  // Say why the nearest of some marks is contradicted or refused, if a place is as near as `reach` pixels; above the controls, which
+  // stay free. On a phone the style sheet puts it below the timeline.
   const explain = ([left, top], chosen, reach) => {
     const far = (mark) => Math.hypot(mark[0] - left, mark[1] - top);
     const mark = chosen.reduce((best, one) => (far(one) < far(best) ? one : best), [0, -1000, 0, ""]);
     const reason = far(mark) < reach ? mark[3] : "";
-    flight.tell(flight.find(".time .why"), reason && flight.data.names[mark[2]] + ". " + reason, mark, element.clientWidth, REACH, { above: true });
+    const at = [mark[0], -flight.find(".controls").offsetHeight];
+    flight.tell(flight.find(".time .why"), reason && flight.data.names[mark[2]] + ". " + reason, at, element.clientWidth, 4, { above: true });
   };
   // Draw lines, each with values, states (2: refused), and a colour, between two heights of the canvas.
   const band = (pen, data, { plot, lines }, colour, width, head, foot) => {
@@ -118,7 +120,7 @@
   const draw = () => {
     const { data, chosen } = flight, colour = flight.ink();
     element.classList.toggle("stacked", timeline.plot === "all");
-    const plots = timeline.plot === "all" ? ["error", "radius", "height"] : [timeline.plot];
+    const plots = timeline.plot === "all" ? ["error", "radius", ...(timeline.highs() ? ["height"] : [])] : [timeline.plot];
     const [pen] = lpn.pens.canvas(element);
     const [width, height] = [element.clientWidth, element.clientHeight];
     const foot = height - 16, tall = foot / plots.length;
@@ -127,8 +129,8 @@
       band(pen, data, { plot, lines: series(plot) }, colour, width, i * tall + 8, (i + 1) * tall);
       if (plots.length === 1) return;
       pen.fillStyle = colour;
-      pen.textAlign = "right";
-      pen.fillText(LABELS[plot], 40, (i + 0.5) * tall + 4);
+      pen.textAlign = "left";
+      pen.fillText(LABELS[plot][data.plain ? 1 : 0], 48, i * tall + 17);
     });
     data.signs.forEach((sign, i) => {
       pen.fillStyle = flight.doubted(data.stages[i], i) ? lpn.colour("contradicted") : colour;
@@ -157,6 +159,8 @@
   const timeline = (flight.timeline = {
     plot: "error", // or "radius", "height", or "all"
     draw,
+    // Tell if the height of any photo is known.
+    highs: () => flight.data.heights.some((height) => height !== null),
     // Return whether a key is one of the timeline's.
     key: (key) => {
       const last = flight.total() - 1;

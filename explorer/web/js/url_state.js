@@ -141,16 +141,20 @@
   lpn.copy = async () => {
     const shown = new URLSearchParams(search);
     if (shown.get("query") === "own") return lpn.say(lpn.noLink, 8);
-    const look = (shown.get("flight") === "1" && lpn.flight?.link()) || "";
+    const flies = shown.get("flight") === "1", look = (flies && lpn.flight?.link()) || "";
+    // While the next photo is coming, the link is of that one.
+    const coming = flies ? lpn.flight?.wanted : null;
+    if (typeof coming === "number") shown.set("query", "~" + coming);
+    const state = typeof coming === "number" ? "?" + shown : search;
     // A page that opens a link speaks plain words, unless the link asks for others.
     const words = shown.has("words") ? "" : `${search ? "&" : "?"}words=expert`;
     const here = ["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
     const where = here ? ` on this computer only, as its address is ${location.hostname}` : "";
     const photo = /^&look=(swipe|blink)/.exec(look)?.[1];
     const mode = photo ? `, with ${photo === "swipe" ? "Swipe" : "Blink"}` : "";
-    if (!(await copied(location.origin + location.pathname + search + words + look + location.hash)))
+    if (!(await copied(location.origin + location.pathname + state + words + look + location.hash)))
       lpn.say("This browser does not let pages copy: take the link from the address bar.");
-    else if (look) lpn.say(`Link copied: it opens this photo and the map as you see it${mode}${where && `,${where}`}.`);
+    else if (look) lpn.say(`Link copied: it opens this photo, and the map, the methods, and the lists as you see them${mode}${where && `,${where}`}.`);
     else lpn.say(`Link copied: it opens what you see${where && `,${where}`}.`);
   };
 
