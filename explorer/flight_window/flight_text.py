@@ -23,7 +23,7 @@ from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
 from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, placed_errors, share_within
 from lpn.locate.surveyed import AxisMean
-from lpn.locate.tag_errors import Leg, TagErrors
+from lpn.locate.tag_errors import Leg, TagOffsets
 
 # The list of contradictions alone would read as if all answers were independent, and equally good.
 EVIDENCE = (
@@ -331,7 +331,7 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
     )
 
 
-def _tags(errors: TagErrors, audit: TagAudit | None) -> str:
+def _tags(errors: TagOffsets, audit: TagAudit | None) -> str:
     """Say how far the places lie from the tags, and how much of that a lag or a tilted camera explains."""
     text = (
         f"Median of {errors.offsets.photos} photos{share_within(errors)} and {upper_bound(errors.offsets.largest)} m at most, "
@@ -348,7 +348,7 @@ def _tags(errors: TagErrors, audit: TagAudit | None) -> str:
     )
 
 
-def _shift(errors: TagErrors) -> AccuracyLine:
+def _shift(errors: TagOffsets) -> AccuracyLine:
     """Say if the places lie to one side of the tags by more than chance explains, by the rule for surveys."""
     offsets = errors.offsets
     east, north = offsets.means.values()
@@ -385,7 +385,7 @@ def _by_leg(legs: Sequence[Leg]) -> AccuracyLine:
         f"{max(leg.metres for leg in legs):.1f} m at most",
         f"Where the places of a leg lie on average, seen from their GPS tags: {'; '.join(told)}.{some} Each is the mean of a few "
         "photos. Sides that turn with the direction of flight point to late tags or a tilted camera, and one side in all of "
-        "them to the map.",
+        "them to a shift of map or tags.",
     )
 
 

@@ -14,7 +14,7 @@ from lpn.drawing.verdicts import listed
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.locate.tag_errors import TagErrors, tag_errors
+from lpn.locate.tag_errors import TagOffsets, tag_errors
 from lpn.maps.tag_placed import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
@@ -77,7 +77,7 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
     )
 
 
-def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagErrors | None:
+def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagOffsets | None:
     """Return the errors of a flight's placed photos against their tags; None if no placed photo has one.
 
     Args:
@@ -87,7 +87,7 @@ def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagError
     return tag_errors(flight.frames, [one.stages[told.stage] if told.stage in PLACED else None for one, told in pairs])
 
 
-def share_within(errors: TagErrors) -> str:
+def share_within(errors: TagOffsets) -> str:
     """Return the metres within which 95 % of the distances lie, in words with a comma before; "" of few distances."""
     return f", 95 % of them within {upper_bound(errors.p95)} m" if errors.offsets.photos >= _FEWEST else ""
 

@@ -43,7 +43,7 @@ class Leg:
 
 
 @dataclass(frozen=True)
-class TagErrors:
+class TagOffsets:
     """Places minus tags, or minus the corrections by hand where there are some.
 
     Attributes:
@@ -57,7 +57,7 @@ class TagErrors:
     legs: Sequence[Leg]
 
 
-def tag_errors(frames: Sequence[LocatedFrame], answers: Sequence[StageRecord | None]) -> TagErrors | None:
+def tag_errors(frames: Sequence[LocatedFrame], answers: Sequence[StageRecord | None]) -> TagOffsets | None:
     """Return the errors of a flight's places against `LocatedFrame.truth`; None if no photo has both.
 
     Args:
@@ -73,7 +73,7 @@ def tag_errors(frames: Sequence[LocatedFrame], answers: Sequence[StageRecord | N
     known = off[~np.isnan(off[:, 0])]
     if not len(known):
         return None
-    return TagErrors(
+    return TagOffsets(
         summarise_offsets(known, np.empty(0)),
         float(np.quantile(np.linalg.norm(known, axis=1), 0.95)),
         _legs(tag_positions(frames), off),

@@ -11,10 +11,10 @@ import pytest
 from lpn.core.arrays import Float64Array
 from lpn.flights import Frame
 from lpn.locate.located import LocatedFrame, StageRecord
-from lpn.locate.tag_errors import TagErrors, tag_errors
+from lpn.locate.tag_errors import TagOffsets, tag_errors
 
 
-def errors(tags: Sequence[tuple[float, float] | None], off: Float64Array) -> TagErrors | None:
+def errors(tags: Sequence[tuple[float, float] | None], off: Float64Array) -> TagOffsets | None:
     """Return the errors of places that lie so many metres east and north of their tags; NaN for no place."""
     frames, answers = list[LocatedFrame](), list[StageRecord | None]()
     for i, (tag, (east, north)) in enumerate(zip(tags, off.tolist(), strict=True)):
