@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from explorer.flight_window.service import FlightView
+from explorer.panels.radius_text import reach, told_reach
 from explorer.web.coordinates import describe_point
 from lpn.core.files import printable
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
@@ -16,9 +17,9 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import TAG_RADIUS, Belief, Disagreement, on_what
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, Belief, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
-from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
 from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, placed_errors, share_within
@@ -111,12 +112,16 @@ def contradiction(view: FlightView, one: Disagreement) -> str:
     text = (
         f"Beside its middle, {beyond} of {len(measured.rows)} places of the photo lie too far from where the map has them: "
         f"{one.metres:.1f} m in the median, {measured.largest:.1f} m at the farthest, {_farthest(measured)}. Up to "
-        f"{one.allowed:.1f} m is usual: three times the ± {answer.radius_on_map or 0:.1f} m of its middle on this map. Uneven "
+        f"{one.allowed:.1f} m is allowed, as far as its middle may be off on this map{_times(answer)}. Uneven "
         "ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
     )
     if answer.on_earth:
-        text += f" The ± {answer.radius or 0:.1f} m on earth also holds the map's own error, which moves all of the photo alike."
+        text += f" Its place is {told_reach(answer)}, where the map's own error moves all of the photo alike."
     return text
+
+
+def _times(answer: StageRecord) -> str:
+    return "" if plain() else f", three times ± {answer.radius_on_map or 0:.1f} m"
 
 
 def _truth(located: LocatedFrame) -> str:
@@ -140,7 +145,8 @@ def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
         return text
     if any((one.frame, one.other) == (frame, "map") for one in view.contradictions):
         return f"? {text}"
-    return f"\u2713 {text} That fits ± {answer.radius_on_map:.1f} m on this map, of which three times are allowed."
+    allowed = f"{upper_bound(SIGMAS * answer.radius_on_map)} m"
+    return f"\u2713 {text} Up to {allowed} is allowed, as far as its middle may be off on this map{_times(answer)}."
 
 
 def _farthest(measured: MapAgreement) -> str:
@@ -177,7 +183,7 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
         if verdict.stage != "registration" or not plain() or error is None:
             words += [
                 say(verdict.stage),
-                "not verified" if answer.radius is None else f"± {radius:.1f} m {on_what(answer)}",
+                "not verified" if answer.radius is None else told_reach(answer),
             ]
         misfit = None if answer.agreement is None else answer.agreement.median
         if answer.agreement is not None and answer.agreement.unchecked:
@@ -256,12 +262,22 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         on_earth = f"± {known.radius:.1f} m on earth, as far as the tags of the map do not all err alike"
     failed = [text for text in (radii_failed, shape_failed) if text]
     checks = f" Not confirmed: {', and '.join(failed)}." if failed else ""
+    if plain():
+        on_map = upper_bound(reach(_radius_on_map(known)))
+        if known.place_error is not None:
+            on_earth = f"within {upper_bound(reach(known.radius))} m on earth"
+            on_earth += ", as far as the tags of the map do not all err alike" if known.map_source else ""
+        return f"99 of 100 photos should lie within {on_map} m on this map; {on_earth}.{checks}", lines
     return f"{lines[0].figure} on this map ({SIGMA}); {on_earth}.{checks}", lines
+
+
+def _radius_on_map(known: FlightAccuracy) -> float:
+    return math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
 
 
 def _on_map(flight: LocatedFlight, known: FlightAccuracy) -> AccuracyLine:
     source = f"{capitalised(SIGMA)}, the median of {known.photos} photos."
-    radius = math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
+    radius = _radius_on_map(known)
     if known.details is not None and known.map_error:
         assumed = math.sqrt(known.map_error**2 - (known.place_error or 0.0) ** 2)
         answers = [located.stages.get("registration") for located in flight.frames]
@@ -444,7 +460,8 @@ def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyL
     if within >= CONFIRMED_SHARE:
         verdict = "No tag contradicts the radii; of a map that was fitted to the same tags that proves little."
     else:
-        failed = f"only {within:.0f} % of the GPS tags lie within 3 radii, where {RIGHT_CALIBRATION[3]:.0f} % should"
+        near = "that near" if plain() else "within 3 radii"
+        failed = f"only {within:.0f} % of the GPS tags lie {near}, where {RIGHT_CALIBRATION[3]:.0f} % should"
         if flight.audit is not None and flight.audit.has_lag:
             verdict = (
                 "A part is the lag of the tags or the direction of the camera, which no radius holds, so this does not tell if "

@@ -12,7 +12,7 @@ from explorer.flight_window import flight_text, page
 from explorer.flight_window.pictures import encoded, ground, middle_square
 from explorer.flight_window.service import FlightView
 from explorer.panels import answer_text
-from explorer.panels.radius_text import holds, with_radius
+from explorer.panels.radius_text import holds, reach, with_radius
 from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
@@ -82,7 +82,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
             "photo": "" if answer is None else encoded(images.shrink(plain, _LAID)).data_uri,
             "outline": None if corners is None else [*_rounded(corners.corners), True],
             "place": None if place is None else _rounded([place])[0],
-            "radius": None if answer is None else answer.radius,
+            "radius": None if answer is None or answer.radius is None else reach(answer.radius),
             "doubted": sign is None,
             "tag": None if tag is None else _rounded([tag])[0],
         },

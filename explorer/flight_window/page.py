@@ -13,6 +13,7 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.flight_window import flight_text
 from explorer.flight_window.pictures import Pyramid, ground_window
 from explorer.flight_window.service import FlightView
+from explorer.panels.radius_text import reach
 from explorer.web.coordinates import MapCoordinate, describe_point
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis
@@ -125,7 +126,8 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
         if answer is None:
             rows.append((None, None, -1, None, None))
         else:
-            radius = None if answer.state == "refused" else answer.radius  # a refused place has none
+            # A refused place has none.
+            radius = None if answer.state == "refused" or answer.radius is None else reach(answer.radius)
             rows.append((answer.x, answer.y, _STATES[answer.state], radius, located.error(name)))
     reasons = [flight_text.refusal(located, name) for located in flight.frames]
     if name == "registration":

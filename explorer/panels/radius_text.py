@@ -16,6 +16,9 @@ from lpn.locate.located import StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.maps.tag_placed import placing_sentence
 
+# Radii of 1 sigma within which nearly all places lie, which plain words tell in place of the radius.
+_NEARLY_ALL = 3
+
 
 def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
     """Return a text in which an answer's radius, where it is first told, explains itself."""
@@ -24,6 +27,19 @@ def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> 
     radius = f"± {answer.radius:.1f} m {on_what(answer)}"
     before, told, after = text.partition(radius)
     return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
+
+
+def reach(radius: float) -> float:
+    """Return the metres that a place may be off in the words that are spoken: three radii in plain ones, else the radius."""
+    return _NEARLY_ALL * radius if plain() else radius
+
+
+def told_reach(answer: StageRecord) -> str:
+    """Return how far an answer with a radius may be off, and on what."""
+    assert answer.radius is not None
+    if plain():
+        return f"within {upper_bound(reach(answer.radius))} m {on_what(answer)}"
+    return f"± {answer.radius:.1f} m {on_what(answer)}"
 
 
 def holds(answer: StageRecord | None, workspace: Workspace) -> str:
@@ -46,7 +62,7 @@ def holds(answer: StageRecord | None, workspace: Workspace) -> str:
 
 def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | None) -> str:
     assert answer.radius is not None
-    limit = explained(f"{upper_bound(3 * answer.radius)} m", _meaning(answer, workspace))
+    limit = explained(f"{upper_bound(reach(answer.radius))} m", _meaning(answer, workspace))
     where = Markup("{} of the true place {}").format(limit, on_what(answer))
     of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[3])
     if confirmed is None:

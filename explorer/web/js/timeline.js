@@ -5,7 +5,7 @@
   if (flight.timeline) return;
   const TURNS = { ArrowLeft: -1, ArrowDown: -1, ArrowRight: 1, ArrowUp: 1, PageUp: 10, PageDown: -10 };
   const EMPTY = { error: "No frame has a tag to compare with.", radius: "No stage tells a radius." };
-  const LABELS = { error: ["Off tag", "Metres from GPS"], radius: ["Radius", "± metres"], height: ["Height", "Height"] };
+  const LABELS = { error: ["Off tag", "Metres from GPS"], radius: ["Radius", "May be off"], height: ["Height", "Height"] };
   // How tall the marks of verdicts are, in pixels: to believe, to doubt, without a position.
   const SIGNS = { true: 9, null: 5, false: 2 };
   // Where a frame lies between the left and the right border, in pixels.

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -165,8 +164,8 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
 
     assert said(0.4, 5.2, 1.0) == (
         "✓ Beside its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: their median "
-        "lies 1.0 m from where the photo has it, and the farthest 5.2 m, at the upper left. That fits ± 1.0 m on this map, of "
-        "which three times are allowed."
+        "lies 1.0 m from where the photo has it, and the farthest 5.2 m, at the upper left. Up to 3.0 m is allowed, as "
+        "far as its middle may be off on this map."
     )
     assert "the farthest 1.0 m, at the bottom." in said(0.4, 0.2, 1.0)
     assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
@@ -185,10 +184,10 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     view = view_of(compared(flight, 0, 4.0, 8.2, 3.2))
     assert view.beliefs[0].sign is None
     card = page.card(view, 0, "x/", agreement=view.flight.frames[0].stages["registration"].agreement)
-    assert "? Placed by its details, ± 1.0 m on this map, but away from its middle it does not fit the map" in card
+    assert "? Placed by its details, but away from its middle it does not fit the map" in card
     told = (
         "Beside its middle, 3 of 3 places of the photo lie too far from where the map has them: 4.0 m in the median, 8.2 m at "
-        "the farthest, at the upper left. Up to 3.0 m is usual: three times the ± 1.0 m of its middle on this map. Uneven "
+        "the farthest, at the upper left. Up to 3.0 m is allowed, as far as its middle may be off on this map. Uneven "
         "ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
     )
     lists = page.lists(view)
@@ -198,12 +197,12 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert lists["audit"].count(told) == 1
     assert "the radius on this map" not in card + lists["audit"]
     with speaking(Vocabulary()):
-        assert told in page.card(view, 0, "x/")
+        assert "map, three times ± 1.0 m. Uneven ground" in page.card(view, 0, "x/")
     earthly = msgspec.structs.replace(view.flight.frames[0].stages["registration"], radius=6.0, place_error=5.9)
     frame = replace(view.flight.frames[0], stages={"registration": earthly})
     (one,) = (one for one in view_of(replace(flight, frames=[frame])).contradictions if one.other == "map")
     assert flight_text.contradiction(view_of(replace(flight, frames=[frame])), one).endswith(
-        "The ± 6.0 m on earth also holds the map's own error, which moves all of the photo alike."
+        "Its place is within 18.0 m on earth, where the map's own error moves all of the photo alike."
     )
     assert page.sentence(view, running=False).endswith(
         "2 are contradicted by GPS tag, neighbours, or the map beside the middle: photo0 and photo1."
@@ -258,9 +257,15 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
 
     summary, of = lines(map_error=0.8)
     assert summary == (
-        "± 1.0 m on this map (1 sigma along each axis); on earth as good as the map’s georeference, which nothing here checks. "
-        "Not confirmed: only 50 % of the GPS tags lie within 3 radii, where 99 % should."
+        "99 of 100 photos should lie within 3.0 m on this map; on earth as good as the map’s georeference, which nothing here "
+        "checks. Not confirmed: only 50 % of the GPS tags lie that near, where 99 % should."
     )
+    with speaking(Vocabulary()):
+        summary, _ = lines(map_error=0.8)
+    assert summary.startswith(
+        "± 1.0 m on this map (1 sigma along each axis); on earth as good as the map’s georeference"
+    )
+    assert summary.endswith("Not confirmed: only 50 % of the GPS tags lie within 3 radii, where 99 % should.")
     assert "the tilt that the photos tell give ± 0.6 m, and ± 0.8 m are assumed" in of["On this map"]
     assert of["GPS tags"].startswith("5.0 m Median of 3 photos and 45.0 m at most, between the GPS tag and the place")
     assert "error of both together" in of["GPS tags"]
