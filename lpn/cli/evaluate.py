@@ -273,15 +273,15 @@ class EvaluationOfFlight:
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     prior: float | None = None
-    """Metres around each frame's own position that it is registered in without --model; by default the whole map."""
+    """Metres around each photo's own GPS tag that it is registered in without --model; by default the whole map."""
     map_error: MapError = None
     tags: Literal["told", "corrected"] = "told"
-    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag comes
-    from the answers that are measured, so corrected errors may hide a bias that these share."""
+    """GPS tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag
+    comes from the answers that are measured, so corrected errors may hide a bias that these share."""
     register: bool = True
     """Lay each photo over the map; --no-register measures retrieval and sequence alone, in a fraction of the time."""
     corrections: bool = True
-    """Take the truth from corrections.csv where a person corrected a frame; --no-corrections takes tags alone."""
+    """Take the truth from corrections.csv where a person corrected a photo; --no-corrections takes GPS tags alone."""
     positions: Path | None = None
     """Table (CSV) of surveyed positions of photos, which the accepted answers are compared with: photo and latitude,longitude or
     easting,northing,epsg, and point, which is camera (by default) or ground, the ground at the photo's middle."""
@@ -591,6 +591,7 @@ def _print_surveyed(
             "RMSE in the plane": "rmse",
             "median": "median",
             "CE90": "ce90",
+            "CE95": "ce95",
             "largest": "largest",
         }
         table.add_row("photos", *(f"{one.photos}" for one in columns.values()))
@@ -603,8 +604,8 @@ def _print_surveyed(
         console.print(table)
         right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
         sentences = [
-            "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 is the distance "
-            "that holds 90 % of them, interpolated between photos, so that few tell little."
+            "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 and CE95 are "
+            "the distances that hold 90 and 95 % of them, interpolated between photos, so that few tell little."
         ]
         if any(one.radii for one in columns.values()):
             sentences.append(f"Right radii ({SIGMA}, with the map's error) hold {right} within 1, 2, and 3.")

@@ -31,9 +31,9 @@ class FlightCommand:
     gps_order: Literal["lat-lon", "lon-lat"] | None = None
     """Order of the first two values of GPS(a, b, c) in subtitles; by default found out, and a note tells of a guess."""
     fov: float | None = None
-    """Horizontal field of view in degrees, for frames whose files have none."""
+    """Horizontal field of view in degrees, for photos whose files have none."""
     pitch: float | None = None
-    """Pitch in degrees, for frames whose files have none; -90 is straight down."""
+    """Pitch in degrees, for photos whose files have none; -90 is straight down."""
     camera: Path | None = None
     """File of the camera's lens, YAML or JSON of OpenCV, ROS, Kalibr, or ODM, whose distortion is taken out before photos are
     matched; by default the one in DJI's photos."""
@@ -56,7 +56,7 @@ def summary(flight: Flight) -> str:
 
     frames = flight.frames
     rows = [
-        ("position", _known(frames, lambda frame: frame.latitude), ""),
+        ("GPS tag", _known(frames, lambda frame: frame.latitude), ""),
         ("height above ground", *_range(frames, lambda frame: frame.height_above_ground, " m")),
         ("height above take-off", *_range(frames, lambda frame: frame.height_above_takeoff, " m")),
         ("altitude", *_range(frames, lambda frame: frame.altitude, " m")),
@@ -68,7 +68,7 @@ def summary(flight: Flight) -> str:
     ]
     if lenses := _known(frames, lambda frame: None if frame.lens is None else frame.lens.fov):
         rows.insert(-2, ("lens", lenses, "its distortion is taken out before photos are matched"))
-    lines = [f"{flight.name}: {len(frames)} frames"]
+    lines = [f"{flight.name}: {len(frames)} photos"]
     lines += [f"  {name:22}{known:>6} of {len(frames)}  {values}".rstrip() for name, known, values in rows]
     return "\n".join([*lines, *(f"- {note}" for note in flight.notes)])
 

@@ -18,7 +18,7 @@ from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from rich.console import Console
 
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from lpn.locate.located import LocatedFlight
     from lpn.locate.measures import ErrorSummary
     from lpn.locate.options import LocateOptions
+    from lpn.locate.tracks import TrackPoint
     from lpn.maps import Map
 
 MapError = Annotated[
@@ -63,13 +64,13 @@ class LocateCommand:
     provider: ProviderName = "auto"
     """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
     sequence: bool = True
-    """Let neighbouring frames correct each other by a hidden Markov model."""
+    """Let neighbouring photos correct each other by a hidden Markov model."""
     register: bool = True
     """Lay each photo over the map by local features."""
     matcher: Literal["auto", "xfeat", "sift"] = "auto"
     """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, and sift for what it cannot place."""
     prior: float | None = None
-    """Metres around each frame's own position that registration searches without a model; by default the whole map."""
+    """Metres around each photo's own GPS tag that registration searches without a model; by default the whole map."""
     map_error: MapError = None
     size: tuple[float, ...] | None = None
     """Sides of the map's windows in metres; by default chosen from heights and fields of view."""
@@ -78,14 +79,14 @@ class LocateCommand:
     centre: bool = True
     """Subtract the mean descriptor of each view, and whiten, which helps a model that has not seen the place."""
     corrections: bool = True
-    """Take a frame's position from corrections.csv in the flight's folder where a person corrected it."""
+    """Take a photo's position from corrections.csv in the flight's folder where a person corrected it."""
     tags: Literal["told", "corrected"] = "told"
-    """Tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag comes
-    from the answers that are measured, so corrected errors may hide a bias that these share."""
+    """GPS tags that errors are measured against: told, or corrected by the constant lag that the registration finds. The lag
+    comes from the answers that are measured, so corrected errors may hide a bias that these share."""
     limit: int | None = None
-    """Number of frames, the first ones of the flight; by default all."""
+    """Number of photos, the first ones of the flight; by default all."""
     best: bool = False
-    """Write one point a frame, that of the stage that counts, in place of each stage's."""
+    """Write one point a photo, that of the stage that counts, in place of each stage's."""
 
     def run(self) -> None:
         from lpn.core.consoles import wide_console
@@ -109,17 +110,19 @@ class LocateCommand:
             self.index,
             self.pooling,
         )
-        write_track(self.out, located.flight.name, best_track(located) if self.best else full_track(located))
+        track = best_track(located) if self.best else full_track(located)
+        write_track(self.out, located.flight.name, track)
         for frame in located.frames:
             console.print(
                 f"{printable(frame.frame.name)}  {frame.sentence}", highlight=False, soft_wrap=True, markup=False
             )
         print_summary(located, console)
-        console.print(f"The track is in {printable(str(self.out))}.", soft_wrap=True, markup=False)
+        written = f"The track is in {printable(str(self.out))}. {unverified_sentence(track)}"
+        console.print(written.rstrip(), soft_wrap=True, markup=False)
 
     def resume_hint(self) -> str:
         """Return how to go on after a stop."""
-        return "Frames that are done are kept; give the same command again."
+        return "Photos that are done are kept; give the same command again."
 
     def _options(self) -> LocateOptions:
         from lpn.locate.options import LocateOptions
@@ -170,7 +173,7 @@ def locate_files(
     from lpn.maps import open_map
 
     if limit is not None and limit < 1:
-        raise InputError(f"The limit is {limit} frames; expected 1 or more.")
+        raise InputError(f"The limit is {limit} photos; expected 1 or more.")
     for option, given in (("--kind", kind), ("--pooling", pooling)):
         if given is not None and model is None:
             raise InputError(f"{option} needs --model; give both, or leave it out.")
@@ -194,10 +197,11 @@ def _share(percent: float) -> str:
 
 
 def _in_words(summary: ErrorSummary) -> str:
-    """Return median, 90th percentile, and shares within radii in words."""
+    """Return median, 90th and 95th percentile, and shares within radii in words."""
     return (
-        f"a median of {summary.median:.1f} m, 90 % within {upper_bound(summary.p90)} m, and {summary.calibration_shares} of its "
-        f"errors within 1, 2, and 3 radii, of {summary.frames} frames whose tags can be moved"
+        f"a median of {summary.median:.1f} m, 90 % within {upper_bound(summary.p90)} m, 95 % within "
+        f"{upper_bound(summary.p95)} m, and {summary.calibration_shares} of its errors within 1, 2, and 3 radii, of "
+        f"{summary.frames} photos whose tags can be moved"
     )
 
 
@@ -208,12 +212,12 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
         known: whether some frame has a truth.
     """
     if not known:
-        return "No frame has a tag on the map, or a correction by hand, so no error is known."
+        return "No photo has a GPS tag on the map, or a correction by hand, so how far off the places are is not known."
     corrected = sum(frame.by_hand is not None for frame in located.frames)
     truth = (
-        f"corrections by hand ({corrected}), and the tags of the other frames"
+        f"corrections by hand ({corrected}), and the GPS tags of the other photos"
         if corrected
-        else "the tags of the flight"
+        else "the GPS tags of the flight"
     )
     if located.audit is not None and located.audit.has_lag:
         lag = "a lag in them" + (f" (or {located.audit.looks_ahead})" if located.audit.looks_ahead else "")
@@ -223,9 +227,22 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
             else f", which are no exact truth, as the registration finds {lag}"
         )
     return (
-        f"Errors are against {truth}; shares are of all frames with such a truth; 'no false' is the share that can be "
+        f"Errors are against {truth}; shares are of all photos with such a truth; 'no false' is the share that can be "
         "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
         "ranks windows and verifies none."
+    )
+
+
+def unverified_sentence(track: Sequence[TrackPoint]) -> str:
+    """Say how many points have a coordinate that nothing has verified; "" if none."""
+    guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
+    if not guesses:
+        return ""
+    are = "are best guesses" if guesses > 1 else "is a best guess"
+    have, their = ("have", "their state is") if guesses > 1 else ("has", "its state is")
+    return (
+        f"{guesses} of its {len(track)} points {are}: {'they' if guesses > 1 else 'it'} {have} a coordinate, but nothing has "
+        f"verified it, and {their} 'not verified'."
     )
 
 
@@ -237,13 +254,14 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
 
     summaries = located.summaries()
     table = Table(
-        title=f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} frames"
+        title=f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
     )
     columns = (
         "stage",
         "accepted",
         "median m",
         "p90 m",
+        "p95 m",
         "<= 5 m",
         "<= 10 m",
         "<= 25 m",
@@ -256,7 +274,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     for stage, summary in summaries.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
         shares = [_share(summary.within[m]) for m in sorted(summary.within)]
-        numbers = [f"{value:.1f}" if summary.answered else "-" for value in (summary.median, summary.p90)]
+        numbers = [f"{value:.1f}" if summary.answered else "-" for value in (summary.median, summary.p90, summary.p95)]
         table.add_row(
             stage,
             "not verified" if stage == "retrieval" else f"{accepted}",
@@ -272,7 +290,7 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     if located.tags_without_lag is not None and not located.tags_corrected:
         summary = located.without_lag().summaries()["registration"]
         console.print(
-            f"Against the tags moved by that lag (a constant offset stays), the registration has {_in_words(summary)}.",
+            f"Against the GPS tags moved by that lag (a constant offset stays), the registration has {_in_words(summary)}.",
             soft_wrap=True,
         )
     posed = sum(frame.stages[stage].pose is not None for frame in located.frames for stage in frame.stages)

@@ -116,7 +116,7 @@ def read_flight(folder: Path) -> Flight:
     frames = tuple(_frame(values, columns, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
     names = {frame.name for frame in frames}
     if len(names) < len(frames):
-        raise DataError(f"{folder / TABLE} names {len(frames) - len(names)} frames twice; names are unique.")
+        raise DataError(f"{folder / TABLE} names {len(frames) - len(names)} photos twice; names are unique.")
     return Flight(header.name, frames, tuple(header.notes), header.utc)
 
 

@@ -46,12 +46,12 @@ def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[
     missing, notes = sum(frame.heading is None for frame in frames), []
     if courses:
         notes.append(
-            f"{missing} of {len(frames)} frames have no heading: {courses} got the course over ground, which is the camera's "
+            f"{missing} of {len(frames)} photos have no heading: {courses} got the course over ground, which is the camera's "
             "heading only if the drone flew forwards."
         )
     if left:
         notes.append(
-            f"{left} of {len(frames)} frames have no heading, and did not get the course over ground: their files have a value "
+            f"{left} of {len(frames)} photos have no heading, and did not get the course over ground: their files have a value "
             "that looks like a heading and was not read."
         )
     return made, notes
@@ -107,9 +107,12 @@ def _counted(oddities: Sequence[Sequence[str]], frames: int) -> Iterator[str]:
 def _missing(frames: Sequence[Frame]) -> Iterator[str]:
     names = [frame.name for frame in frames if frame.latitude is None]
     if names and len(names) < len(frames):
-        yield f"{len(names)} of {len(frames)} frames have no position: {first_few(names, _NAMED)}."
+        yield f"{len(names)} of {len(frames)} photos have no GPS tag: {first_few(names, _NAMED)}."
     elif names:
-        yield f"None of the {len(frames)} frames has a position; errors in metres cannot be measured."
+        yield (
+            f"None of the {len(frames)} photos has a GPS tag. They can be placed without one, but how far off their places are "
+            "cannot be measured."
+        )
 
 
 def _steps(frames: Sequence[Frame]) -> tuple[list[Frame], Float64Array, Float64Array]:
@@ -129,8 +132,8 @@ def _jumps(frames: Sequence[Frame]) -> Iterator[str]:
     if len(jumps):
         first = int(jumps[0])
         yield (
-            f"The position jumps {len(jumps)} times, first by {metres[first]:.0f} m after {known[first].name}; positions about a "
-            "jump are doubtful."
+            f"The GPS tags jump {'once' if len(jumps) == 1 else f'{len(jumps)} times'}, first by {metres[first]:.0f} m after "
+            f"{known[first].name}; tags about a jump are doubtful."
         )
 
 
@@ -140,7 +143,7 @@ def _stale(frames: Sequence[Frame]) -> Iterator[str]:
     names = [known[i + 1].name for i in np.flatnonzero((metres == 0) & ~(seconds == 0))] if moving else []
     if names:
         which = first_few(names, _NAMED)
-        yield f"{len(names)} frames of a moving flight repeat the position before them: {which}; the position lags there."
+        yield f"{len(names)} photos of a moving flight repeat the GPS tag before theirs: {which}; the tag lags there."
 
 
 def _pauses(frames: Sequence[Frame]) -> Iterator[str]:

@@ -546,7 +546,7 @@ def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:
         replace(frame, lens=lens, fov=lens.fov) if fit else frame
         for frame, fit in zip(flight.frames, fits, strict=True)
     )
-    note = f"The lens of {sum(fits)} of {len(frames)} frames is the one given with --camera, as is their field of view."
+    note = f"The lens of {sum(fits)} of {len(frames)} photos is the one given with --camera, as is their field of view."
     return replace(flight, frames=frames, notes=(*flight.notes, note))
 
 
@@ -559,7 +559,7 @@ def _completed(flight: Flight, options: FlightOptions) -> Flight:
             for i in missing:
                 changed: dict[str, Any] = {name: value}
                 frames[i] = replace(frames[i], **changed)
-            notes.append(f"The {noun} of {len(missing)} of {len(frames)} frames is the {value:g}° given with --{name}.")
+            notes.append(f"The {noun} of {len(missing)} of {len(frames)} photos is the {value:g}° given with --{name}.")
         elif value is not None:
             notes.append(f"No file lacks the {noun}, so --{name} is not used.")
     return replace(flight, frames=tuple(frames), notes=tuple(notes))

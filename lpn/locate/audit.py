@@ -69,15 +69,15 @@ class TagAudit:
     def sentence(self) -> str:
         """The finding in one sentence."""
         if not self.frames:
-            return "No frame has both a tag and a registered position, so the tags were not checked."
+            return "No photo has both a GPS tag and a registered position, so the tags were not checked."
         off = f"up to {upper_bound(self.largest)} m off, {self.median:.1f} m in the median"
         if self.lag is None or not self.has_lag:
-            return f"The tags of {self.frames} frames are {off}, against registered positions; the lag cannot be estimated."
+            return f"The GPS tags of {self.frames} photos are {off}, against registered positions; the lag cannot be estimated."
         word = "lag" if self.lag > 0 else "are early"
         tilted = f", or {self.looks_ahead}; they" if self.looks_ahead else " and"
         return (
-            f"The tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted} are {off}, against "
-            f"registered positions of {self.frames} frames; without the lag and a constant offset of {self.offset:.1f} m, "
+            f"The GPS tags {word} by {abs(self.lag):.1f} s (± {self.lag_error or 0:.1f}){tilted} are {off}, against "
+            f"registered positions of {self.frames} photos; without the lag and a constant offset of {self.offset:.1f} m, "
             f"{self.without_lag:.1f} m remain in the median, which neither explains."
         )
 

@@ -233,7 +233,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
         summary = "Placed by its details"
         headline = f"{summary}, ± {registration.radius or 0:.1f} m {on_what(registration)}"
         error = located.error("registration")
-        beside = "" if error is None else f" It lies {error:.1f} m from the tag."
+        beside = "" if error is None else f" It lies {error:.1f} m from its GPS tag."
         against = {one.other: one for one in contradictions if one.one == "registration"}
         doubt = against.get("tag") or against.get("map") or against.get("sequence")
         if doubt is None:

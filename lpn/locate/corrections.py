@@ -128,7 +128,7 @@ def _decode(content: bytes, file: Path) -> dict[str, Correction]:
         name, correction = _parse(file, number, row)
         if name in by_name:
             raise DataError(
-                f"Entry {number} of {file} is a second one of the frame {printable(name)[:100]}; remove one of them."
+                f"Entry {number} of {file} is a second one of the photo {printable(name)[:100]}; remove one of them."
             )
         by_name[name] = correction
     return by_name

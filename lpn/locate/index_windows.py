@@ -126,7 +126,7 @@ class WindowIndex:
         else:
             places, read = self._nearest(described)
             notes = (
-                f"The index holds {self._count:,} windows; frames were compared with the {len(places) * len(self.turns):,} of "
+                f"The index holds {self._count:,} windows; photos were compared with the {len(places) * len(self.turns):,} of "
                 "them that are nearest to one.",
             )
         names = [[replace(one, heading=turn).name for one in places] for turn in self.turns]
@@ -187,7 +187,7 @@ class WindowIndex:
         asked = described[np.abs(described).sum(axis=(1, 2)) > 0]
         if not len(asked):
             raise InputError(
-                "No frame of the flight can be read, so no window of the index can be near one; check the photos."
+                "No photo of the flight can be read, so no window of the index can be near one; check the photos."
             )
         wanted = min(NEAREST, max(_FEWEST, MOST // len(asked)))
         with open_index(self._where, self._model.fingerprint) as index:

@@ -188,7 +188,7 @@ class LocatedFrame:
         if self.by_hand is None:
             return ""
         apart = None if self.tag is None else self.by_hand.distance(self.tag)
-        sentence = f"{self.by_hand.sentence}{_sentence('The tag lies', apart)}"
+        sentence = f"{self.by_hand.sentence}{_sentence('The GPS tag lies', apart)}"
         answer, apart = self.stages.get("registration"), self.error("registration")
         if answer is not None and not answer.accepted:
             return f"{sentence} The registration is refused."

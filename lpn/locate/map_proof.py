@@ -57,7 +57,7 @@ def refuse_unproven(
     else:
         shown = "one view" if len(views) == 1 else f"{len(views)} views"
         few = f"The {count} of {total} photos that fit this map show {shown}, as by chance"
-    sentence = f"{few} on a map of another place, and few or no tags lie on it"
+    sentence = f"{few} on a map of another place, and few or no GPS tags lie on it"
     for located in registered:
         answer = located.stages["registration"]
         located.stages["registration"] = msgspec.structs.replace(

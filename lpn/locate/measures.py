@@ -26,7 +26,8 @@ class ErrorSummary:
     Attributes:
         frames: frames with a tag.
         answered: those of them with an accepted position.
-        median, p90: errors in metres of the answered ones; NaN without any.
+        median, p90, p95: errors in metres of the answered ones that half, 90 %, and 95 % of them do not exceed, interpolated
+            between photos; NaN without any.
         within: share in percent of all frames answered within so many metres; NaN without frames.
         coverage_at_zero: share in percent of all frames that can be accepted, most confident first, before the first one
             that is farther off than the limit; NaN without frames.
@@ -39,6 +40,7 @@ class ErrorSummary:
     answered: int
     median: float
     p90: float
+    p95: float
     within: dict[int, float]
     coverage_at_zero: float
     limit: float
@@ -78,6 +80,7 @@ def summarise(
     values = _vector(errors)
     answered = ~np.isnan(values)
     known = values[answered]
+    median, p90, p95 = np.quantile(known, (0.5, 0.9, 0.95)).tolist() if len(known) else [math.nan] * 3
     missing = np.full(len(values), np.nan)
     own = (missing if radii is None else _vector(radii, len(values)))[answered]
     order = own if scores is None else -_vector(scores, len(values))[answered]
@@ -86,8 +89,9 @@ def summarise(
     return ErrorSummary(
         len(values),
         len(known),
-        float(np.median(known)) if len(known) else float("nan"),
-        float(np.quantile(known, 0.9)) if len(known) else float("nan"),
+        median,
+        p90,
+        p95,
         {metres: share * int((known <= metres).sum()) for metres in WITHIN},
         share * accepted_before_false(known, order, limit),
         limit,

@@ -53,7 +53,7 @@ class LocateOptions:
             raise InputError(f"The speed is {self.speed:g} m/s; expected metres a second above 0.")
         if self.tags == "corrected" and not self.register:
             raise InputError(
-                "Tags are corrected by the lag that the registration finds; leave --tags corrected or --no-register out."
+                "GPS tags are corrected by the lag that the registration finds; leave --tags corrected or --no-register out."
             )
         if self.top < 1:
-            raise InputError(f"{self.top} windows would be kept for each frame; expected 1 or more.")
+            raise InputError(f"{self.top} windows would be kept for each photo; expected 1 or more.")

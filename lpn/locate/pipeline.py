@@ -60,10 +60,10 @@ def locate(
     """
     options = options or LocateOptions()
     if not flight.frames:
-        raise DataError(f"The flight {flight.name} has no frame; give one with pictures.")
+        raise DataError(f"The flight {flight.name} has no photo; give one with photos.")
     if model is not None and options.prior is not None:
         raise InputError(
-            "With a model, registration searches where the model finds it, not around the tag; leave --prior or --model out."
+            "With a model, registration searches where the model finds it, not around the GPS tag; leave --prior or --model out."
         )
     if model is None and not options.register:
         raise InputError(
@@ -77,7 +77,7 @@ def locate(
     notes += enter_corrections(basemap, frames, corrections or {})
     if options.prior is not None:
         notes.append(
-            f"Registration searched around the tags only (prior {options.prior:g} m), so errors against the tags say less than "
+            f"Registration searched around the GPS tags only (prior {options.prior:g} m), so errors against them say less than "
             "those of a search without a prior."
         )
     retrieval, answers = None, None
@@ -90,7 +90,7 @@ def locate(
         notes += retrieval.notes
         if retrieval.broken:
             notes.append(
-                f"{len(retrieval.broken)} of {len(frames)} frames cannot be read; the retrieval's measures count them as misses, "
+                f"{len(retrieval.broken)} of {len(frames)} photos cannot be read; the retrieval's measures count them as misses, "
                 "and Dis@K leaves them out."
             )
         enter_retrieval(retrieval, frames, options.top)
@@ -148,7 +148,7 @@ def registered(
     tags = tag_positions(frames)
     audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
     if any(answer.accepted and answer.radius is not None for answer in answers):
-        source = f", {place_error:.1f} m by the tags that place it" if place_error else ""
+        source = f", {place_error:.1f} m by the GPS tags that place it" if place_error else ""
         if place_error == located.basemap.surveyed_error:
             source = ", as it was surveyed"
         notes.append(
@@ -159,7 +159,7 @@ def registered(
         notes.append(
             _corrected_note(audit)
             if audit.has_lag
-            else "Tags were left as they are, because the registration finds no constant lag of them."
+            else "GPS tags were left as they are, because the registration finds no constant lag of them."
         )
     found = replace(
         located,
@@ -175,7 +175,7 @@ def registered(
 
 def _corrected_note(audit: TagAudit) -> str:
     """Return a sentence about errors against tags without their lag."""
-    note = f"Errors are against the tags without their lag of {audit.lag:.1f} s (--tags corrected)."
+    note = f"Errors are against the GPS tags without their lag of {audit.lag:.1f} s (--tags corrected)."
     if audit.looks_ahead:
         note += (
             f" If {audit.looks_ahead} instead, these are the places of the pictures' middles, and not of the camera."
@@ -193,6 +193,6 @@ def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:
     if turned:
         one = len(turned) == 1
         yield (
-            f"{len(turned)} picture{' is' if one else 's are'} turned by about 180 degrees against "
+            f"{len(turned)} photo{' is' if one else 's are'} turned by about 180 degrees against "
             f"{'its' if one else 'their'} heading: {', '.join(turned)}."
         )

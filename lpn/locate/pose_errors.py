@@ -48,10 +48,11 @@ class PoseErrors:
         if not self.poses:
             return f"{share}."
         kind = "position in the plane" if self.flat else "position"
-        (metres, most), heading, pitch = np.quantile(self.position, (0.5, 0.9)), self.heading, self.pitch
+        metres, most, nearly_all = np.quantile(self.position, (0.5, 0.9, 0.95))
         return (
-            f"{share}; median errors: {kind} {metres:.2f} m (90 % within {upper_bound(most, 2)} m), heading "
-            f"{np.median(heading):.2f} degrees, pitch {np.median(pitch):.2f} degrees; {self.beyond} beyond 3 sigmas and "
+            f"{share}; median errors: {kind} {metres:.2f} m (90 % within {upper_bound(most, 2)} m, 95 % within "
+            f"{upper_bound(nearly_all, 2)} m), heading {np.median(self.heading):.2f} degrees, pitch "
+            f"{np.median(self.pitch):.2f} degrees; {self.beyond} beyond 3 sigmas and "
             f"{_TOLERANCE:g} m."
         )
 

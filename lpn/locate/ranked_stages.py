@@ -145,7 +145,7 @@ def enter_sequence(
         if off > OVERLAP * side:
             sentence += f" The most probable path of the whole flight passes {off:.0f} m from here."
         if i in retrieval.broken:
-            state, sentence = "refused", "The frame cannot be read; the position is a guess of its neighbours."
+            state, sentence = "refused", "The photo cannot be read; the position is a guess of its neighbours."
         elif radius > side:
             state = "refused"
             sentence = (

@@ -163,7 +163,7 @@ def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], ma
             located.stages["registration"] = with_map_error(changed, map_error, place_error)
         notes.append(
             f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
-            f"{COMMON * told:.2g} degrees for an error that frames have in common, which scatter does not show, radii count with "
+            f"{COMMON * told:.2g} degrees for an error that photos have in common, which scatter does not show, radii count with "
             f"{degrees:.1f} in place of {told:g} degrees."
         )
     return notes
@@ -329,7 +329,7 @@ def register_photo(search: PhotoSearch) -> StageRecord:
     basemap, frame, options = search.basemap, search.located.frame, search.options
     if options.prior is not None and search.located.tag is None and search.side is None:
         return StageRecord(
-            "refused", "The frame has no position to search around; leave --prior out to search the whole map."
+            "refused", "The photo has no GPS tag to search around; leave --prior out to search the whole map."
         )
     answer = _searched(search, frame, search.quick)
     best, solved = _posed(search, answer)
@@ -427,7 +427,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
             if ground is None:
                 reason = (
                     f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
-                    "--prior with the metres around the tag."
+                    "--prior with the metres around the GPS tag."
                 )
                 return _SearchResult(
                     Registration(False, reason, kind.matcher.name), levelled, reach, frame.pitch, has_ground=False
@@ -528,7 +528,7 @@ def _record(
     """
     how = ""
     if reach is not None:
-        how = f" The search used the tag: it saw the map in a square of {2 * reach:.0f} m about it."
+        how = f" The search used the GPS tag: it saw the map in a square of {2 * reach:.0f} m about it."
     if registration.centre is None or registration.homography is None:
         return StageRecord("refused", registration.reason + how)
     place, radius = registration.centre, registration.radius

@@ -311,7 +311,7 @@ def retrieve(
             )
         else:
             notes.append(
-                f"Descriptors were not centred by view: that needs {MIN_DISTINCT} distinct frames, and the flight has "
+                f"Descriptors were not centred by view: that needs {MIN_DISTINCT} distinct photos, and the flight has "
                 f"{distinct}."
             )
     described_frames = [None if i in bad else queries[owner == i] for i in range(len(flight.frames))]
@@ -359,7 +359,7 @@ def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:
         for least, most in zip(unfit.min(axis=0), unfit.max(axis=0), strict=True)
     )
     return [
-        f"{len(unfit)} of {len(frames)} frames show squares of {seen} of ground and are compared with windows of {compared}, so "
+        f"{len(unfit)} of {len(frames)} photos show squares of {seen} of ground and are compared with windows of {compared}, so "
         f"their answers are poor. Windows within a factor of {_PYRAMID:g} fit: give their sizes with --size, or an index of them."
     ]
 

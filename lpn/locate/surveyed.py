@@ -172,7 +172,8 @@ class SurveyedErrors:
         sd_east, sd_north: standard deviations about these means, of n - 1 photos; NaN for one photo.
         independent_east, independent_north: photos that err independently and tell as much as all of them, by the correlation of
             neighbours in the flight; the standard error of a mean is its standard deviation over the root of this number.
-        median, ce90, largest: distances in the plane; `ce90` is the circular error that holds 90 % of them.
+        median, ce90, ce95, largest: distances in the plane; `ce90` and `ce95` are the circular errors that hold 90 and 95 % of
+            them.
         radii: photos whose answer has a radius and is of the surveyed point.
         within: of these, the share in percent within 1, 2, and 3 radii; empty without any. Right radii have
             `measures.RIGHT_CALIBRATION`.
@@ -190,6 +191,7 @@ class SurveyedErrors:
     independent_north: float
     median: float
     ce90: float
+    ce95: float
     largest: float
     radii: int
     within: dict[int, float]
@@ -332,6 +334,7 @@ def summarise_offsets(off: Float64Array, radii: Float64Array) -> SurveyedErrors:
     rmse_east, rmse_north = np.sqrt((off**2).mean(axis=0)).tolist()
     bias_east, bias_north = off.mean(axis=0).tolist()
     sd_east, sd_north = off.std(axis=0, ddof=1).tolist() if len(off) > 1 else (math.nan, math.nan)
+    median, ce90, ce95 = np.quantile(metres, (0.5, 0.9, 0.95)).tolist()
     return SurveyedErrors(
         len(off),
         rmse_east,
@@ -343,8 +346,9 @@ def summarise_offsets(off: Float64Array, radii: Float64Array) -> SurveyedErrors:
         sd_north,
         _independent(off[:, 0]),
         _independent(off[:, 1]),
-        float(np.median(metres)),
-        float(np.quantile(metres, 0.9)),
+        median,
+        ce90,
+        ce95,
         float(metres.max()),
         len(radii),
         {k: 100 * float((radii <= k).mean()) for k in RIGHT_CALIBRATION if len(radii)},

@@ -33,28 +33,46 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
         tags = np.concatenate([basemap.frame.xy([latitude], [longitude]) for latitude, longitude in flight.degrees])
     known = np.isfinite(tags).all(axis=1)
     tags[~known] = np.nan
-    notes = []
-    if missing := total - int(tagged.sum()):
-        notes.append(f"{missing} of {total} frames have no position, so no error is known for them.")
-    if not tagged.any():
+    notes: list[str] = []
+    if not tagged.any():  # the flight's own note says so
         return tags, notes, None
+    if missing := total - int(tagged.sum()):
+        notes.append(
+            f"{missing} of {total} photos {'has' if missing == 1 else 'have'} no GPS tag, so how far off "
+            f"{'its place is' if missing == 1 else 'their places are'} cannot be measured."
+        )
     west, south, east, north = basemap.bounds
     margin = max(east - west, north - south)
     off = np.maximum(np.maximum([west, south] - tags[known], tags[known] - [east, north]), 0).max(axis=1)
     if (off > margin).all():
-        # Degrees are compared, as the plane stretches what lies far off; where it ends, only the map's middle is known.
-        edges = np.tile([basemap.frame.latitude, basemap.frame.longitude], (total, 1))
-        edges[known] = basemap.frame.degrees(np.clip(tags[known], [west, south], [east, north]))
-        nearest = float(field_metrics.geodesic(flight.degrees[tagged], edges[tagged]).min())
+        # Degrees are compared, as the plane stretches what lies far off; beyond its end the whole edge is.
+        edge = basemap.frame.degrees(np.clip(tags[known], [west, south], [east, north]))
+        near = field_metrics.geodesic(flight.degrees[known], edge)
+        far = field_metrics.geodesic(flight.degrees[tagged & ~known, None], _edge(basemap))
+        nearest = min(float(some.min(initial=np.inf)) for some in (near, far))
         notes.append(
-            f"The flight lies elsewhere than {basemap.name}, the map: its nearest position is {nearest / 1000:.1f} km from the "
-            "map's edge. The positions were left out; give the map of this flight, unless its positions are wrong."
+            f"The flight lies elsewhere than {basemap.name}, the map: its nearest GPS tag is {nearest / 1000:.1f} km from the "
+            "map's edge. The tags were left out; give the map of this flight, unless its tags are wrong."
         )
         return np.full_like(tags, np.nan), notes, nearest
-    blank = basemap.valid_shares(tags[known], basemap.resolution) == 0
-    if outside := int(blank.sum()) + int((tagged & ~known).sum()):
-        notes.append(f"{outside} of {total} frames have a position off the map.")
+    beyond = int((off > 0).sum()) + int((tagged & ~known).sum())
+    empty = int((basemap.valid_shares(tags[known], basemap.resolution)[off == 0] == 0).sum())
+    for count, where in ((beyond, "beyond the map's edge"), (empty, "over an empty part of the map")):
+        if count:
+            notes.append(
+                f"The drone was {where} by the GPS tags of {count} of {total} photos. These photos may still show ground on "
+                "the map."
+            )
     return tags, notes, None
+
+
+def _edge(basemap: Map) -> Float64Array:
+    """Return points of the map's edge, latitude and longitude in degrees, (256, 2)."""
+    west, south, east, north = basemap.bounds
+    along = np.linspace(0, 1, 64, endpoint=False)[:, None]
+    corners = np.array([(west, south), (east, south), (east, north), (west, north)])
+    sides = zip(corners, np.roll(corners, -1, axis=0), strict=True)
+    return basemap.frame.degrees(np.concatenate([one + along * (other - one) for one, other in sides]))
 
 
 def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Mapping[str, Correction]) -> list[str]:
@@ -88,12 +106,12 @@ def enter_corrections(basemap: Map, frames: list[LocatedFrame], corrections: Map
     notes = []
     if count := sum(located.by_hand is not None for located in frames):
         notes.append(
-            f"{count} of {len(frames)} frames are corrected by hand. Their positions are the corrections', and so is the truth "
+            f"{count} of {len(frames)} photos are corrected by hand. Their positions are the corrections', and so is the truth "
             "of their errors; --no-corrections leaves them out."
         )
     if left:
         notes.append(
-            f"Corrections of frames that this run does not have, or beyond what the map's frame holds, are left out: "
+            f"Corrections of photos that this run does not have, or beyond what the map's frame holds, are left out: "
             f"{', '.join(sorted(left))}."
         )
     return notes

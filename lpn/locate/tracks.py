@@ -139,7 +139,7 @@ def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
     """Write a track in the format of its suffix.
 
     GPX leaves refused positions out; the others have every frame of every stage. A stage's positions that are not verified are a
-    line of their own, whose name says so.
+    line of their own in GPX and KML, whose name says so.
 
     Args:
         name: of the flight.
@@ -159,23 +159,13 @@ def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
 
 
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
-    """Return a FeatureCollection (RFC 7946): a point per frame and stage, and a line per stage and state but "refused"."""
+    """Return a FeatureCollection (RFC 7946) with a feature per frame and stage, all of the same properties."""
     features: list[dict[str, Any]] = []
     columns, rows = _table(points)
     for point, row in zip(points, rows, strict=True):
         properties = {name: row[name] for name in columns if name not in ("latitude", "longitude")}
         geometry = None if point.latitude is None else {"type": "Point", "coordinates": _position(point)}
         features.append({"type": "Feature", "geometry": geometry, "properties": properties})
-    for (stage, state), chosen in _lines(points).items():
-        if len(chosen) > 1:
-            line = {"type": "LineString", "coordinates": [_position(point) for point in chosen]}
-            features.append(
-                {
-                    "type": "Feature",
-                    "geometry": line,
-                    "properties": {"stage": stage, "state": state, "frames": len(chosen)},
-                }
-            )
     collection = {"type": "FeatureCollection", "name": name, "features": features}
     return json_bytes(collection)
 

@@ -270,8 +270,8 @@ def test_a_frame_that_the_flight_lacks_is_refused_after_what_was_noticed(
     with pytest.raises(InputError, match="has no query 99"):
         open_flight_over(*files, model_file, query="99.png", register=False)
     told = capsys.readouterr().err
-    assert "1 of 21 frames have no position" in told
-    assert "1 of 21 frames cannot be read" in told
+    assert "1 of 21 photos has no GPS tag" in told
+    assert "1 of 21 photos cannot be read" in told
 
 
 def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(

@@ -121,7 +121,7 @@ def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path
 def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_says(view: FlightView) -> None:
     first, third = page.card(view, 0, "pictures/x/"), page.card(view, 2, "pictures/x/")
     assert "✓ Placed by its details, ± 1.0 m on this map" in first
-    assert "1.0 m from the tag" in first
+    assert "1.0 m from its GPS tag" in first
     assert "pictures/x/pair/0" in first
     assert "pictures/x/ground/0" in first
     assert "by its neighbours" in third

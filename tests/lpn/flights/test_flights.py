@@ -56,19 +56,22 @@ def test_jumps_pauses_and_stale_positions_are_noted() -> None:
     assert not flight_notes(line(steady))
     far = [*steady[:6], (5000.0, 60.0), *steady[7:]]
     assert any(
-        note.startswith("The position jumps 2 times, first by 5000 m after 5.jpg") for note in flight_notes(line(far))
+        note.startswith("The GPS tags jump 2 times, first by 5000 m after 5.jpg") for note in flight_notes(line(far))
     )
     stale = [*steady[:4], steady[3], steady[3], *steady[6:]]
-    assert "2 frames of a moving flight repeat the position before them: 4.jpg, 5.jpg; the position lags there." in (
+    assert "2 photos of a moving flight repeat the GPS tag before theirs: 4.jpg, 5.jpg; the tag lags there." in (
         flight_notes(line(stale))
     )
     frames = line(steady)
     paused = [replace(frame, time=(frame.time or 0) + (300 if i > 4 else 0)) for i, frame in enumerate(frames)]
     assert "The flight pauses once, for up to 302 s after 4.jpg." in flight_notes(paused)
     lost = [replace(frame, latitude=None, longitude=None) if i % 2 else frame for i, frame in enumerate(frames)]
-    assert "6 of 12 frames have no position: 1.jpg, 3.jpg, 5.jpg, and 3 more." in flight_notes(lost)
+    assert "6 of 12 photos have no GPS tag: 1.jpg, 3.jpg, 5.jpg, and 3 more." in flight_notes(lost)
     nowhere = [replace(frame, latitude=None, longitude=None) for frame in frames]
-    assert any(note.startswith("None of the 12 frames has a position") for note in flight_notes(nowhere))
+    assert any(
+        note.startswith("None of the 12 photos has a GPS tag. They can be placed without one")
+        for note in flight_notes(nowhere)
+    )
 
 
 def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -79,7 +82,7 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     files = [str(file) for file in sorted((tmp_path / "DJI").iterdir())]
     assert main.main(["flight", *files, "--out", str(tmp_path / "monday"), "--fov", "70"]) == 0
     printed = capsys.readouterr().out
-    assert "monday: 3 frames" in printed
+    assert "monday: 3 photos" in printed
     assert "height above take-off      3 of 3  40.0 to 42.0 m, median 41.0 m" in printed
     assert "heading                    3 of 3  3 gimbal" in printed
     assert "field of view              3 of 3  70.0°" in printed

@@ -112,7 +112,7 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
     photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0))
     out = tmp_path / "flight"
     assert main(["flight", str(photo), "--camera", str(tmp_path / "camera.yaml"), "--out", str(out)]) == 0
-    assert "1 of 1 frames is the one given with --camera" in capsys.readouterr().out
+    assert "1 of 1 photos is the one given with --camera" in capsys.readouterr().out
     frame = open_flight(out).frames[0]
     assert frame.lens == lens
     assert frame.fov == pytest.approx(lens.fov)

@@ -307,7 +307,7 @@ def test_a_photo_without_position_stays(tmp_path: Path) -> None:
     flight = open_flight(tmp_path)
     assert len(flight.frames) == 5
     assert flight.degrees[[1, 3]].tolist() == [[pytest.approx(math.nan, nan_ok=True)] * 2] * 2
-    assert "2 of 5 frames have no position: 1.jpg, 3.jpg." in flight.notes
+    assert "2 of 5 photos have no GPS tag: 1.jpg, 3.jpg." in flight.notes
 
 
 def test_equal_names_get_their_folders(tmp_path: Path) -> None:
@@ -385,7 +385,7 @@ def test_the_course_does_not_stand_in_for_a_heading_that_was_not_read(
         write_photo(tmp_path / f"{i}.jpg", exif(47.301234, 8.501234 + 0.0002 * i, camera=camera), packet)
     rows, printed = written(tmp_path, capsys)
     assert [(row["heading"], row["heading_source"]) for row in rows] == [("90.0", "course"), ("", ""), ("", "")]
-    assert "2 of 3 frames have no heading, and did not get the course over ground" in " ".join(printed.split())
+    assert "2 of 3 photos have no heading, and did not get the course over ground" in " ".join(printed.split())
 
 
 @pytest.mark.parametrize("name", ["the comment of a telephone", "a heading in the description of a phone's program"])

@@ -86,7 +86,7 @@ def test_without_telemetry_frames_have_times_only(tmp_path: Path) -> None:
         (None, None, 70.0, -90.0)
     ] * 2
     assert "a.mp4 has no subtitles with telemetry." in flight.notes
-    assert any("The field of view of 2 of 2 frames is the 70° given with --fov" in note for note in flight.notes)
+    assert any("The field of view of 2 of 2 photos is the 70° given with --fov" in note for note in flight.notes)
     with pytest.raises(DataError, match=r"a\.mp4 has no positions, so frames cannot be chosen by metres"):
         make_flight([tmp_path / "a.mp4"], tmp_path / "other", FlightOptions(every_metres=5.0))
     assert not (tmp_path / "other").exists()

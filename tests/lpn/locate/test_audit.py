@@ -80,7 +80,9 @@ def test_missing_positions_and_times_are_left_out() -> None:
     velocities = track_velocities(times, positions)
     assert np.isnan(velocities[[0, 5, 9, 29]]).all()
     assert velocities[10, 1] == pytest.approx(3)
-    assert audit_tags(times, np.full_like(positions, np.nan), positions).sentence.startswith("No frame has both")
+    assert audit_tags(times, np.full_like(positions, np.nan), positions).sentence.startswith(
+        "No photo has both a GPS tag"
+    )
     with pytest.raises(InputError, match="expected"):
         audit_tags(times, positions[:4], positions)
 

@@ -73,7 +73,7 @@ def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
     good = located(registration=registration(3.0), sequence=sequence(5.0))
     assert belief(good).sign is True
     assert belief(good).headline == "Placed by its details, ± 1.0 m on this map"
-    assert belief(good).reason == "Matches agree. It lies 3.0 m from the tag."
+    assert belief(good).reason == "Matches agree. It lies 3.0 m from its GPS tag."
     told = msgspec.structs.replace(registration(3.0), place_error=0.5)
     assert belief(located(registration=told)).headline == "Placed by its details, ± 1.0 m on earth"
     bad = located(registration=registration(60.0), sequence=sequence(50.0))
@@ -89,7 +89,9 @@ def test_a_tag_outweighs_the_sequence() -> None:
     tagged, untagged = located(**both), located(tag=None, **both)
     found = belief(tagged, disagreements([tagged]))
     assert found.sign is True
-    assert found.reason == "Matches agree. It lies 3.0 m from the tag. Its neighbours would place it 97.0 m from here."
+    assert (
+        found.reason == "Matches agree. It lies 3.0 m from its GPS tag. Its neighbours would place it 97.0 m from here."
+    )
     found = belief(untagged, disagreements([untagged]))
     assert (found.sign, found.headline) == (
         None,

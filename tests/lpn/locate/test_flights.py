@@ -31,4 +31,4 @@ def test_photos_of_brighton_are_registered_and_turned_ones_are_named(
     found = locate(open_map(folder / "map.jpg"), replace(flight, frames=chosen), None, LocateOptions())
     assert [located.stages["registration"].accepted for located in found.frames] == [True] * 4
     assert max(located.error("registration") or 99.0 for located in found.frames) < 4
-    assert any("2 pictures are turned" in note and "DJI_0024" in note and "DJI_0028" in note for note in found.notes)
+    assert any("2 photos are turned" in note and "DJI_0024" in note and "DJI_0028" in note for note in found.notes)

@@ -214,7 +214,7 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
         np.testing.assert_allclose(np.sort(found.scores(i))[-3:], np.sort(plain.scores(i))[-3:], atol=1e-4)
     monkeypatch.setattr(index_windows, "MOST", 3)
     monkeypatch.setattr(ExactIndex, "most", None)
-    with pytest.raises(InputError, match="No frame of the flight can be read"):
+    with pytest.raises(InputError, match="No photo of the flight can be read"):
         WindowIndex(str(tmp_path / "index"), model, town).near(np.zeros((2, 2, 16), np.float32))  # type: ignore[arg-type]
 
 

@@ -70,5 +70,5 @@ def test_the_radius_of_the_middle_has_the_error_of_the_map() -> None:
 def test_without_a_truth_no_share_is_told() -> None:
     print_summary(flight(a=photo("a.jpg", None)), Console(file=(written := io.StringIO()), width=140))
     (row,) = (line for line in written.getvalue().splitlines() if "registration" in line)
-    assert [cell.strip() for cell in row.split("│")[2:-1]] == ["1", *["-"] * 8]
-    assert "no error is known" in written.getvalue()
+    assert [cell.strip() for cell in row.split("│")[2:-1]] == ["1", *["-"] * 9]
+    assert "how far off the places are is not known" in written.getvalue()

@@ -14,7 +14,7 @@ def test_summary_counts_frames_without_an_answer() -> None:
     found = measures.summarise(errors, [1, 2, 3, 9, 4, 5, 1, 2], limit=50)
     assert (found.frames, found.answered) == (8, 6)
     assert found.median == 9.0
-    assert found.p90 == pytest.approx(40.0)
+    assert (found.p90, found.p95) == pytest.approx((40.0, 50.0))
     assert found.within == {5: 25.0, 10: 37.5, 25: 62.5, 50: 62.5, 100: 75.0}
     assert found.coverage_at_zero == 62.5
     # Ratios of error and radius: 3, 3.5, 6.7, 5, 4, 5.5.

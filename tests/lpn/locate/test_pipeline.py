@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,13 @@ import cv2
 import numpy as np
 import pytest
 
+from lpn.cli.locate import print_summary, unverified_sentence
+from lpn.core.consoles import wide_console
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
 from lpn.flights import Flight, Frame, footprint
 from lpn.flights.cut import cut_square
+from lpn.flights.quality import flight_notes
 from lpn.locate import pipeline, ranked_stages, registered_stage
 from lpn.locate.belief import best_track
 from lpn.locate.camera_place import nadir_pixel
@@ -30,7 +34,9 @@ from lpn.locate.ranked_stages import confirm_sequence
 from lpn.locate.registration import Expectation, Registration, Similarity, contested, register
 from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.locate.tags import tags_on_map
+from lpn.locate.tracks import TrackPoint
 from lpn.maps import Map, Window, open_map
+from lpn.retrieval.field_metrics import geodesic
 from tests.lpn.locate.scenery import (
     CORNER,
     RESOLUTION,
@@ -103,7 +109,7 @@ def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(
     assert len(errors) == 4
     assert max(errors) < 0.6
     assert found.stages == ["registration"]
-    assert any("1 picture is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
+    assert any("1 photo is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
     assert "turned by 180 degrees" in found.frames[2].sentence
     summary = found.summaries()["registration"]
     assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
@@ -180,7 +186,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     by_hand = found.track()[-2]
     assert by_hand.metres_from_tag is not None
     assert by_hand.reason == "A person laid the photo by hand."
-    assert by_hand.note.startswith("The tag lies ")
+    assert by_hand.note.startswith("The GPS tag lies ")
     assert by_hand.note.endswith("The registration lies 18.1 m from there.")
     best = best_track(found)
     assert [(point.frame, point.stage) for point in best] == [
@@ -195,7 +201,7 @@ def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
     lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
     (point,) = best_track(replace(found, frames=[lost]))
     assert (point.state, point.latitude, point.reason, point.note) == ("refused", None, "Not located.", "Too few.")
-    assert found.notes[0].startswith("2 of 4 frames are corrected by hand.")
+    assert found.notes[0].startswith("2 of 4 photos are corrected by hand.")
     assert "left out: x.png." in found.notes[1]
     assert found.audit is not None
     assert found.audit.largest > 80  # between the last frame's tag and its correction
@@ -254,9 +260,9 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert "not a picture that can be read" in answers[0].sentence
     assert "leave --prior out" in answers[1].sentence
     assert f"it saw the map in a square of {2 * (40 + 0.75 * WIDTH):.0f} m about it" in answers[2].sentence
-    assert found.notes[0].startswith("1 of 3 frames have no position")
+    assert found.notes[0].startswith("1 of 3 photos has no GPS tag, so how far off its place is cannot")
     assert [point.state for point in found.track()] == ["refused", "refused", "accepted"]
-    assert "Registration searched around the tags only (prior 40 m)" in found.notes[1]
+    assert "Registration searched around the GPS tags only (prior 40 m)" in found.notes[1]
 
 
 @pytest.mark.parametrize(
@@ -285,17 +291,62 @@ def test_a_flight_elsewhere_lies_as_far_as_it_is_from_the_maps_edge(town: Map, f
     assert away == pytest.approx(3 * (east - west), rel=1e-3)
 
 
+def test_a_flight_that_the_plane_does_not_reach_lies_as_far_as_it_is_from_the_maps_edge(
+    town: Map, flight: Flight
+) -> None:
+    there = (0.0, 98.0)
+    frame = replace(flight.frames[0], latitude=there[0], longitude=there[1])
+    away = tags_on_map(town, replace(flight, frames=(frame,)))[2]
+    west, south, east, north = town.bounds
+    corners = town.frame.degrees([(west, south), (east, south), (east, north), (west, north)])
+    from_corners = geodesic(corners, there)
+    from_middle = float(geodesic((town.frame.latitude, town.frame.longitude), there))
+    assert away is not None
+    assert from_corners.min() - (north - south) / 2 <= away <= from_corners.min() < from_middle
+
+
+def test_a_drone_over_an_empty_part_of_the_map_is_told_apart_from_one_beyond_it(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Map, "valid_shares", lambda _, centres, __: np.where(centres[:, 0] < -20, 0.0, 1.0))
+    latitude, longitude = town.frame.degrees([(town.bounds[2] + 1.0, 0.0)])[0].tolist()
+    beyond = replace(flight.frames[1], latitude=latitude, longitude=longitude)
+    tags, notes, _ = tags_on_map(town, replace(flight, frames=(flight.frames[0], beyond, *flight.frames[2:])))
+    photo_may = "These photos may still show ground on the map."
+    assert notes == [
+        f"The drone was beyond the map's edge by the GPS tags of 1 of 4 photos. {photo_may}",
+        f"The drone was over an empty part of the map by the GPS tags of 1 of 4 photos. {photo_may}",
+    ]
+    assert np.isfinite(tags).all(), "each tag is the truth of its photo all the same"
+
+
+def test_a_flight_without_gps_tags_is_placed_and_called_so_once(
+    town: Map, flight: Flight, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = tuple(replace(frame, latitude=None, longitude=None) for frame in flight.frames)
+    notes = tuple(flight_notes(frames))
+    found = locate(town, replace(flight, frames=frames, notes=notes), None, SIFT)
+    print_summary(found, wide_console())
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "registration │ 4 │" in printed
+    assert printed.count("None of the 4 photos has a GPS tag. They can be placed without one, but how far off") == 1
+    assert "position of" not in printed
+    assert not re.search(r"\bframes?\b|have no position|has a position", printed)
+
+
 def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
     frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
     found = locate(town, replace(flight, frames=frames), None, SIFT)
-    assert found.notes == ["1 of 4 frames have a position off the map."]
+    assert found.notes == [
+        "The drone was beyond the map's edge by the GPS tags of 1 of 4 photos. These photos may still show ground on the map."
+    ]
     assert found.tags_away is None
     assert [located.tag is None for located in found.frames] == [True, False, False, False]
 
 
 def test_a_flight_without_frames_is_refused(town: Map) -> None:
-    with pytest.raises(DataError, match="monday has no frame"):
+    with pytest.raises(DataError, match="monday has no photo"):
         locate(town, Flight("monday", ()), GridModel(), SIFT)  # type: ignore[arg-type]
 
 
@@ -688,7 +739,7 @@ def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: py
     located = _ranked(flight, np.stack([sure, sure, sure]), {1: "The file is broken."})
     answers = [frame.stages["sequence"] for frame in located]
     assert [answer.state for answer in answers] == ["accepted", "refused", "accepted"]
-    assert answers[1].sentence == "The frame cannot be read; the position is a guess of its neighbours."
+    assert answers[1].sentence == "The photo cannot be read; the position is a guess of its neighbours."
     assert answers[1].x == pytest.approx(0, abs=1)
     for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
         assert answer.state == "refused"
@@ -728,7 +779,7 @@ def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_pa
     assert measured["sdm@1"] < 0.67
     assert measured["dis@1"] < 100
     assert not any("sequence" in name for name in measured)
-    assert any("1 of 3 frames cannot be read; the retrieval's measures count them" in note for note in found.notes)
+    assert any("1 of 3 photos cannot be read; the retrieval's measures count them" in note for note in found.notes)
 
 
 def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
@@ -784,8 +835,8 @@ def test_the_commands_write_a_track_and_measures(
     assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
     assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["by hand"]
     said = " ".join(capsys.readouterr().out.split())
-    assert "1 of 1 frames are corrected by hand." in said
-    assert "Errors are against corrections by hand (1), and the tags of the other frames" in said
+    assert "1 of 1 photos are corrected by hand." in said
+    assert "Errors are against corrections by hand (1), and the GPS tags of the other photos" in said
     alone = ["--no-corrections", "--out", str(track)]
     assert main(["locate", *where, "--matcher", "sift", "--limit", "1", *alone]) == 0
     assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["registration"]
@@ -820,6 +871,16 @@ def test_the_commands_write_a_track_and_measures(
     for alone in (["--no-register"], ["--map-error", "2"]):
         assert main(["evaluate", *alone]) == 2
         assert "lpn evaluate flight" in capsys.readouterr().err
+
+
+def test_the_best_guesses_of_a_track_are_counted() -> None:
+    guess = TrackPoint("a.jpg", "retrieval", "not verified", "", latitude=47.0, longitude=8.0)
+    track = [guess, TrackPoint("b.jpg", "retrieval", "not verified", ""), replace(guess, state="accepted")]
+    assert unverified_sentence(track) == (
+        "1 of its 3 points is a best guess: it has a coordinate, but nothing has verified it, and its state is 'not verified'."
+    )
+    assert unverified_sentence([guess, guess]).startswith("2 of its 2 points are best guesses: they have a coordinate")
+    assert not unverified_sentence(track[1:])
 
 
 def test_a_kind_reaches_each_model(

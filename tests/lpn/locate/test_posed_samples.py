@@ -211,7 +211,7 @@ def test_options_that_no_sample_uses_are_refused_and_others_are_honoured(tmp_pat
     assert flight.frames[0].fov == pytest.approx(2 * math.degrees(math.atan(100 / 180)))
     assert flight.notes[-2:] == (
         "No file lacks the field of view, so --fov is not used.",
-        "The pitch of 1 of 1 frames is the -70° given with --pitch.",
+        "The pitch of 1 of 1 photos is the -70° given with --pitch.",
     )
 
 

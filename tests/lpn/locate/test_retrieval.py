@@ -72,7 +72,7 @@ def test_windows_of_an_unfit_size_are_named(town: Map, tmp_path: Path) -> None:
     for factor, named in ((1.35, False), (1.45, True), (1 / 1.45, True)):
         found = retrieve(GridModel(), town, flight, [factor * shown], centre=False)  # type: ignore[arg-type]
         compared = f"are compared with windows of {factor * shown:.0f} m, so"
-        expected = f"2 of 2 frames show squares of {shown:.0f} m of ground and {compared}"
+        expected = f"2 of 2 photos show squares of {shown:.0f} m of ground and {compared}"
         assert len(found.notes) == named
         assert all(note.startswith(expected) for note in found.notes)
 

@@ -111,8 +111,8 @@ def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_b
         "which are no exact truth, as the registration finds a lag in them (or the camera looks 8.6 m"
         in printed["told"]
     )
-    assert "Against the tags moved by that lag (a constant offset stays), the registration" in printed["told"]
-    assert "Errors are against the tags of the flight, moved by their lag" in printed["corrected"]
+    assert "Against the GPS tags moved by that lag (a constant offset stays), the registration" in printed["told"]
+    assert "Errors are against the GPS tags of the flight, moved by their lag" in printed["corrected"]
     assert "no exact truth, as" not in printed["corrected"]
     assert columns["told"] == pytest.approx(columns["corrected"], abs=1e-3), "the column is by the tags in the files"
-    assert "Against the tags moved" not in printed["corrected"]
+    assert "Against the GPS tags moved" not in printed["corrected"]

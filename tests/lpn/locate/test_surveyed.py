@@ -159,10 +159,11 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
         errors.rmse,
         errors.median,
         errors.ce90,
+        errors.ce95,
         errors.largest,
     )
     roots = [math.sqrt(square) for square in (2, 8, 5, 8, 13)]
-    np.testing.assert_allclose(figures, (2, 2, *roots, 3.0, 4.6, 5.0), rtol=1e-3)
+    np.testing.assert_allclose(figures, (2, 2, *roots, 3.0, 4.6, 4.8, 5.0), rtol=1e-3)
     assert errors.within == {1: 50.0, 2: 50.0, 3: 100.0}
     assert errors.bias_sentence == "", "two photos tell nothing of chance"
     assert survey_remarks(rows, 4) == [

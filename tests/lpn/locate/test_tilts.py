@@ -93,7 +93,7 @@ def test_a_tilt_that_is_wrong_by_the_same_angle_along_each_leg_stays_within_the_
         for t, a in zip(times, answers, strict=True)
     ]
     (note,) = correct_radii(frames, answers, 0.0)
-    assert "0.75 degrees for an error that frames have in common" in note
+    assert "0.75 degrees for an error that photos have in common" in note
     radii = np.array([located.stages["registration"].radius for located in frames])
     errors = np.linalg.norm(places - truth, axis=1)
     assert radii.max() < 0.7 * radius

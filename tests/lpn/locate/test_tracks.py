@@ -21,23 +21,22 @@ POINTS = [
 ]
 
 
-def test_geojson_has_a_point_a_frame_and_a_line_a_stage(tmp_path: Path) -> None:
+def test_geojson_has_a_feature_a_frame_and_stage_and_nothing_else(tmp_path: Path) -> None:
     write_track(tmp_path / "track.geojson", "monday", POINTS)
     found = json.loads((tmp_path / "track.geojson").read_text())
     assert found["type"] == "FeatureCollection"
-    *points, line, guessed = found["features"]
+    points = found["features"]
+    assert len({tuple(point["properties"]) for point in points}) == 1, "all features have the same properties"
     states = ["accepted", "refused", "accepted", "not verified", "not verified"]
     assert [point["properties"]["state"] for point in points] == states
     assert [point["properties"]["point"] for point in points] == ["camera", "", "ground", "ground", "ground"]
     assert {point["properties"]["crs"] for point in points} == {"EPSG:4326", ""}
     assert "easting_m" not in points[0]["properties"], "no point has one"
-    assert guessed["properties"] == {"stage": "retrieval", "state": "not verified", "frames": 2}
     assert points[0]["geometry"] == {"type": "Point", "coordinates": [-91.25, 46.5]}
     assert points[0]["properties"]["radius_on_map_m"] == 1.5
     assert points[1]["geometry"] is None
     assert points[1]["properties"]["reason"].startswith("Only 4")
     assert points[2]["properties"]["radius_on_map_m"] is None
-    assert line["geometry"]["coordinates"] == [[-91.25, 46.5], [-91.2501, 46.5001]]
 
 
 def test_gpx_has_accepted_positions_by_stage(tmp_path: Path) -> None:
