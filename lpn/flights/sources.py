@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +33,13 @@ from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of other kinds, which a note names.
 _OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
+# The beginning of a track that lpn locate wrote, by its suffix.
+_OWN_TRACKS = {
+    ".csv": re.compile(rb"(?:\xef\xbb\xbf)?frame,stage,state,"),
+    ".geojson": re.compile(rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":', re.DOTALL),
+    ".gpx": re.compile(rb'.*creator="lpn locate"', re.DOTALL),
+    ".kml": re.compile(rb".*<Folder>\s*<name>(?:retrieval|sequence|registration|by hand)</name>", re.DOTALL),
+}
 _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
@@ -98,12 +106,13 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
     Raises:
         DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log or the camera's file is
-            damaged, or the camera's pictures have other proportions than all frames.
+            damaged, or the camera's pictures have other proportions than all frames, or a file is a track of `lpn locate`.
         InputError: as `flight_of_samples`, or if an option is about videos or subtitles, and the files are photos.
         OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
     check_folder(out)
+    _refuse_own_tracks(files)
     camera = None if options.camera is None else read_camera(options.camera)
     if (samples := flight_of_samples(files, out.resolve().name, out / FRAMES, _of_other_files(options))) is not None:
         samples = _completed(samples, options)
@@ -161,6 +170,24 @@ def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str
             others.append(file)
             notes += [] if str(error).endswith(("among them.", "column names.")) else [str(error)]
     return read, others, notes
+
+
+def _refuse_own_tracks(files: Sequence[Path]) -> None:
+    """Raise DataError if a file is a track that lpn locate wrote."""
+    for file in files:
+        begin = _OWN_TRACKS.get(file.suffix.lower())
+        if begin is None or not file.is_file():
+            continue
+        try:
+            with file.open("rb") as opened:
+                head = opened.read(4096)
+        except OSError:
+            continue  # its own reader tells why
+        if begin.match(head):
+            raise DataError(
+                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the drone "
+                "told; give the photos, with the drone's own log if there is one, and open the track in a map program."
+            )
 
 
 def flight_of_folder(folder: Path) -> Flight:

@@ -49,6 +49,8 @@ _EXPECTED = "expected photo and latitude,longitude or easting,northing,epsg, and
 _WGS84 = "EPSG:4326"
 # Names in one sentence at most.
 _MOST_NAMES = 10
+# Errors that differ by fewer metres are equal: their mean, and so their distances from it, are inexact.
+_EQUAL = 1e-6
 # Independent photos from which a mean is compared with its standard error.
 _LEAST_FOR_BIAS = 5
 # The multiple of the standard error that a mean of normal errors exceeds by chance once in 370 surveys (the 3 sigma of many
@@ -362,10 +364,9 @@ def _independent(errors: Float64Array) -> float:
     their own mean n errors show r too low by (1 + 4 r) / n (Kendall, 1954), which is added.
     """
     off, n = errors - errors.mean(), len(errors)
-    squares = float((off**2).sum())
-    if not squares:
+    if np.ptp(errors) < _EQUAL:
         return float(n)
-    shown = float((off[1:] * off[:-1]).sum()) / squares
+    shown = float((off[1:] * off[:-1]).sum()) / float((off**2).sum())
     alike = min(max(shown + (1 + 4 * shown) / n, 0.0), 1.0)
     return max(n * (1 - alike) / (1 + alike), 1.0)
 

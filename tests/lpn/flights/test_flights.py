@@ -17,6 +17,7 @@ from lpn.core.images import load_picture
 from lpn.flights import FlightOptions, Frame, ground_width, make_flight, open_flight
 from lpn.flights.base import degrees, local_metres
 from lpn.flights.quality import flight_notes, with_courses
+from lpn.locate.tracks import TrackPoint, write_track
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import srt, write_video
 
@@ -89,6 +90,17 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     assert "height above ground        0 of 3\n" in printed
     assert "- Left out, because their kind is not supported: notes.txt." in printed
     assert len(open_flight(tmp_path / "monday").frames) == 3
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".kml"])
+@pytest.mark.parametrize("stage", ["registration", "by hand"])
+def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str, stage: str) -> None:
+    write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))
+    track = tmp_path / f"track{suffix}"
+    write_track(track, "monday", [TrackPoint("a.jpg", stage, "accepted", "", 1.4e9, 47.0, 8.0)])
+    with pytest.raises(DataError, match=rf"^track\{suffix} is a track of lpn locate: .* give the photos, with the drone's own log"):
+        make_flight([tmp_path / "photos", track], tmp_path / "monday")
+    assert not (tmp_path / "monday").exists()
 
 
 def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:

@@ -208,6 +208,14 @@ def test_a_mean_that_chance_hardly_explains_is_called_systematic() -> None:
     assert one_leg.endswith("so the 18 count as 18 independent ones to the east and 1 independent one to the north.")
 
 
+def test_equal_errors_count_each_though_their_mean_is_inexact() -> None:
+    equal = [0.1] * 7
+    assert (np.array(equal) - np.mean(equal)).any(), "the mean of these is inexact"
+    found = _errors(equal)
+    assert found.independent_north == 7
+    assert "count as" not in found.bias_sentence
+
+
 def test_neighbours_that_err_alike_are_seldom_called_systematic() -> None:
     drawn = np.random.default_rng(0).standard_normal((400, 10))
     for i in range(1, 10):
