@@ -100,7 +100,7 @@ class UrlState:
             Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
             *(_in_lab(choice.parameter) for choice in CHOICES if choice.parameter is not None),
             Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
-            parameters.switch("flight"),
+            Parameter("flight", parameters.switch("flight").write, self._read_flight),
             parameters.switch("exploded", "apart"),
             parameters.switch("rings"),
             parameters.switch("heat"),
@@ -235,6 +235,12 @@ class UrlState:
     def _unnamed(self) -> str:
         """The key of the workspace of query strings that name none."""
         return DATA if DATA in self._workspace.choices else self._workspace.key
+
+    def _read_flight(self, state: SessionState, text: str) -> SessionState:
+        state = parameters.switch("flight").read(state, text)
+        if state.flight and not self._workspace.has_flight:
+            raise UnusableError("this place has no flight; choose a place that has one.")
+        return state
 
     def _write_key(self, _: SessionState) -> str | None:
         return None if self._workspace.key == self._unnamed else self._workspace.key

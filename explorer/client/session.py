@@ -121,7 +121,7 @@ class ClientSession:
                 return
             moved = (state.screen, state.query, state.upload) != (before.screen, before.query, before.upload)
             # An error of the address is told before the first picture, and stays when that comes.
-            if moved and (self._shown is not None or self.views.failed):
+            if moved and (self._shown is not None or self._worker.failed):
                 self.views.panels.forget_error()
             self.views.follow(before, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address

@@ -69,7 +69,6 @@ class ClientViews:
         receivers: Mapping[type[Any], Callable[[Any], None]],
     ) -> None:
         self._client, self._change = client, change
-        self.failed = False
         self._workspace = workspace = services.workspace
         self.sequence, self._small = 0, False
         self.set_theme(state())
@@ -266,7 +265,6 @@ class ClientViews:
 
     def fail(self, error: Exception) -> None:
         """Say why there is no answer."""
-        self.failed = True
         self._say(error)
         self.explain_window.fail(_in_words(error))
         if not self.sequence:

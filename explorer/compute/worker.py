@@ -41,6 +41,7 @@ class Worker:
 
     Attributes:
         reasons: of the wakes that led to the run; a run that is tried again keeps them.
+        failed: the last run that ended has raised an exception.
     """
 
     def __init__(self, work: Callable[[], float | None], on_error: Callable[[Exception], None]) -> None:
@@ -49,6 +50,7 @@ class Worker:
         self._stopped = False
         self._thread: threading.Thread | None = None
         self.reasons: set[str] = set()
+        self.failed = False
         self._new_reasons: set[str] = set()
 
     def wake(self, reason: str = "") -> None:
@@ -87,9 +89,11 @@ class Worker:
             delay = None
             try:
                 delay = self._work()
+                self.failed = False
             except Exception as error:
                 if self._stopped:
                     return
+                self.failed = True
                 if isinstance(error, LPNError):  # the message is enough, without a traceback
                     log.warning("A browser's request failed: %s", error)
                 else:

@@ -150,6 +150,7 @@ class ExplainWindow:
         self._tab_shown: WhyTab | None = None
         self._lock = Lock()
         self._content: WindowContent | None = None
+        self._failure = ""
         self._open = self._left = False
         tabs: list[tuple[str, Any, Callable[[WindowContent], str]]] = [
             (_EVIDENCE, viser.Icon.ZOOM_QUESTION, lambda content: evidence.page(content.analysis, workspace)),
@@ -317,7 +318,8 @@ class ExplainWindow:
             self._tab_shown = None
 
     def fail(self, text: str) -> None:
-        """Say in the open window why the pair could not be analysed."""
+        """Keep why the pair could not be analysed, and say it in the open window."""
+        self._failure = text
         if self._open:
             with self._lock:  # what is still being computed for the pair before is not drawn
                 self._cancel_sweep()
@@ -334,7 +336,7 @@ class ExplainWindow:
     def show(self, analysis: StateAnalysis) -> None:
         """Keep the analysis. Draw it if the window is open and was open in the analysed state."""
         drawn = self._open and analysis.state.shows_reasons
-        before = self._content
+        before, self._failure = self._content, ""
         kept = before is not None and before.pair is not None and before.pair.belongs_to(analysis)
         pair = PairResult.of(analysis) if drawn and not kept else None
         with self._lock:  # meanwhile, other threads may have stored an effect for the same pair, or a sweep
@@ -513,7 +515,9 @@ class ExplainWindow:
 
     def _report(self) -> None:
         content = self._content
-        if content is None:
+        if self._failure:
+            self._reporter.refuse(f"There is no answer to save. {self._failure}")
+        elif content is None:
             self._reporter.refuse("The answer is still being computed. Press “Save” again when it is shown.")
         else:
             self._reporter.make(partial(self._reported, content.analysis), control="Save")

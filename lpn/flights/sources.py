@@ -185,8 +185,8 @@ def _refuse_own_tracks(files: Sequence[Path]) -> None:
             continue  # its own reader tells why
         if begin.match(head):
             raise DataError(
-                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the drone "
-                "told; give the photos, with the drone's own log if there is one, and open the track in a map program."
+                f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
+                "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
             )
 
 

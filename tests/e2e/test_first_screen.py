@@ -30,6 +30,17 @@ def fresh(browser: Browser) -> Iterator[Page]:
 
 
 @pytest.mark.slow
+def test_save_waits_visibly_until_the_answer_is_saved(app: RunningApp, fresh: Page) -> None:
+    fresh.goto(app.url)
+    save = fresh.locator("#lpn-first [data-act=report]")
+    expect(save).to_have_text("Save")
+    with fresh.expect_download() as download:
+        assert save.evaluate("(button) => { button.click(); return button.classList.contains('waiting'); }")
+        assert save.evaluate("(button) => getComputedStyle(button, '::before').animationName") != "none"
+    assert download.value.suggested_filename == "0007.html"
+
+
+@pytest.mark.slow
 def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh: Page) -> None:
     first, button = fresh.locator("#lpn-first"), fresh.locator("#lpn-first button")
     explorer = ExplorerPage(fresh)

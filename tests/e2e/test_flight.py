@@ -364,6 +364,13 @@ def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over
     expect(linked.get_by_label("swipe")).to_have_value("0")
     expect(linked.locator("[data-photo=swipe]")).to_have_attribute("aria-pressed", "true")
     assert linked.evaluate("lpn.flight.link()") == link
+    window.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
+    window.page.evaluate("lpn.copy()")
+    expect(window.page.locator("#lpn-notice")).to_have_text(
+        "Link copied: it opens this photo and the map as you see it, with Swipe, on this computer only, as its address is "
+        "127.0.0.1."
+    )
+    assert link in window.page.evaluate("navigator.clipboard.readText()")
     assert "look=" not in linked.evaluate("location.search")
     linked.close()
     window.page.locator("[data-act=fit]").click()

@@ -39,6 +39,15 @@ def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
 def test_a_report_before_there_is_an_answer_is_refused_by_a_sentence() -> None:
     told: list[tuple[str, str]] = []
     client = SimpleNamespace(add_notification=lambda title, body, **_: told.append((title, body)))
-    window: Any = SimpleNamespace(_content=None, _reporter=Reporter(client, None))  # type: ignore[arg-type]
+    window: Any = SimpleNamespace(_content=None, _open=False, _failure="", _reporter=Reporter(client, None))  # type: ignore[arg-type]
     ExplainWindow._report(window)
     assert told == [("No report", "The answer is still being computed. Press “Save” again when it is shown.")]
+
+
+def test_after_a_failure_a_report_is_refused_with_its_reason_though_the_answer_before_is_known() -> None:
+    told: list[tuple[str, str]] = []
+    client = SimpleNamespace(add_notification=lambda title, body, **_: told.append((title, body)))
+    window: Any = SimpleNamespace(_content=object(), _open=False, _failure="", _reporter=Reporter(client, None))  # type: ignore[arg-type]
+    ExplainWindow.fail(window, "a.jpg cannot be read; choose another picture.")
+    ExplainWindow._report(window)
+    assert told == [("No report", "There is no answer to save. a.jpg cannot be read; choose another picture.")]

@@ -152,6 +152,7 @@ def test_a_worker_survives_a_failure(error: Exception, traced: bool, caplog: pyt
         answered.set()
 
     def failed(error: Exception) -> None:
+        assert worker.failed
         failures.append(error)
         worker.wake()
 
@@ -160,6 +161,7 @@ def test_a_worker_survives_a_failure(error: Exception, traced: bool, caplog: pyt
     assert answered.wait(60)
     worker.stop()
     assert [str(e) for e in failures] == ["first"]
+    assert not worker.failed, "the run after it has ended well"
     assert [bool(record.exc_info) for record in caplog.records] == [traced]
 
 

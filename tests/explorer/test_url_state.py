@@ -145,6 +145,8 @@ def test_names_that_are_shared_or_mean_something_else_are_called_by_position(wor
         ("region=0-9999999", "cells 0 to"),
         ("region=-1", "cells 0 to"),
         ("map=yes", "0 or 1"),
+        ("flight=yes", "0 or 1"),
+        ("flight=1", "this place has no flight; choose a place that has one"),
         ("shows=anything", "activation or evidence"),
         ("part=5", "1 to 4"),
         ("opacity=2", "0 to 1"),

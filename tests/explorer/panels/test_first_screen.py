@@ -37,7 +37,7 @@ from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
 from lpn.flights.photo_file import PhotoFile
 from lpn.locate.belief import disagreements
-from lpn.locate.located import StageRecord
+from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher, XFeatMatcher
 from lpn.maps.named_window import WindowCut
 from lpn.sources import Published
@@ -378,6 +378,26 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     assert answer_text.OWN_KEPT not in of_own.sentences, "the file is kept by whom it is given"
     assert dict(of_own.photo)["SHA-256"] == sha256(data).hexdigest()
     assert [picture.caption for picture in of_own.pictures] == ["Your picture", "The model’s answer"]
+
+
+def test_a_saved_answer_has_the_map_s_digests_and_counts_many_or_large_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [tmp_path / f"{i:02}.tif" for i in range(21)]
+    for i, file in enumerate(files):
+        file.write_bytes(bytes([i]) * 100_000)
+    gone = tmp_path / "town.zip" / "a.tif"
+
+    def facts(*of: Path) -> Any:
+        sheet = SimpleNamespace(raster=SimpleNamespace(files=lambda: [*of, gone]))
+        return first_screen._map_facts(SimpleNamespace(basemap=SimpleNamespace(sheets=[sheet, sheet])))  # type: ignore[arg-type]
+
+    few = tuple(("Map", f"{file.name}, SHA-256 {sha256(file.read_bytes()).hexdigest()}") for file in files[:20])
+    assert facts(*files[:20]) == few, "a file of two sheets is one, and one within an archive none"
+    assert facts(*files) == (("Map", "21 files of 2 MB, too many or too large for their SHA-256 here"),)
+    monkeypatch.setattr(first_screen, "_MOST_MAP_BYTES", 150_000)
+    assert facts(files[0]) == few[:1]
+    assert facts(*files[:2]) == (("Map", "2 files of 0 MB, too many or too large for their SHA-256 here"),)
 
 
 def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -738,6 +758,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             assert ("The model's own guess" in said) == (index == placed)
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
+    with monkeypatch.context() as patch:
+        patch.setattr(LocatedFlight, "judge", "its GPS tag")
+        said = text(first_screen.page(analyse(workspace, replace(state, query=doubted)), workspace))
+        assert "The model's own guess, by its look alone, was wrong, " in said
+        assert "which are doubtful" not in said, "the details did not judge it"
     before = flight.frames[placed].stages["registration"]
     flight.frames[placed].stages["registration"] = StageRecord("refused", "Few agree.")
     flight.frames[placed].stages.pop("sequence", None)
