@@ -2,8 +2,9 @@
 
 A photo of another place fits a map by chance now and then, most often where trees stand on both. On such maps up to two of nine
 photos did. So registrations that are not more than that prove nothing by their number. They prove something by their places if
-neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. Photos of one view, such as
-those of a drone that hovers, fit by one and the same chance, so they count once.
+neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. They prove it, too, if half of
+them lie where their tags say. Photos of one view, such as those of a drone that hovers, fit by one and the same chance, so they count
+once.
 """
 
 from __future__ import annotations
@@ -16,9 +17,8 @@ import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.flights import ground_width
+from lpn.locate.belief import disagreements
 from lpn.locate.located import LocatedFrame
-from lpn.maps.map import metres_off
 
 # Share of the views that fit a map of another place by chance, and the log odds that exceed it.
 _CHANCE, _EVIDENCE = 0.2, 4.0
@@ -33,8 +33,9 @@ def refuse_unproven(
 ) -> list[str]:
     """Refuse the accepted registrations of a flight unless something shows that the map is of its place; return a sentence.
 
-    It is shown by tags of half of the frames on the map, by a correction, by an accepted answer of the sequence, by the number
-    of registered views, or by neighbours that overlap. Flights of fewer than five frames are left as they are.
+    It is shown by tags with which half of the registrations agree within both errors, by a correction, by an accepted answer of
+    the sequence, by the number of registered views, or by neighbours that overlap. Flights of fewer than five frames are left as
+    they are.
 
     Args:
         frames: their registrations are replaced.
@@ -42,7 +43,7 @@ def refuse_unproven(
         map_error: 1-sigma error of the map in metres that the radii hold; it moves all photos alike.
     """
     registered = [located for located in frames if _registered(located)]
-    if len(frames) < _FEWEST or not registered or _known(frames, bounds):
+    if len(frames) < _FEWEST or not registered or _known(frames):
         return []
     views = new_views(frames, map_error)
     # Further photos of a view are no further chances.
@@ -57,7 +58,7 @@ def refuse_unproven(
     else:
         shown = "one view" if len(views) == 1 else f"{len(views)} views"
         few = f"The {count} of {total} photos that fit this map show {shown}, as by chance"
-    sentence = f"{few} on a map of another place, and few or no GPS tags lie on it"
+    sentence = f"{few} on a map of another place, and their GPS tags do not confirm it"
     for located in registered:
         answer = located.stages["registration"]
         located.stages["registration"] = msgspec.structs.replace(
@@ -66,29 +67,17 @@ def refuse_unproven(
     return [f"{sentence}, so none was accepted; check that the map is of the flight's place."]
 
 
-def _known(frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float]) -> bool:
+def _known(frames: Sequence[LocatedFrame]) -> bool:
     """Return whether tags, a correction, or the sequence show that the map is of the flight's place."""
     if any(
         located.by_hand is not None or ("sequence" in located.stages and located.stages["sequence"].accepted)
         for located in frames
     ):
         return True
-    widths = [width for located in frames if (width := _width(located)) is not None]
-    usual = float(np.median(widths)) if widths else 0.0
-    return 2 * sum(_tag_on_map(located, usual, bounds) for located in frames) >= len(frames)
-
-
-def _tag_on_map(located: LocatedFrame, usual: float, bounds: tuple[float, float, float, float]) -> bool:
-    """Return whether a frame's tag lies on the map, or no farther off it than its picture is wide, else than `usual` metres."""
-    if located.tag is None:
-        return False
-    return metres_off(bounds, located.tag) <= (_width(located) or usual)
-
-
-def _width(located: LocatedFrame) -> float | None:
-    """Return the metres of ground across a picture, by its height and field of view, else by its registration."""
-    answer = located.stages.get("registration")
-    return ground_width(located.frame) or (answer.width if answer is not None and answer.accepted else None)
+    contradicted = {one.frame for one in disagreements(frames) if (one.one, one.other) == ("registration", "tag")}
+    registered = [i for i, located in enumerate(frames) if _registered(located)]
+    agreeing = [i for i in registered if frames[i].tag is not None and i not in contradicted]
+    return 2 * len(agreeing) >= len(registered)
 
 
 def _registered(located: LocatedFrame) -> bool:

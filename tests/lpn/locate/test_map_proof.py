@@ -42,13 +42,13 @@ TRACK = {i: (40.0 * i, 0.0) for i in range(5)}
     ("places", "tagged", "kept"),
     [
         (SCATTERED, 0, 0),  # 5 of 20 are as many as by chance
-        (SCATTERED, 10, 5),  # tags on the map show that it is the flight's
+        (SCATTERED, 20, 0),  # nor do tags on the map that lie elsewhere on it
         (TRACK, 0, 5),  # neighbours overlap
         ({i: (90.0 * i - 400, 400.0 * (i % 2)) for i in range(10)}, 0, 10),  # half of all are more than by chance
         ({}, 0, 0),
     ],
 )
-def test_few_registrations_without_a_tag_on_the_map_are_no_proof(
+def test_few_registrations_that_no_tag_confirms_are_no_proof(
     places: dict[int, tuple[float, float]], tagged: int, kept: int
 ) -> None:
     frames = flight(places, tagged=tagged)
@@ -80,11 +80,24 @@ def test_a_view_is_known_by_its_middle_and_not_by_the_camera() -> None:
     assert refuse_unproven(frames, BOUNDS) == []
 
 
-@pytest.mark.parametrize(("east", "kept"), [(555.0, 5), (565.0, 0)])
-def test_tags_count_up_to_a_picture_beyond_the_map(east: float, kept: int) -> None:
-    frames = flight(SCATTERED, tagged=20, tag=(east, 0.0))
+@pytest.mark.parametrize(("metres", "agreeing", "kept"), [(14.0, 3, 5), (14.0, 2, 0), (40.0, 5, 0)])
+def test_tags_with_which_half_of_the_registrations_agree_are_a_proof(metres: float, agreeing: int, kept: int) -> None:
+    """A tag has 5 m, and a registration of a camera 1 m here, so that they may lie 15 m apart."""
+    frames = flight(SCATTERED)
+    for number, (i, (x, y)) in enumerate(SCATTERED.items()):
+        frames[i].tag = np.array([x, y + (metres if number < agreeing else 200.0)])
+        frames[i].stages["registration"] = msgspec.structs.replace(frames[i].stages["registration"], camera=True)
     refuse_unproven(frames, BOUNDS)
     assert accepted(frames) == kept
+
+
+def test_the_tags_of_photos_that_are_not_registered_tell_nothing() -> None:
+    frames = flight({0: (0.0, 0.0)}, frames=8)
+    frames[0].tag = np.array([3.0, 4.0])
+    for located in frames[1:]:
+        located.tag = np.array([9000.0, 0.0])  # the drone was beyond the map
+    assert refuse_unproven(frames, BOUNDS) == []
+    assert accepted(frames) == 1
 
 
 def test_few_photos_an_accepted_sequence_and_a_correction_are_left() -> None:
