@@ -274,7 +274,9 @@ def print_summary(located: LocatedFlight, console: Console) -> None:
     for stage, summary in summaries.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
         shares = [_share(summary.within[m]) for m in sorted(summary.within)]
-        numbers = [f"{value:.1f}" if summary.answered else "-" for value in (summary.median, summary.p90, summary.p95)]
+        numbers = ["-"] * 3
+        if summary.answered:
+            numbers = [f"{summary.median:.1f}", upper_bound(summary.p90), upper_bound(summary.p95)]
         table.add_row(
             stage,
             "not verified" if stage == "retrieval" else f"{accepted}",

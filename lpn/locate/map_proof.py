@@ -2,9 +2,9 @@
 
 A photo of another place fits a map by chance now and then, most often where trees stand on both. On such maps up to two of nine
 photos did. So registrations that are not more than that prove nothing by their number. They prove something by their places if
-neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. They prove it, too, if half of
-them lie where their tags say. Photos of one view, such as those of a drone that hovers, fit by one and the same chance, so they count
-once.
+neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. Tags prove the map only if
+half of the registrations lie where their tags say: tags that merely lie on it let false registrations pass. Photos of one view,
+such as those of a drone that hovers, fit by one and the same chance, so they count once.
 """
 
 from __future__ import annotations

@@ -67,6 +67,14 @@ def test_the_radius_of_the_middle_has_the_error_of_the_map() -> None:
     assert with_map_error(answer, 0.4, 0.0).middle_radius == pytest.approx(0.5)
 
 
+def test_the_percentiles_of_errors_are_bounds_and_so_rounded_up() -> None:
+    photos = {f"{i}": photo(f"{i}.jpg", (0.0, 999.0 - 0.101 * i)) for i in range(21)}
+    print_summary(flight(**photos), Console(file=(written := io.StringIO()), width=140))
+    (row,) = (line for line in written.getvalue().splitlines() if "registration" in line and "│" in line)
+    # Errors are 1 m and more, in steps of 0.101 m: 2.01 m, 2.818 m, and 2.919 m.
+    assert [cell.strip() for cell in row.split("│")[3:6]] == ["2.0", "2.9", "3.0"]
+
+
 def test_without_a_truth_no_share_is_told() -> None:
     print_summary(flight(a=photo("a.jpg", None)), Console(file=(written := io.StringIO()), width=140))
     (row,) = (line for line in written.getvalue().splitlines() if "registration" in line)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from lpn.cli.locate import print_summary, unverified_sentence
+from lpn.cli.main import main
 from lpn.core.consoles import wide_console
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
@@ -818,7 +819,6 @@ def test_a_cut_is_north_up_and_shows_its_share() -> None:
 def test_the_commands_write_a_track_and_measures(
     town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lpn.cli.main import main
     from lpn.flights import write_flight
 
     write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
@@ -883,6 +883,22 @@ def test_the_best_guesses_of_a_track_are_counted() -> None:
     assert not unverified_sentence(track[1:])
 
 
+def test_the_command_says_beside_the_track_how_many_points_are_guesses(
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    located = locate(town, flight, None, SIFT)
+    located.frames[0].stages = {"retrieval": StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)}
+    monkeypatch.setattr("lpn.cli.locate.locate_files", lambda *_: located)
+    track = tmp_path / "track.geojson"
+    assert main(["locate", "--map", "town", "--flight", "monday", "--best", "--out", str(track)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert (
+        "track.geojson. 1 of its 4 points is a best guess: it has a coordinate, but nothing has verified it" in printed
+    )
+    features = json.loads(track.read_text())["features"]
+    assert [entry["properties"]["frame"] for entry in features] == [frame.name for frame in flight.frames]
+
+
 def test_a_kind_reaches_each_model(
     town: Map,
     flight: Flight,
@@ -892,7 +908,6 @@ def test_a_kind_reaches_each_model(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     import lpn
-    from lpn.cli.main import main
     from lpn.flights import write_flight
 
     kinds = []
@@ -927,7 +942,6 @@ def test_a_kind_reaches_each_model(
 def test_a_flight_is_evaluated_by_its_tags(
     town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from lpn.cli.main import main
     from lpn.flights import write_flight
 
     write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
