@@ -70,7 +70,7 @@ class ClientViews:
     ) -> None:
         self._client, self._change = client, change
         self._workspace = workspace = services.workspace
-        self.sequence, self._small = 0, False
+        self.sequence, self._small = 0, True
         self.set_theme(state())
         self.panels = Panels(client, workspace, services.feeds, services.weight_figures, state(), change)
         self.viewport = viewport = Viewport()

@@ -50,6 +50,7 @@ class Panels:
                 self.parts = PartsPanel(client, workspace, figures, self.controls, change)
         left.dock_left()
         left.set_width(_LEFT)
+        left.minimize()  # until the page says that it was left open; what is folded is not built
         gui.set_panel_label("LPN Explorer")
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_RIGHT)

@@ -55,6 +55,9 @@ def open_server(
     # Otherwise any page could open a public tunnel to this machine.
     server.request_share_url = _refuse_share  # type: ignore[method-assign]
     server.scene.world_axes.visible = False
+    # Pictures and lines need no light. The page would hide its stage until it has decoded its map of light, and then fade it in.
+    server.scene.configure_environment_map(None)
+    server.scene.configure_default_lights(cast_shadow=False)
     return server, gateway
 
 

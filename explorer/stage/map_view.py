@@ -215,9 +215,13 @@ class GalleryMap:
         if not has_city:
             self._ground.show(self._workspace.mosaic(analysis.task))
         if has_city and model is not None:
-            self._city = self._city or self._scene.add_glb(
-                "/map/city", model.data, wxyz=_Z_UP, cast_shadow=False, receive_shadow=False
-            )
+            if self._city is None:
+                self._scene.configure_environment_map(
+                    "city"
+                )  # it lights the walls that the default lights do not reach
+                self._city = self._scene.add_glb(
+                    "/map/city", model.data, wxyz=_Z_UP, cast_shadow=False, receive_shadow=False
+                )
             self._city.scale = self._scale
             self._city.position = self._to_stage(geo.on_plane([model.origin], places.origin)[0], 0.0)
         if self._city is not None:

@@ -169,7 +169,6 @@ class Stage:
         self._on_photo, self._photo, self._flips = on_photo, dict[str, object](), 0
         self._n = workspace.contract.n_parts
         scene = client.scene
-        scene.configure_default_lights(cast_shadow=False)
         self._query = StagePicture(client, "query", self._n)
         self._tile = StagePicture(client, "tile", self._n)
         self._links: viser.LineSegmentsHandle = scene.add_line_segments(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -18,6 +19,27 @@ AT_REST = """() => {
   window.before = now;
   return before === now;
 }"""
+
+# Count what the stage draws from the page's beginning on, and note whether the panel of the query was ever unfolded.
+COUNT = """
+window.drawn = 0;
+window.unfolded = false;
+for (const name of ["drawElements", "drawArrays"]) {
+  const draw = WebGL2RenderingContext.prototype[name];
+  WebGL2RenderingContext.prototype[name] = function (...all) {
+    if (this.canvas.dataset.engine && this.canvas.getBoundingClientRect().width > 300) window.drawn++;
+    return draw.apply(this, all);
+  };
+}
+new MutationObserver(() => {
+  if (document.body?.textContent.includes("Find name")) window.unfolded = true;
+}).observe(document, {childList: true, subtree: true});
+"""
+# Sizes and places of the stage, and of the controls over it.
+LAID = """() => ["canvas[data-engine]", "#lpn-hud"].map(one => {
+  const box = document.querySelector(one).getBoundingClientRect();
+  return [box.left, box.top, box.width, box.height].map(Math.round);
+})"""
 
 
 @pytest.fixture
@@ -38,6 +60,50 @@ def test_save_waits_visibly_until_the_answer_is_saved(app: RunningApp, fresh: Pa
         assert save.evaluate("(button) => { button.click(); return button.classList.contains('waiting'); }")
         assert save.evaluate("(button) => getComputedStyle(button, '::before').animationName") != "none"
     assert download.value.suggested_filename == "0007.html"
+
+
+@pytest.mark.slow
+def test_the_stage_is_drawn_only_while_it_is_seen(app: RunningApp, fresh: Page) -> None:
+    first = fresh.locator("#lpn-first")
+    fresh.add_init_script(COUNT)
+    fresh.goto(app.url)
+    expect(first.locator(".sentence")).to_be_visible()
+
+    def drawn(milliseconds: int) -> int:
+        before = fresh.evaluate("drawn")
+        fresh.wait_for_timeout(milliseconds)
+        return int(fresh.evaluate("drawn")) - int(before)
+
+    assert drawn(2500) == 0  # viser draws each second what is in sight
+    first.locator("[data-act=all]").click()
+    expect(first).to_have_count(0)
+    fresh.wait_for_function("() => drawn > 40")  # the pictures of the stage
+    stage, controls = fresh.evaluate(LAID)
+    assert stage == controls
+    assert stage[0] >= 0
+    fresh.locator("a", has_text="Start").first.click()
+    expect(first.locator(".sentence")).to_be_visible()
+    fresh.wait_for_timeout(1000)
+    assert drawn(2500) == 0
+
+
+@pytest.mark.slow
+def test_the_workbench_opens_at_its_final_size_with_the_left_panel_folded(app: RunningApp, fresh: Page) -> None:
+    sent: list[str] = []
+    heard = re.compile(rb'"kind":"(hello|viewport)".*?"(?:viewport|value)":\[(\d+),(\d+)\]')
+
+    def note(payload: bytes | str) -> None:
+        text = payload if isinstance(payload, bytes) else payload.encode()
+        sent.extend(f"{int(width)} x {int(height)}" for _, width, height in heard.findall(text))
+
+    fresh.on("websocket", lambda socket: socket.on("framesent", note))
+    fresh.add_init_script(COUNT)
+    fresh.goto(f"{app.url}/?screen=all")
+    expect(fresh.locator("#lpn-status")).not_to_have_attribute("data-seq", "0")
+    fresh.wait_for_timeout(2500)
+    stage, _ = fresh.evaluate(LAID)
+    assert set(sent) == {f"{stage[2]} x {stage[3]}"}
+    assert not fresh.evaluate("unfolded")
 
 
 @pytest.mark.slow

@@ -52,6 +52,7 @@ TRUE = {
     "cameraControl.mouseButtons": "'left' in lpn.viser.cameraControls().mouseButtons",
     "cameraControl.touches": "'one' in lpn.viser.cameraControls().touches",
     "__viserMutable.sendCamera": "typeof window.__viserMutable.sendCamera === 'function'",
+    "__viserMutable.requestRender": "typeof window.__viserMutable.requestRender === 'function'",
     "__viserSceneTree": "lpn.viser.axes().length === 4",
     "label of a control": "lpn.viser.field(lpn.bridge) instanceof HTMLInputElement",
     "opacity of the shade": "lpn.viser.shaded() === false",

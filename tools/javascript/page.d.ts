@@ -84,6 +84,7 @@ interface Lpn {
     camera(): any;
     cameraControls(): any;
     sendCamera(): void;
+    draw(): void;
     axes(): number[] | undefined;
     shaded(): boolean | null;
   };

@@ -19,6 +19,7 @@
     // A class, as `:has` on the root is looked at again with each change of the page.
     document.documentElement.classList.remove("lpn-starts");
     document.querySelector(SELECTORS.app)?.removeAttribute("inert");
+    lpn.placeStage(); // it was out of sight
   };
   lpn.leaveFirst = close;
 

@@ -16,6 +16,7 @@
     if (!held) hud.innerHTML = html;
     else late = html;
     hud.hidden = !html;
+    document.documentElement.classList.add("lpn-staged");
     lpn.placeStage();
     link(linked);
   };

@@ -142,10 +142,10 @@
     const height = entry.target.getBoundingClientRect().height;
     document.documentElement.style.setProperty("--lpn-sheet", height + "px");
   });
-  // Width and height of the stage in pixels; null while there is none.
+  // Width and height of the stage in pixels; null while there is none. The canvas itself takes a new size some frames later.
   lpn.stageSize = () => {
-    const canvas = lpn.canvas();
-    return canvas?.clientWidth && canvas.clientHeight ? [canvas.clientWidth, canvas.clientHeight] : null;
+    const room = lpn.canvas()?.parentElement;
+    return room?.clientWidth && room.clientHeight ? [room.clientWidth, room.clientHeight] : null;
   };
   let sizing = 0;
   const stage = new ResizeObserver(() => {
@@ -158,9 +158,12 @@
       lpn.viser.sendCamera();
     }, 250);
   });
+  // viser draws no frame of a stage that is out of sight, and draws the next one a second after it has come into sight.
+  const sight = new IntersectionObserver((seen) => seen.at(-1)?.isIntersecting && lpn.viser.draw());
   lpn.watch = () => {
     const canvas = lpn.canvas();
     if (canvas) stage.observe(canvas);
+    if (canvas) sight.observe(canvas);
     canvas?.setAttribute("role", "img");
     canvas?.setAttribute("aria-label", "Stage: the query, the compared tile, and the ranked tiles");
     canvas?.closest(SELECTORS.stageFrame)?.classList.add("lpn-stage");

@@ -94,6 +94,8 @@
     camera: () => window.__viserMutable?.camera,
     cameraControls: () => window.__viserMutable?.cameraControl,
     sendCamera: () => window.__viserMutable?.sendCamera?.(),
+    // Have viser draw the stage's next frames.
+    draw: () => window.__viserMutable?.requestRender?.(),
     // The quaternion (w, x, y, z) from the server's axes to those of the page; nothing before viser has it.
     axes: () => window.__viserSceneTree?.getState()[""]?.wxyz,
     // True if viser shades its panels; null while they are not in the page.

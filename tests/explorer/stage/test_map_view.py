@@ -66,6 +66,23 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Wor
     return opened
 
 
+def test_the_light_of_a_city_is_sent_with_the_city(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    geometry = workspace.tasks[TASK].geometry
+    assert geometry is not None
+    monkeypatch.setattr(workspace, "city", SimpleNamespace(data=b"", origin=geometry.origin, top=20.0))
+    lights: list[str] = []
+    scene: Any = Scene()
+    scene.configure_environment_map = lights.append
+    scene.add_glb = lambda *_, **__: SimpleNamespace(visible=True)
+    shown = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
+    sent = []
+    for city in (False, True, True):
+        analysis = StateAnalyser(workspace).analyse(SessionState(TASK, 4, map=True, city=city), 6)
+        shown.show(analysis, Lettering(24, 100.0))
+        sent.append(list(lights))
+    assert sent == [[], ["city"], ["city"]]
+
+
 @pytest.mark.parametrize(("far", "lines"), [(0.0, 5), (1.0, 0)])
 def test_the_tag_of_one_s_own_picture_is_marked_and_joined_with_the_tile_if_it_is_near(
     workspace: Workspace, far: float, lines: int

@@ -41,6 +41,12 @@ def test_a_position_is_sent_although_the_page_reports_it_while_another_is_under_
     assert framed(1200, 600, wide) == pytest.approx(wide)
 
 
+def test_a_page_is_told_before_its_stage_that_it_needs_no_light(page: WebSocketClient) -> None:
+    for kind in ("EnvironmentMapMessage", "EnableLightsMessage"):
+        assert page.kinds.index(kind) < page.kinds.index("ImageMessage")
+    assert page.kinds.count("EnableLightsMessage") == 1
+
+
 def test_a_turn_around_the_pulled_rings_ends_with_them(page: WebSocketClient) -> None:
     page.tell("back", "?apart=1")
     page.wait(lambda: "apart=1" in (page.link or ""))
