@@ -27,7 +27,7 @@ from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
-from tools.fixtures.chromium import RETURNING, launch
+from tools.fixtures.chromium import RETURNING, SHORT_LIVED, launch
 from tools.fixtures.processes import free_port
 from tools.fixtures.published_results import save_result
 
@@ -210,7 +210,7 @@ def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[RunningApp]:
 def browser() -> Iterator[Browser]:
     """Headless Chromium: the system's where there is one, else playwright's own."""
     with sync_playwright() as playwright:
-        launched = launch(playwright)
+        launched = launch(playwright, SHORT_LIVED)
         yield launched
         launched.close()
 

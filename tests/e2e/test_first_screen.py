@@ -314,6 +314,8 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     expect(close).to_be_in_viewport(ratio=1)
     close.tap()
     first.get_by_text("Where it fails").tap()
+    # The page that a tap leaves has a button of that name too, which opens the table and not the charts.
+    expect(first.locator(".walk")).to_contain_text("1 of ")
     first.get_by_text("All pictures in a table").tap()
     expect(page.locator("#lpn-lab-breakdown [tabindex]").first).to_be_in_viewport(ratio=1)
     expect(page.locator(".lab-bar")).to_be_in_viewport(ratio=0.99)

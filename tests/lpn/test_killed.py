@@ -25,7 +25,7 @@ from lpn import descriptors, index
 from lpn.core.errors import DataError, StoreError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from tools.fixtures import saves, small_worlds
+from tools.fixtures import saves, small_models, small_worlds
 from tools.fixtures.killed_commands import Killer
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="SIGKILL is POSIX's")
@@ -55,6 +55,14 @@ class Command:
 @pytest.fixture(scope="module")
 def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return small_worlds.make_dataset(tmp_path_factory.mktemp("few") / "places", train=4, test=4)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A model that opens in milliseconds, for commands that are run a hundred times."""
+    file = tmp_path_factory.mktemp("tiny") / "model.onnx"
+    file.write_bytes(small_models.onnx_file(sealed=True))
+    return file
 
 
 @pytest.fixture
@@ -92,7 +100,7 @@ def opened(file: Path) -> bytes | None:
     return model.descriptors(np.ones((1, 3, *model.input_size), np.float32), model.views[0]).tobytes()
 
 
-def test_describe(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
+def test_describe(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
 
     def whole() -> object:
@@ -105,7 +113,7 @@ def test_describe(model_file: Path, places: Path, tmp_path: Path, killer: Killer
         assert not store.manifest.damaged
         return np.array(store.descriptors).round(5).tobytes(), store.manifest.rows
 
-    arguments = ["describe", "--model", str(model_file), "--images", str(places), "--view", "drone", "--out", str(out)]
+    arguments = ["describe", "--model", str(tiny), "--images", str(places), "--view", "drone", "--out", str(out)]
     survives(Command(arguments, whole, whole), killer, out)
 
 
@@ -123,11 +131,11 @@ def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer
     survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, FEW)
 
 
-def test_index(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
+def test_index(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
     store = tmp_path / "store"
     files = descriptors.pictures_below(places)
-    made = descriptors.describe(lpn.load(model_file), files, "drone", store, root=places)
+    made = descriptors.describe(lpn.load(tiny), files, "drone", store, root=places)
     query = np.array(made.descriptors[3])
 
     def found() -> object:
@@ -244,7 +252,7 @@ def test_a_flight_over_a_world(tmp_path: Path, killer: Killer) -> None:
 
 @pytest.mark.slow
 def test_a_store_read_while_it_is_written_is_none_or_whole(
-    model_file: Path, places: Path, tmp_path: Path, killer: Killer
+    tiny: Path, places: Path, tmp_path: Path, killer: Killer
 ) -> None:
     """Every step on the disk of describing a second time, with one picture more, in turn."""
     out = tmp_path / "out"
@@ -252,7 +260,7 @@ def test_a_store_read_while_it_is_written_is_none_or_whole(
     arguments = [
         "describe",
         "--model",
-        str(model_file),
+        str(tiny),
         "--images",
         str(pictures),
         "--view",

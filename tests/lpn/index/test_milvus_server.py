@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import get_args
@@ -24,9 +24,19 @@ from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `mak
     test_every_index_refuses_what_it_cannot_keep,
     test_names_of_all_kinds_come_back,
 )
-from tools.fixtures.milvus_server import MilvusServer, indexed
+from tools.fixtures.milvus_server import MilvusServer, indexed, milvus_python
 
 pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[MilvusServer]:
+    """A running Milvus server that demands passwords; skips where LPN_MILVUS_PYTHON is not set.
+
+    It ends with this file: a server that has nothing to do takes a tenth of a core.
+    """
+    with MilvusServer(milvus_python(), tmp_path_factory.mktemp("milvus") / "server", passwords=True) as running:
+        yield running
 
 
 @pytest.fixture
