@@ -17,7 +17,7 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, Belief, Disagreement, on_what
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, TILT, Belief, Disagreement, on_what
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
@@ -40,8 +40,8 @@ UNCHECKED = (
     "Their details place these photos. Beside the middle, too few places were found on the map to check that all of a photo "
     "fits."
 )
-# Legs of a flight whose shift is told, at most, and the degrees of an unknown tilt whose effect is told.
-_MOST_LEGS, _TILT = 8, 15
+# Legs of a flight whose shift is told, at most.
+_MOST_LEGS = 8
 _METHODS = {
     "retrieval": "the most similar piece of the map",
     "sequence": "the path of the flight through such pieces",
@@ -108,20 +108,21 @@ def contradiction(view: FlightView, one: Disagreement) -> str:
     measured = None if answer is None else answer.agreement
     if one.other != "map" or answer is None or measured is None or measured.largest is None:
         return one.told(view.beliefs[one.frame])
-    beyond = int((measured.metres > one.allowed).sum())
     text = (
-        f"Beside its middle, {beyond} of {len(measured.rows)} places of the photo lie too far from where the map has them: "
-        f"{one.metres:.1f} m in the median, {measured.largest:.1f} m at the farthest, {_farthest(measured)}. Up to "
-        f"{one.allowed:.1f} m is allowed, as far as its middle may be off on this map{_times(answer)}. Uneven "
+        f"Beside its middle, {len(measured.rows)} places of the photo lie {one.metres:.1f} m in the median from where the map "
+        f"has them, and {measured.largest:.1f} m at the farthest, {_farthest(measured)}. {_allowed_median(answer)} Uneven "
         "ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
     )
-    if answer.on_earth:
+    if answer.on_earth and not plain():
         text += f" Its place is {told_reach(answer)}, where the map's own error moves all of the photo alike."
     return text
 
 
-def _times(answer: StageRecord) -> str:
-    return "" if plain() else f", three times ± {answer.radius_on_map or 0:.1f} m"
+def _allowed_median(answer: StageRecord) -> str:
+    """Say how far places beside the middle of a photo may lie off in the median."""
+    radius = answer.radius_on_map or 0.0
+    times = "" if plain() else f", three times ± {radius:.1f} m"
+    return f"The median may be up to {SIGMAS * radius:.1f} m, as far as the middle may be off on this map{times}."
 
 
 def _truth(located: LocatedFrame) -> str:
@@ -145,8 +146,7 @@ def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
         return text
     if any((one.frame, one.other) == (frame, "map") for one in view.contradictions):
         return f"? {text}"
-    allowed = f"{upper_bound(SIGMAS * answer.radius_on_map)} m"
-    return f"\u2713 {text} Up to {allowed} is allowed, as far as its middle may be off on this map{_times(answer)}."
+    return f"\u2713 {text} {_allowed_median(answer)}"
 
 
 def _farthest(measured: MapAgreement) -> str:
@@ -197,8 +197,7 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
 
 
 def _allowed(against: Sequence[Disagreement], other: str) -> str:
-    usual = "usual" if other == "map" else "allowed"
-    return next((f" where {one.allowed:.1f} m are {usual}" for one in against if one.other == other), "")
+    return next((f" where {one.allowed:.1f} m are allowed" for one in against if one.other == other), "")
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
@@ -267,7 +266,7 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         if known.place_error is not None:
             on_earth = f"within {upper_bound(reach(known.radius))} m on earth"
             on_earth += ", as far as the tags of the map do not all err alike" if known.map_source else ""
-        return f"99 of 100 photos should lie within {on_map} m on this map; {on_earth}.{checks}", lines
+        return f"A typical photo should lie within {on_map} m on this map; {on_earth}.{checks}", lines
     return f"{lines[0].figure} on this map ({SIGMA}); {on_earth}.{checks}", lines
 
 
@@ -373,7 +372,9 @@ def _shift(errors: TagOffsets) -> AccuracyLine:
     proven = [axis for axis, mean in offsets.means.items() if mean.systematic]
     text = f"On average the places lie {means} of their GPS tags{known}."
     if proven:
-        text += f" To the {' and '.join(proven)} that is more than chance explains, so a steady shift of map or tags is likely."
+        sides = {"east": ("east", "west"), "north": ("north", "south")}
+        told = (sides[axis][offsets.means[axis].mean < 0] for axis in proven)
+        text += f" To the {' and the '.join(told)} that is more than chance explains, so a steady shift of map or tags is likely."
     elif east.enough and north.enough:
         text += " Chance explains as much, so no steady shift to one side is shown."
     else:
@@ -437,8 +438,8 @@ def _camera_and_ground(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Acc
         for one, answer in middles
     ]
     height = float(np.median(high))
-    moved = height * math.tan(math.radians(_TILT))
-    source = f"from a height of {height:.0f} m, an unknown tilt of {_TILT}° moves the middle by {moved:.1f} m"
+    moved = height * math.tan(math.radians(TILT))
+    source = f"from a height of {height:.0f} m, an unknown tilt of {TILT:.0f}° moves the middle by {moved:.1f} m"
     if not apart:
         return AccuracyLine("Camera and ground", "", f"{text}: {source}.")
     few = f"In the {len(apart)} photos whose details" if len(apart) > 1 else "In the one photo whose details"

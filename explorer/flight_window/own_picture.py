@@ -63,7 +63,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
         sign=sign,
         headline=headline,
         sentence=with_radius(sentence, answer, workspace),
-        holds=holds(answer, workspace) if words.plain() else "",
+        holds=holds(answer, workspace, sign is None) if words.plain() else "",
         next_step=answer_text.next_step(analysis, workspace),
         comparing="" if job is None else answer_text.comparing(job),
         at=None if place is None else describe_offset(*place) if flight.rendered else MapCoordinate.on(basemap, place),

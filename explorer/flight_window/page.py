@@ -13,6 +13,7 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.flight_window import flight_text
 from explorer.flight_window.pictures import Pyramid, ground_window
 from explorer.flight_window.service import FlightView
+from explorer.panels import answer_text
 from explorer.panels.radius_text import reach
 from explorer.web.coordinates import MapCoordinate, describe_point
 from explorer.web.render import call, render, run
@@ -23,6 +24,7 @@ from lpn.core.homography import apply_homography
 from lpn.drawing import overlays, score_map, theme
 from lpn.drawing.words import plain, say
 from lpn.locate.agreement import MapAgreement
+from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.summary import NOT_CHECKED, PLACED, describe_flight, is_unchecked
 from lpn.maps import Window
@@ -178,6 +180,7 @@ def card(
         name=printable(located.frame.name),
         address=address,
         verdict=verdict,
+        headline=_headline(verdict, located),
         colour=_verdict_colour(verdict.sign),
         reason=flight_text.reason(view, frame),
         refusals=flight_text.refusals(located),
@@ -193,6 +196,11 @@ def card(
         look_right=retrieval_right if stage in PLACED else None,
         judge=view.flight.judge,
     )
+
+
+def _headline(verdict: Belief, located: LocatedFrame) -> str:
+    text = verdict.summary if plain() else verdict.headline
+    return answer_text.checked(text, located, verdict.sign) if verdict.stage == "registration" else text
 
 
 def _share_on_map(view: FlightView, ground: Window) -> float:

@@ -131,7 +131,7 @@ def answer_lines(
         query="Your picture" if own else f"A picture {_FROM[task.query_view]}",
         answer=answer,
         verdict=(right, told(headline), told(sentence)),
-        radius=holds(registered, workspace),
+        radius=holds(registered, workspace, right is None),
         by_look=None if concluded is None else looked,
         comparing="" if job is None else answer_text.comparing(job),
         waits=job is not None and job.value is None and job.error is None,

@@ -15,12 +15,12 @@ from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, Belief, belief, disagreements, on_what
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
+from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
-from lpn.locate.summary import other_map
+from lpn.locate.summary import is_unchecked, other_map
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.maps.tag_placed import placing_sentence
@@ -198,10 +198,10 @@ def flight_verdict(
     verdict = belief(located)
     told = verdict.summary if words.plain() else verdict.headline
     if registration is not None and verdict.stage == "registration":
-        if right is not None and verdict.sign is None and workspace.flight.judge == "its details":
+        if look[0] is not None and verdict.sign is None and workspace.flight.judge == "its details":
             look = None, f"{'Right' if right else 'Wrong'} by its look, if its details are right", sentence
         beside = _beside_look(analysis, look[0])
-        return look, (verdict.sign, _checked(told, verdict, registration), " ".join(filter(None, (elsewhere, beside))))
+        return look, (verdict.sign, checked(told, located, verdict.sign), " ".join(filter(None, (elsewhere, beside))))
     nowhere = "Its details fit nowhere well enough." if registered else ""
     headline = _OTHER_MAP if elsewhere else told
     return look, (verdict.sign, headline, " ".join(filter(None, (elsewhere, nowhere))))
@@ -216,10 +216,9 @@ def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
     return f"The model's own guess, by its look alone, was wrong{away}."
 
 
-def _checked(headline: str, verdict: Belief, answer: StageRecord) -> str:
-    """Return the headline of a registration, with a word if too few places beside its middle were found to check it."""
-    unchecked = verdict.sign and answer.agreement is not None and answer.agreement.unchecked
-    return f"{headline}, not checked beside its middle" if unchecked else headline
+def checked(headline: str, located: LocatedFrame, sign: bool | None) -> str:
+    """Return the headline of an undoubted registration, with a word if too few places beside its middle could be checked."""
+    return f"{headline}, not checked beside its middle" if sign and is_unchecked(located) else headline
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
@@ -282,7 +281,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
-    against, headline = "", _checked("On this map", concluded, answer)
+    against, headline = "", checked("On this map", own.located, concluded.sign)
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     doubts = [unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")]
     if against_tag:
@@ -532,7 +531,7 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
         return f"{look}."
     count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
     look += f"; their details placed {count}"
-    doubted, unchecked = len(set().union(*_doubted(workspace))), sum(_unchecked(located) for located in placed)
+    doubted, unchecked = len(set().union(*_doubted(workspace))), sum(map(is_unchecked, placed))
     kinds = [
         f"{many} {of}" for many, of in ((doubted, "in doubt"), (unchecked, "not checked beside their middle")) if many
     ]
@@ -543,11 +542,6 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
         return f"{look}, at most {upper_bound(max(errors))} m from {judge}."
     elsewhere, _ = trials(workspace)
     return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
-
-
-def _unchecked(located: LocatedFrame) -> bool:
-    answer = located.stages["registration"]
-    return answer.agreement is not None and bool(answer.agreement.unchecked)
 
 
 def doubts(workspace: Workspace) -> str:

@@ -42,16 +42,17 @@ def told_reach(answer: StageRecord) -> str:
     return f"± {answer.radius:.1f} m {on_what(answer)}"
 
 
-def holds(answer: StageRecord | None, workspace: Workspace) -> str:
+def holds(answer: StageRecord | None, workspace: Workspace, doubted: bool = False) -> str:
     """Say how exact an accepted answer should be, and if a check confirms it, as HTML; "" without one.
 
-    In plain words that is one distance within which nearly all places should lie, which is three radii.
+    In plain words that is one distance within which nearly all places should lie, which is three radii; of a doubted place they
+    tell none, unless nobody knows it of any.
     """
     if answer is None or answer.radius is None or not answer.accepted:
         return ""
     confirmed = _confirmed(workspace)
     if plain():
-        return _nearly_all(answer, workspace, confirmed)
+        return "" if doubted and confirmed is not False else _nearly_all(answer, workspace, confirmed)
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     text = (
         f"± {answer.radius:.1f} m should hold for {first:.0f} of 100 photos, and {error_figure(2 * answer.radius)} m for "
@@ -66,14 +67,16 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | Non
     where = Markup("{} of the true place {}").format(limit, on_what(answer))
     of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[3])
     if confirmed is None:
-        return Markup("<strong>It should lie within {}</strong>, as {} do; nothing here checks that.").format(where, of)
+        return Markup("<strong>It should lie within {}</strong>, as {} should; nothing here checks that.").format(
+            where, of
+        )
     assert workspace.flight is not None
     summary = workspace.flight.summaries()["registration"]
     near = f"{round(summary.calibration[3] / 100 * summary.answered)} of {summary.answered}"
     if confirmed:
-        return Markup("<strong>It should lie within {}</strong>, as {} do; {} here lie that near to their {}.").format(
-            where, of, near, _truths(workspace)
-        )
+        return Markup(
+            "<strong>It should lie within {}</strong>, as {} should; {} here lie that near to their {}."
+        ).format(where, of, near, _truths(workspace))
     off = "" if workspace.flight.rendered else ", which may be off, too"
     return Markup(
         "<strong>Nobody knows how exact that is:</strong> {} should lie within {}, but only {} here lie that near to their {}{}."

@@ -16,7 +16,7 @@ TAG_RADIUS = 5.0
 # Answers contradict each other beyond this multiple of their common 1-sigma radius.
 SIGMAS = 3.0
 # A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
-_TILT = 15.0
+TILT = 15.0
 # Answers in plain words.
 ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 # The answers that may contradict a registration, in words.
@@ -102,7 +102,7 @@ class Disagreement:
         if self.other == "map":
             return (
                 f"Away from its middle, the photo's places lie {self.metres:.1f} m from where the map has them, in the median, "
-                f"and {self.allowed:.1f} m are allowed. Uneven ground, the lens, or ground that has changed can do that, and "
+                f"which may be up to {self.allowed:.1f} m. Uneven ground, the lens, or ground that has changed can do that, and "
                 "its middle may still be right."
             )
         if verdict.sign:  # tag and details agree, and the neighbours alone differ
@@ -274,4 +274,4 @@ def _shift(located: LocatedFrame) -> float:
     answer = located.stages.get("registration")
     width = 0.0 if answer is None or answer.width is None else answer.width
     height = located.frame.flying_height or width / 2
-    return height * math.tan(math.radians(_TILT))
+    return height * math.tan(math.radians(TILT))

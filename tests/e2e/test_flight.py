@@ -367,8 +367,8 @@ def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over
     window.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     window.page.evaluate("lpn.copy()")
     expect(window.page.locator("#lpn-notice")).to_have_text(
-        "Link copied: it opens this photo and the map as you see it, with Swipe, on this computer only, as its address is "
-        "127.0.0.1."
+        "Link copied: it opens this photo, and the map, the methods, and the lists as you see them, with Swipe, on this computer "
+        "only, as its address is 127.0.0.1."
     )
     assert link in window.page.evaluate("navigator.clipboard.readText()")
     assert "look=" not in linked.evaluate("location.search")

@@ -111,6 +111,7 @@
     const times = data.times || data.names.map((_, i) => i), [low, high] = flight.range(times);
     data.span = { times, low, high };
     flight.data = data;
+    if (flight.timeline.plot === "height" && !flight.timeline.highs()) flight.timeline.plot = "error";
     // In plain words the map starts with one track, that of the method that places most photos.
     if (!switched) flight.hidden = new Set(data.plain ? Object.keys(data.tracks).filter((name) => ![data.main, "corrected"].includes(name)) : []);
     flight.map.replaced(before);
@@ -245,7 +246,8 @@
       });
     set("[data-part]", "part", flight.painted ? flight.painted.part : "off");
     set("[data-photo]", "photo", flight.photo.mode);
-    if (flight.data && !flight.timeline.highs()) all("[data-plot=height]").forEach((one) => (one.style.display = "none"));
+    const highs = !flight.data || flight.timeline.highs();
+    all("[data-plot=height]").forEach((one) => (one.style.display = highs ? "" : "none"));
     set("[data-plot]", "plot", flight.timeline.plot);
     set("[data-list]", "list", list);
     all("[data-act=more]").forEach((one) => {
