@@ -13,7 +13,7 @@
   let greeting = 0;
   let writing = 0; // the timer of the address that waits to be written
   let waiting = null; // that address, and whether it came unasked
-  let written = 0; // when one was written last
+  let written = 0; // when one that a person asked for was written last
   let ready = false;
   let begun = false; // a session of the server has begun, and has not answered yet
 
@@ -94,7 +94,7 @@
     clearTimeout(writing);
     const write = lpn.storyAddress() || (waiting.unasked || !isStep(waiting.search) ? "replaceState" : "pushState");
     history[write](history.state, "", location.pathname + waiting.search + location.hash);
-    written = performance.now();
+    if (!waiting.unasked) written = performance.now(); // a step that comes right after the page's first address is not lost
     waiting = null;
   };
   const stepsOf = (text) => STEPS.map((key) => new URLSearchParams(text).get(key)).join();
