@@ -22,7 +22,7 @@ from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
-from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, placed_errors, share_within
+from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, is_unchecked, placed_errors, share_within
 from lpn.locate.surveyed import AxisMean
 from lpn.locate.tag_errors import Leg, TagOffsets
 
@@ -308,7 +308,8 @@ def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
     metres = np.concatenate([one.metres for one in compared])
     reach = math.floor(10 * min(one.reach for one in compared)) / 10
     unfit = sum(one.other == "map" for one in view.contradictions)
-    unchecked = sum(bool(answer and answer.agreement and answer.agreement.unchecked) for answer in answers)
+    placed = zip(view.flight.frames, view.beliefs, strict=True)
+    unchecked = sum(one.stage == "registration" and bool(one.sign) and is_unchecked(located) for located, one in placed)
     source = (
         f"Median of {len(metres)} places of {len(compared)} photos that were found on the map one by one, "
         f"{upper_bound(metres.max())} m at most: what one transformation of a photo leaves, where the map or the ground is "

@@ -386,9 +386,9 @@ def spot_list(view: FlightView, frames: Sequence[int], place: tuple[float, float
         source = details if one is not None and one.registered else "by its tag and the camera's angles"
         entries.append((i, printable(view.flight.frames[i].frame.name), [source]))
     unknown = sum(one is None for one in view.outlines)
-    sentence = f"{len(frames)} of {len(view.outlines)} frames show {describe_point(view.flight, place)}."
+    sentence = f"{len(frames)} of {len(view.outlines)} photos show {describe_point(view.flight, place)}."
     if unknown:
-        sentence += f" The ground of {unknown} frames is unknown."
+        sentence += f" The ground of {unknown} photos is unknown."
     return _list(entries, sentence, "")
 
 

@@ -117,7 +117,7 @@ class LocateCommand:
                 f"{printable(frame.frame.name)}  {frame.sentence}", highlight=False, soft_wrap=True, markup=False
             )
         print_summary(located, console)
-        written = f"The track is in {printable(str(self.out))}. {unverified_sentence(track)}"
+        written = f"The track is in {printable(str(self.out))}. {unverified_sentence(track, self.out)}"
         console.print(written.rstrip(), soft_wrap=True, markup=False)
 
     def resume_hint(self) -> str:
@@ -233,17 +233,19 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
     )
 
 
-def unverified_sentence(track: Sequence[TrackPoint]) -> str:
-    """Say how many points have a coordinate that nothing has verified; "" if none."""
+def unverified_sentence(track: Sequence[TrackPoint], file: Path) -> str:
+    """Say how many points of a file have a coordinate that nothing has verified; "" if none. GPX leaves out what is refused."""
+    if file.suffix.lower() == ".gpx":
+        track = [point for point in track if point.state != "refused" and point.latitude is not None]
     guesses = sum(point.state == "not verified" and point.latitude is not None for point in track)
     if not guesses:
         return ""
-    are = "are best guesses" if guesses > 1 else "is a best guess"
-    have, their = ("have", "their state is") if guesses > 1 else ("has", "its state is")
-    return (
-        f"{guesses} of its {len(track)} points {are}: {'they' if guesses > 1 else 'it'} {have} a coordinate, but nothing has "
-        f"verified it, and {their} 'not verified'."
-    )
+    of = f"{guesses} of its {len(track)} point{'s' if len(track) > 1 else ''}"
+    if guesses == 1:
+        return (
+            f"{of} is a best guess: it has a coordinate, but nothing has verified it, and its state is 'not verified'."
+        )
+    return f"{of} are best guesses: they have a coordinate, but nothing has verified it, and their state is 'not verified'."
 
 
 def print_summary(located: LocatedFlight, console: Console) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -19,7 +20,7 @@ import msgspec
 
 from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, OutputError
-from lpn.core.files import json_bytes, printable, write_together
+from lpn.core.files import first_few, json_bytes, printable, write_together
 from lpn.core.formats import decode_json, format_of
 from lpn.datasets.base import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
@@ -114,9 +115,8 @@ def read_flight(folder: Path) -> Flight:
     if columns not in _TABLES:
         raise DataError(f"The first line of {folder / TABLE} is not {','.join(_COLUMNS)}; write the flight again.")
     frames = tuple(_frame(values, columns, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
-    names = {frame.name for frame in frames}
-    if len(names) < len(frames):
-        raise DataError(f"{folder / TABLE} names {len(frames) - len(names)} photos twice; names are unique.")
+    if twice := [name for name, times in Counter(frame.name for frame in frames).items() if times > 1]:
+        raise DataError(f"{folder / TABLE} names {first_few(twice, 3)} twice; names are unique.")
     return Flight(header.name, frames, tuple(header.notes), header.utc)
 
 

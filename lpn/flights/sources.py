@@ -149,8 +149,9 @@ def read_any_log(file: Path) -> Log:
     """Read a log of any kind: a table, a track, a log of an autopilot, or a bag.
 
     Raises:
-        DataError: if it is damaged, or of no kind that is read.
+        DataError: if it is damaged, of no kind that is read, or a track that lpn locate wrote.
     """
+    _refuse_own_tracks([file])
     suffix = file.suffix.lower()
     if file.is_dir() or suffix in vehicle_logs.SUFFIXES:
         return vehicle_logs.read_vehicle_log(file)

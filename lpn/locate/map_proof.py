@@ -58,7 +58,8 @@ def refuse_unproven(
     else:
         shown = "one view" if len(views) == 1 else f"{len(views)} views"
         few = f"The {count} of {total} photos that fit this map show {shown}, as by chance"
-    sentence = f"{few} on a map of another place, and their GPS tags do not confirm it"
+    confirms = "their GPS tags do not" if any(located.tag is not None for located in registered) else "no GPS tags"
+    sentence = f"{few} on a map of another place, and {confirms} confirm it"
     for located in registered:
         answer = located.stages["registration"]
         located.stages["registration"] = msgspec.structs.replace(

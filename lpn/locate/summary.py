@@ -89,7 +89,7 @@ def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagOffse
 
 def share_within(errors: TagOffsets) -> str:
     """Return the metres within which 95 % of the distances lie, in words with a comma before; "" of few distances."""
-    return f", 95 % of them within {upper_bound(errors.p95)} m" if errors.offsets.photos >= _FEWEST else ""
+    return f", 95 % of them within {upper_bound(errors.offsets.ce95)} m" if errors.offsets.photos >= _FEWEST else ""
 
 
 def other_map(flight: LocatedFlight) -> str:

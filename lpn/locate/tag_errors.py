@@ -14,9 +14,9 @@ from lpn.locate.surveyed import SurveyedErrors, summarise_offsets
 
 # Degrees from the direction of a leg within which the next photo belongs to it.
 _TURN = 45.0
-# Metres between the neighbours of a photo below which it has no direction: the drone hovers.
-_STANDS = 1.0
-# Photos of a leg whose mean is told, at least.
+# Metres between photos below which they are at one place: GPS tags scatter by as much while a drone hovers.
+_STRAYS = 3.0
+# Photos of a leg whose mean is told, and places at which they were taken, at least.
 _FEW = 3
 
 
@@ -44,21 +44,19 @@ class Leg:
 
 @dataclass(frozen=True)
 class TagOffsets:
-    """Places minus tags, or minus the corrections by hand where there are some.
+    """Places minus tags.
 
     Attributes:
         offsets: of all photos that have both.
-        p95: metres within which 95 % of the distances lie (`numpy.quantile`).
         legs: of the flight, those with 3 such photos at least, in its order.
     """
 
     offsets: SurveyedErrors
-    p95: float
     legs: Sequence[Leg]
 
 
 def tag_errors(frames: Sequence[LocatedFrame], answers: Sequence[StageRecord | None]) -> TagOffsets | None:
-    """Return the errors of a flight's places against `LocatedFrame.truth`; None if no photo has both.
+    """Return the errors of a flight's places against its GPS tags, whatever a person corrected; None if no photo has both.
 
     Args:
         frames: in the order of the flight.
@@ -66,45 +64,40 @@ def tag_errors(frames: Sequence[LocatedFrame], answers: Sequence[StageRecord | N
     """
     off = np.full((len(frames), 2), np.nan)
     for i, (located, answer) in enumerate(zip(frames, answers, strict=True)):
-        if answer is None or answer.x is None or answer.y is None:
-            continue
-        if (truth := located.truth(answer.camera)) is not None:
-            off[i] = answer.x - truth[0], answer.y - truth[1]
+        if answer is not None and answer.x is not None and answer.y is not None and located.tag is not None:
+            off[i] = answer.x - located.tag[0], answer.y - located.tag[1]
     known = off[~np.isnan(off[:, 0])]
     if not len(known):
         return None
-    return TagOffsets(
-        summarise_offsets(known, np.empty(0)),
-        float(np.quantile(np.linalg.norm(known, axis=1), 0.95)),
-        _legs(tag_positions(frames), off),
-    )
+    return TagOffsets(summarise_offsets(known, np.empty(0)), _legs(tag_positions(frames), off))
 
 
 def _legs(tags: Float64Array, off: Float64Array) -> list[Leg]:
     """Return the legs of a flight by its tags, (N, 2), with the means of `off`, (N, 2); both are NaN where not known."""
-    known = np.flatnonzero(~np.isnan(tags[:, 0]))
-    if len(known) < _FEW:
-        return []
-    at = tags[known]
-    ahead = np.concatenate([at[1:], at[-1:]]) - np.concatenate([at[:1], at[:-1]])
-    runs: list[tuple[list[int], Float64Array]] = []
-    goes_on = False
-    for frame, step in zip(known.tolist(), ahead, strict=True):
-        length = float(np.hypot(*step))
-        if length < _STANDS:
-            goes_on = False
-            continue
-        unit = step / length
-        if goes_on and unit @ runs[-1][1] >= math.cos(math.radians(_TURN)) * np.hypot(*runs[-1][1]):
-            runs[-1] = ([*runs[-1][0], frame], runs[-1][1] + unit)
+    # Photos nearer to each other than a drone strays while it hovers are at one place, as are those of a repeated tag.
+    places: list[list[int]] = []
+    for frame in np.flatnonzero(~np.isnan(tags[:, 0])).tolist():
+        if places and float(np.hypot(*(tags[frame] - tags[places[-1][0]]))) < _STRAYS:
+            places[-1].append(frame)
         else:
-            runs.append(([frame], unit))
-        goes_on = True
+            places.append([frame])
+    if len(places) < _FEW:
+        return []
+    at = tags[[frames[0] for frames in places]]
+    ahead = np.concatenate([at[1:], at[-1:]]) - np.concatenate([at[:1], at[:-1]])
+    runs: list[tuple[list[list[int]], Float64Array]] = []
+    for frames, step in zip(places, ahead, strict=True):
+        unit = step / max(float(np.hypot(*step)), 1e-9)
+        if runs and unit @ runs[-1][1] >= math.cos(math.radians(_TURN)) * np.hypot(*runs[-1][1]):
+            runs[-1] = ([*runs[-1][0], frames], runs[-1][1] + unit)
+        else:
+            runs.append(([frames], unit))
     legs = []
-    for photos, direction in runs:
+    for run, direction in runs:
+        photos = [frame for frames in run for frame in frames]
         own = off[photos]
         own = own[~np.isnan(own[:, 0])]
-        if len(own) >= _FEW:
+        if len(run) >= _FEW and len(own) >= _FEW:
             azimuth = math.degrees(math.atan2(*direction)) % 360
             legs.append(Leg(photos[0], photos[-1], azimuth, *own.mean(axis=0).tolist()))
     return legs

@@ -60,8 +60,8 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
     for count, where in ((beyond, "beyond the map's edge"), (empty, "over an empty part of the map")):
         if count:
             notes.append(
-                f"The drone was {where} by the GPS tags of {count} of {total} photos. These photos may still show ground on "
-                "the map."
+                f"By the GPS tags of {count} of {total} photos, the drone was {where}; a photo taken there may still show ground "
+                "on the map."
             )
     return tags, notes, None
 

@@ -301,7 +301,7 @@ def test_axe_finds_nothing_serious_in_the_flight_window_and_a_spot_lists_the_fra
     window.page.keyboard.up("Shift")
     listed = window.page.locator("#lpn-flight .listed")
     # Pictures are 60 m wide, and 45 m high.
-    expect(listed).to_contain_text("3 of 6 frames show")
+    expect(listed).to_contain_text("3 of 6 photos show")
     expect(listed.locator(".entry")).to_have_count(3)
     assert [one.get_attribute("data-frame") for one in listed.locator(".entry").all()] == ["3", "4", "5"]
 
@@ -446,7 +446,7 @@ def test_a_link_has_the_methods_the_plot_and_the_list_and_says_what_of_it_is_dam
     other.close()
     other = opened("&look=off,50,1.0,2.0,100.0,,error,spot,25.0,15.0")
     expect_choices(other, [], "error", "spot")
-    expect(other.locator(".listed")).to_contain_text("3 of 6 frames show")
+    expect(other.locator(".listed")).to_contain_text("3 of 6 photos show")
     assert other.evaluate("lpn.flight.link()").endswith(",,error,spot,25.0,15.0")
     assert not other.locator(notice).is_visible() or "Not all" not in other.locator(notice).inner_text()
     other.close()

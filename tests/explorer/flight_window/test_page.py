@@ -187,8 +187,8 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert "? Placed by its details, but away from its middle it does not fit the map" in card
     told = (
         "Beside its middle, 3 places of the photo lie 4.0 m in the median from where the map has them, and 8.2 m at the "
-        "farthest, at the upper left. The median may be up to 3.0 m, as far as the middle may be off on this map. Uneven ground, the lens, "
-        "or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
+        "farthest, at the upper left. The median may be up to 3.0 m, as far as the middle may be off on this map. Uneven ground, "
+        "the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
     )
     lists = page.lists(view)
     track = page.data(view, "x/")["tracks"]["registration"]
@@ -213,7 +213,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert "Not checked 0" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert re.findall(r"<b>(photo\d.png)</b>", lists["worst"]) == ["photo1.png", "photo0.png"]
-    assert "beside its middle 4.0 m off where 3.0 m are usual" in lists["worst"]
+    assert "beside its middle 4.0 m off where 3.0 m are allowed" in lists["worst"]
     known = flight_text.accuracy(view)
     assert known is not None
     assert known[0].endswith("and 1 of 1 photos do not fit the map beside their middle.")
@@ -535,7 +535,7 @@ def test_the_progress_of_the_registration_is_told_until_it_ends() -> None:
 
 def test_a_spot_lists_the_frames_that_show_it(view: FlightView) -> None:
     html = page.spot_list(view, [0, 2], (0.0, 0.0))
-    assert "2 of 3 frames show" in html
+    assert "2 of 3 photos show" in html
     assert html.count('data-frame="') == 2
     assert "by its registration" in html
 

@@ -64,7 +64,7 @@ def test_files_that_lpn_flight_did_not_write_are_not_replaced(tmp_path: Path, na
         ("40.1", "nan", "Line 2 .* has the height_above_ground 'nan'"),
         ("name,file", "file,name", "The first line"),
         ("\nb,", "\n,", "Line 3 .* has no name"),
-        ("\nb,", '\n"a, b.jpg",', "names 1 photos twice"),
+        ("\nb,", '\n"a, b.jpg",', "names a, b.jpg twice"),
         (",1,2,", ",1,", "Line 3 .* has 15 values; expected 16"),
     ],
 )

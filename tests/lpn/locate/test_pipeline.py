@@ -313,10 +313,10 @@ def test_a_drone_over_an_empty_part_of_the_map_is_told_apart_from_one_beyond_it(
     latitude, longitude = town.frame.degrees([(town.bounds[2] + 1.0, 0.0)])[0].tolist()
     beyond = replace(flight.frames[1], latitude=latitude, longitude=longitude)
     tags, notes, _ = tags_on_map(town, replace(flight, frames=(flight.frames[0], beyond, *flight.frames[2:])))
-    photo_may = "These photos may still show ground on the map."
+    photo_may = "a photo taken there may still show ground on the map."
     assert notes == [
-        f"The drone was beyond the map's edge by the GPS tags of 1 of 4 photos. {photo_may}",
-        f"The drone was over an empty part of the map by the GPS tags of 1 of 4 photos. {photo_may}",
+        f"By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; {photo_may}",
+        f"By the GPS tags of 1 of 4 photos, the drone was over an empty part of the map; {photo_may}",
     ]
     assert np.isfinite(tags).all(), "each tag is the truth of its photo all the same"
 
@@ -340,7 +340,8 @@ def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatc
     frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
     found = locate(town, replace(flight, frames=frames), None, SIFT)
     assert found.notes == [
-        "The drone was beyond the map's edge by the GPS tags of 1 of 4 photos. These photos may still show ground on the map."
+        "By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; a photo taken there may still show ground on the "
+        "map."
     ]
     assert found.tags_away is None
     assert [located.tag is None for located in found.frames] == [True, False, False, False]
@@ -876,11 +877,18 @@ def test_the_commands_write_a_track_and_measures(
 def test_the_best_guesses_of_a_track_are_counted() -> None:
     guess = TrackPoint("a.jpg", "retrieval", "not verified", "", latitude=47.0, longitude=8.0)
     track = [guess, TrackPoint("b.jpg", "retrieval", "not verified", ""), replace(guess, state="accepted")]
-    assert unverified_sentence(track) == (
+    csv = Path("track.csv")
+    assert unverified_sentence(track, csv) == (
         "1 of its 3 points is a best guess: it has a coordinate, but nothing has verified it, and its state is 'not verified'."
     )
-    assert unverified_sentence([guess, guess]).startswith("2 of its 2 points are best guesses: they have a coordinate")
-    assert not unverified_sentence(track[1:])
+    assert unverified_sentence([guess, guess], csv).startswith(
+        "2 of its 2 points are best guesses: they have a coordinate"
+    )
+    assert not unverified_sentence(track[1:], csv)
+    refused = replace(guess, state="refused")
+    assert unverified_sentence([refused, guess, refused], Path("track.gpx")).startswith(
+        "1 of its 1 point is a best guess"
+    )
 
 
 def test_the_command_says_beside_the_track_how_many_points_are_guesses(

@@ -33,11 +33,11 @@ def test_the_median_and_the_share_are_of_the_photos_that_have_both() -> None:
     assert known is not None
     assert known.offsets.photos == 20
     assert known.offsets.median == pytest.approx(9.5)
-    assert known.p95 == pytest.approx(np.quantile(np.arange(20.0), 0.95))
+    assert known.offsets.ce95 == pytest.approx(np.quantile(np.arange(20.0), 0.95))
     assert errors([None, (0.0, 0.0)], np.array([[1.0, 0.0], [np.nan, np.nan]])) is None
 
 
-def test_a_leg_ends_where_the_flight_turns_or_stands() -> None:
+def test_a_leg_ends_where_the_flight_turns_and_goes_on_where_it_stands() -> None:
     north = [(0.0, 10.0 * i) for i in range(5)]
     back = [(30.0, 40.0 - 10.0 * i) for i in range(5)]
     off = np.array([(0.0, 6.0)] * 5 + [(0.0, -6.0)] * 5)
@@ -51,7 +51,28 @@ def test_a_leg_ends_where_the_flight_turns_or_stands() -> None:
     assert hover.legs == []
     stands = errors([*north, *[(0.0, 40.2)] * 3, *[(0.0, 50.0 + 10.0 * i) for i in range(4)]], np.zeros((12, 2)))
     assert stands is not None
-    assert [(leg.first, leg.last) for leg in stands.legs] == [(0, 4), (7, 11)]
+    assert [(leg.first, leg.last) for leg in stands.legs] == [(0, 11)]
+    # A video has several frames of each tag.
+    repeated = errors([(0.0, 10.0 * (i // 4)) for i in range(16)], np.tile([2.0, 0.0], (16, 1)))
+    assert repeated is not None
+    assert [(leg.first, leg.last, leg.east) for leg in repeated.legs] == [(0, 15, 2.0)]
+
+
+def test_a_hovering_drone_flies_no_leg() -> None:
+    scatter = np.random.default_rng(0).normal(0.0, 0.7, (60, 2))
+    known = errors([(east, north) for east, north in scatter.tolist()], np.zeros((60, 2)))
+    assert known is not None
+    assert known.legs == []
+
+
+def test_a_correction_by_hand_is_no_gps_tag() -> None:
+    answer = StageRecord("accepted", "", 3.0, 0.0)
+    frame = LocatedFrame(
+        Frame("0.jpg", Path("0.jpg"), 8, 6), np.zeros(2), by_hand=StageRecord("accepted", "", 50.0, 0.0, camera=True)
+    )
+    known = tag_errors([frame], [answer])
+    assert known is not None
+    assert known.offsets.median == 3.0
 
 
 def test_a_leg_of_few_places_is_not_told() -> None:
