@@ -187,12 +187,13 @@
   let stopFollowing = () => {};
   // The page itself sends such events to viser's tabs and windows.
   for (const act of ACTS) window.addEventListener(act, ({ isTrusted }) => isTrusted && stopFollowing(), { capture: true, passive: true });
-  lpn.reveal = (selector) => {
+  lpn.reveal = (selector) => follow(() => [...document.querySelectorAll(selector)].find((one) => one.offsetHeight));
+  const follow = (find) => {
     stopFollowing();
     if (!phone.matches) return;
     let gliding = 0, leaving = 0, before = -1;
     const look = () => {
-      const target = [...document.querySelectorAll(selector)].find((one) => one.offsetHeight), panel = target && panelOf(target);
+      const target = find(), panel = target && panelOf(target);
       if (!panel) return;
       for (const moved of [panel, ...panel.children]) sizes.observe(moved); // again for what is observed already does nothing
       if (panel.scrollTop !== before) {
@@ -219,11 +220,11 @@
     const whole = target.closest?.("#lpn-flight-tall, #lpn-lab-tall");
     if (whole) lpn.reveal(whole.id === "lpn-flight-tall" ? "#lpn-flight" : ".lab-bar");
   });
-  // A folded panel at the end of the sheet would unfold below it. viser renames its head at once.
+  // A folded panel at the end of the sheet would unfold below it, after a time on a slow phone. viser renames its head at once.
   const { EXPAND } = lpn.viser;
   const unfolds = ({ target }) => {
     const name = phone.matches && target.closest?.(`[aria-label^="${EXPAND}"]`)?.ariaLabel.slice(EXPAND.length);
-    if (name) setTimeout(() => tabs().filter((one) => one.textContent.trim() === name).forEach(scrollPanel), 400);
+    if (name) follow(() => tabs().find((one) => one.textContent.trim() === name));
   };
   document.addEventListener("click", unfolds, true);
   // Open a tab of a window by its name, as soon as the window is in the page, and bring the window in front of others.
