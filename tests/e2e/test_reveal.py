@@ -73,7 +73,9 @@ def test_a_person_who_scrolls_is_left_alone(sheet: Page) -> None:
 
 
 def test_a_panel_that_a_slow_phone_unfolds_late_is_brought_into_sight(sheet: Page) -> None:
-    append = "html => document.querySelector('.mantine-ScrollArea-viewport > div').insertAdjacentHTML('beforeend', html)"
+    append = (
+        "html => document.querySelector('.mantine-ScrollArea-viewport > div').insertAdjacentHTML('beforeend', html)"
+    )
     sheet.evaluate(append, "<button aria-label='Expand panel Query'>Query</button>")
     sheet.get_by_label("Expand panel Query").click()
     sheet.wait_for_timeout(QUIET)
