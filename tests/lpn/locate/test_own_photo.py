@@ -8,13 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.images import load_picture
 from lpn.flights import Frame
 from lpn.locate import ground, registration
 from lpn.locate.ground import MapFeatures
-from lpn.locate.matchers import SiftMatcher
+from lpn.locate.matchers import SiftMatcher, open_matchers
 from lpn.locate.own_photo import register_own_photo
 from lpn.locate.registration import Ground, Registration, Similarity
-from lpn.maps import Map, Window
+from lpn.maps import Map, Window, open_map
 from tests.lpn.locate.scenery import ground_to_photo, land, photo_of, write_map
 
 SIZE = (320, 240)
@@ -53,6 +55,14 @@ def test_a_photo_of_another_land_is_refused(town: Map, features: list[MapFeature
     own = register_own_photo(town, features, photo(of=1), FLOWN, [])
     assert not own.answer.accepted
     assert own.answer.sentence
+
+
+@pytest.mark.slow
+def test_a_photo_of_another_place_is_refused_on_the_shipped_map() -> None:
+    town = open_map(DEMO_PLACE[0])
+    features = [MapFeatures(town, matcher) for matcher in open_matchers()]
+    own = register_own_photo(town, features, load_picture(DEMO_FLIGHT[1] / "LPN_0086.webp"), None, [])
+    assert (own.answer.accepted, own.whole_map) == (False, True)
 
 
 def test_what_a_file_with_the_tag_of_another_region_tells_is_not_believed(
