@@ -122,7 +122,7 @@ def _allowed_median(answer: StageRecord) -> str:
     """Say how far places beside the middle of a photo may lie off in the median."""
     radius = answer.radius_on_map or 0.0
     times = "" if plain() else f", three times ± {radius:.1f} m"
-    return f"The median may be up to {SIGMAS * radius:.1f} m, as far as the middle may be off on this map{times}."
+    return f"At most {SIGMAS * radius:.1f} m are allowed for the median, as far as the middle may be off on this map{times}."
 
 
 def _truth(located: LocatedFrame) -> str:

@@ -275,12 +275,15 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         return None, f"Its details fit {where}, so only its GPS tag says that your picture is of this place", merely
     contradictions = disagreements([own.located])
     concluded, against_tag = belief(own.located, contradictions), any(one.other == "tag" for one in contradictions)
-    fits = "By its details, your picture fits the map"
+    only_middle = any(one.other == "map" for one in contradictions)
+    fits = f"By its details, {'the middle of ' if only_middle else ''}your picture fits the map"
     if not words.plain():
         fits += f" to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
         fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
+    else:
+        fits += "; it has no GPS tag that would say so, too"
     against, headline = "", checked("On this map", own.located, concluded.sign)
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     doubts = [unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")]
@@ -288,7 +291,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         against = ", more than the errors of both allow, so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not concluded.sign:
-        headline = "On this map, but away from its middle it does not fit"
+        headline = "Its middle fits this map, the rest of it does not"
     off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
     look = " Its look alone agrees."
     if off_answer is None or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
@@ -506,16 +509,14 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 
 def _of_map(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say that an own picture may be one of those that the map was made of; "" if not, or where no day is known."""
+    """Say that an own picture may be one of those that the map was made of; "" of one of another day."""
     picture, basemap, own = analysis.state.upload, workspace.basemap, analysis.registered
     if picture is None or basemap is None or own is None or not own.answer.accepted:
         return ""
-    if picture.day is None or picture.day != basemap.place.day or not placing_sentence(basemap.notes):
+    if not placing_sentence(basemap.notes) or picture.day not in (None, basemap.place.day):
         return ""
-    return (
-        "Your picture is of the day on which the map's photos were taken. If the map was made of it, too, then it fits by "
-        "itself, and that proves nothing of other photos."
-    )
+    day = "is of the day on which the map's photos were taken" if picture.day else "does not tell when it was taken"
+    return f"Your picture {day}. If the map was made of it, too, then it fits by itself, and that proves nothing of other photos."
 
 
 def _of_flight(workspace: Workspace, result: TaskRanking) -> str:

@@ -255,7 +255,7 @@ def page(
         laid=laid,
         turn=_turn(analysis, workspace),
         turned_by=_TURNED_BY,
-        third=_third_tile(analysis, workspace, third, disputed)
+        third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None)
         if third is not None and analysis.chosen.rank == 1
         else None,
         lead=lead,
@@ -353,7 +353,9 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
     if laid is not None:
         pictures.append(SaidPicture(_ON_MAP, f"{laid.offset}, north up", laid.picture, laid.sign))
     elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
-        picture, caption, right = _third_tile(analysis, workspace, positive.index, found.disputed)
+        picture, caption, right = _third_tile(
+            analysis, workspace, positive.index, found.disputed, found.look[0] is None
+        )
         pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
     registered = workspace.details(analysis)
     checks = (check(workspace), _dependent(workspace)) if registered is not None and registered.accepted else ()
@@ -538,17 +540,19 @@ def _numbered(
 
 
 def _third_tile(
-    analysis: StateAnalysis, workspace: Workspace, index: int, disputed: bool
+    analysis: StateAnalysis, workspace: Workspace, index: int, disputed: bool, unsure: bool
 ) -> tuple[str, str, bool | None]:
     """Return the tile beside the answer: its picture as a data URI, its caption, and whether it is true.
 
-    Where the tag is disputed, that is not known. Parts that differ from picture to picture are not drawn, as they would take a
-    forward pass.
+    Where the tag is disputed, or the judge is in doubt (`unsure`), that is not known. Parts that differ from picture to picture
+    are not drawn, as they would take a forward pass.
     """
     task, lead = analysis.task, answer_text.lead(analysis)
     known = analysis.ranking.relevant is not None and not disputed
-    right = not disputed and analysis.positive is not None and analysis.positive.index == index
+    right: bool | None = not disputed and analysis.positive is not None and analysis.positive.index == index
     caption = "The right one" if right or lead is None else lead.other.capitalize()
+    if right and unsure:
+        caption, right = "Right, if its details are right", None
     if disputed and analysis.positive is not None and analysis.positive.index == index:
         caption = "The one of its GPS tag"
     if not analysis.state.why:

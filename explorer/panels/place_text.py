@@ -111,7 +111,7 @@ def season(workspace: Workspace) -> str:
         graded = int(ranking.results["queries"])
         right = round(ranking.results["recall@1"] / 100 * graded)
         return (
-            f"Where map and photos are of different seasons ({workspace.choices[key]}), the first answer is right {right} of "
+            f"At another place ({workspace.choices[key]}), whose map is of another season, the first answer is right {right} of "
             f"{graded} times."
         )
     return ""

@@ -96,11 +96,18 @@ def _truths(workspace: Workspace) -> str:
 def _meaning(answer: StageRecord, workspace: Workspace) -> str:
     assert answer.radius is not None
     radius = answer.radius
-    first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
-    sentences = [
-        f"± {radius:.1f} m is no limit. If the errors are as estimated, {first:.0f} of 100 places lie within {radius:.1f} m of "
-        f"the true one, and {second:.0f} within {2 * radius:.1f} m: it is {SIGMA}, east and north."
-    ]
+    first, second, third = RIGHT_CALIBRATION.values()
+    estimated = "If the errors are as estimated,"
+    if plain():
+        sentences = [
+            f"{estimated} {third:.0f} of 100 places lie within {upper_bound(reach(radius))} m of the true one. That is three "
+            f"times ± {radius:.1f} m, which is {SIGMA}, east and north."
+        ]
+    else:
+        sentences = [
+            f"± {radius:.1f} m is no limit. {estimated} {first:.0f} of 100 places lie within {radius:.1f} m of the true one, and "
+            f"{second:.0f} within {2 * radius:.1f} m: it is {SIGMA}, east and north."
+        ]
     basemap = workspace.basemap
     if basemap is not None and answer.on_earth:
         by_tags = "the GPS tags of its photos give it" if placing_sentence(basemap.notes) else "as it was surveyed"

@@ -101,8 +101,8 @@ class Disagreement:
             return self.sentence
         if self.other == "map":
             return (
-                f"Away from its middle, the photo's places lie {self.metres:.1f} m from where the map has them, in the median, "
-                f"which may be up to {self.allowed:.1f} m. Uneven ground, the lens, or ground that has changed can do that, and "
+                f"Away from its middle, the photo's places lie {self.metres:.1f} m from where the map has them, in the median; "
+                f"at most {self.allowed:.1f} m are allowed. Uneven ground, the lens, or ground that has changed can do that, and "
                 "its middle may still be right."
             )
         if verdict.sign:  # tag and details agree, and the neighbours alone differ

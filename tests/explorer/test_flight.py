@@ -420,6 +420,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert "whose GPS tag tells where to look" in answer_text.next_step(refused, workspace)
     day = date(2014, 10, 19)
     of_day = replace(analysis, state=replace(analysis.state, upload=replace(mine, day=day)))
+    of_another = replace(analysis, state=replace(analysis.state, upload=replace(mine, day=date(2015, 10, 19))))
     basemap = workspace.basemap
     assert basemap is not None
     for notes, known in (((), False), (("Made of photos. " + describe_placing(13.2, 44.4),), True)):
@@ -428,7 +429,8 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         )
         monkeypatch.setattr(workspace, "basemap", by_tags)
         assert ("If the map was made of it, too" in answer_text.trust(of_day, workspace)) == known
-        assert "If the map was made of it, too" not in answer_text.trust(analysis, workspace)
+        assert "If the map was made of it, too" not in answer_text.trust(of_another, workspace)
+        assert ("Your picture does not tell when it was taken. If" in answer_text.trust(analysis, workspace)) == known
     monkeypatch.setattr(workspace, "basemap", basemap)
     again = OwnPicture(mine.name, mine.picture.copy(), None, frame)
     job = progress.follow(again)

@@ -164,8 +164,8 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
 
     assert said(0.4, 5.2, 1.0) == (
         "✓ Beside its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: their median "
-        "lies 1.0 m from where the photo has it, and the farthest 5.2 m, at the upper left. The median may be up to "
-        "3.0 m, as far as the middle may be off on this map."
+        "lies 1.0 m from where the photo has it, and the farthest 5.2 m, at the upper left. At most 3.0 m are "
+        "allowed for the median, as far as the middle may be off on this map."
     )
     assert "the farthest 1.0 m, at the bottom." in said(0.4, 0.2, 1.0)
     assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
@@ -187,8 +187,9 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert "? Placed by its details, but away from its middle it does not fit the map" in card
     told = (
         "Beside its middle, 3 places of the photo lie 4.0 m in the median from where the map has them, and 8.2 m at the "
-        "farthest, at the upper left. The median may be up to 3.0 m, as far as the middle may be off on this map. Uneven ground, "
-        "the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
+        "farthest, at the upper left. At most 3.0 m are allowed for the median, as far as the middle may be off on this map. "
+        "Uneven ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still "
+        "be right."
     )
     lists = page.lists(view)
     track = page.data(view, "x/")["tracks"]["registration"]

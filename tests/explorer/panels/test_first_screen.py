@@ -616,6 +616,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert page.count("data:image/jpeg") == 3
     tips = " ".join(unescape(page).split())
     assert "39 of 100 places lie within 6.1 m of the true one, and 86 within 12.1 m" in tips
+    with speaking(workspace.vocabulary(True)):
+        tips = " ".join(unescape(first_screen.page(analyse(workspace, state), workspace)).split())
+    assert "99 of 100 places lie within 18.2 m of the true one. That is three times ± 6.1 m, which is 1 sigma" in tips
     assert re.search(
         r"It joins ± [\d.]+ m for the place on this map and ± 6.0 m for the map's own place on earth", tips
     )
@@ -756,6 +759,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             assert (limit is None) == why
             assert headline in said
             assert ("The model's own guess" in said) == (index == placed)
+            if why:
+                assert ("Right, if its details are right" in said) == (index == doubted)
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
     with monkeypatch.context() as patch:

@@ -103,7 +103,7 @@ def test_the_judge_of_right_answers_is_named() -> None:
     place.flight.rendered = True
     assert place_text.untried(place) == ""
     assert place_text.season(same) == (
-        "Where map and photos are of different seasons (an autumn), the first answer is right 17 of 40 times."
+        "At another place (an autumn), whose map is of another season, the first answer is right 17 of 40 times."
     )
 
 
