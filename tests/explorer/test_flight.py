@@ -444,7 +444,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert progress.follow(mine) is None
     assert analysis.registered is not None
     answer = weakref.ref(analysis.registered)
-    del analysis, job, of_day, explained
+    del analysis, job, of_day, of_another, explained
     gc.collect()
     assert answer() is None, "nothing of the pictures is left when the page has closed"
 
