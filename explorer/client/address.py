@@ -30,7 +30,7 @@ class PageAddress:
         wake: wakes the session's worker.
 
     Attributes:
-        waiting: the page has yet to send its address.
+        waiting: the page has yet to send its address, or that is yet to be read.
     """
 
     def __init__(
@@ -59,14 +59,14 @@ class PageAddress:
         with self._lock:
             if self._greeted:
                 return
-            self._greeted, self.waiting = True, False
+            self._greeted = True
             self._timeout.cancel()
             if (stage := greeting.viewport) is not None and all(1 <= side <= MAX_SIDE for side in stage):
                 self._views.viewport.resize(*map(int, stage))
             self._views.fit(greeting.small)
             search = greeting.search if self._search is None else self._search
             if (other := self._url_state.other_workspace(search)) is not None:
-                self._leads_elsewhere = True
+                self._leads_elsewhere, self.waiting = True, False
                 self._show_other(other, search)
                 return
             before = self._state()
@@ -78,6 +78,7 @@ class PageAddress:
             state = replace(state, dark=greeting.theme == "dark")
         state = opened_alone(self._url_state, self._workspace, search, state)
         with self._lock:
+            self.waiting = False  # the worker may have been woken meanwhile, and would draw another state first
             self._views.show_state(state)
             if self._state() is before:  # otherwise the change has woken the worker
                 self._wake()

@@ -228,7 +228,8 @@ def page(
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
-    colours = lead_colours(lead is not None and lead.sure)
+    sure = lead is not None and lead.sure and found.look[0] is not None
+    colours = lead_colours(sure)
     positive, third = analysis.positive, None if lead is None else lead.index
     own = analysis.registered
     located = workspace.located(analysis)
@@ -252,6 +253,7 @@ def page(
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
         chosen=analysis.chosen,
         sign=_frame_sign(analysis, found),
+        sure=sure,
         laid=laid,
         turn=_turn(analysis, workspace),
         turned_by=_TURNED_BY,

@@ -22,6 +22,7 @@ from explorer.client.views import ClientViews
 from explorer.compute.background_jobs import ReportProgress
 from explorer.opening import open_model
 from explorer.stage.viewport import EDGE
+from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from tests.e2e.conftest import PATIENCE, ExplorerPage
@@ -169,6 +170,21 @@ def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses
     may_build.set()
     expect(page.locator("#lpn-first .reason")).to_be_visible()
     expect(page).to_have_url(re.compile("(?=.*show=whole)(?=.*why=1)"))
+
+
+def test_a_page_draws_nothing_before_its_address_is_read(offer: Offer, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = UrlState.read
+
+    def slowly(*arguments: Any) -> Any:
+        for session in offer.app._sessions.values():
+            session._worker.wake()
+        time.sleep(0.5)
+        return read(*arguments)
+
+    monkeypatch.setattr(UrlState, "read", slowly)
+    with WebSocketClient(offer.url, origin=offer.url) as client:
+        client.greet("?screen=all&query=~3")
+        assert (client.status("seq"), client.status("query")) == ("1", "3")
 
 
 def test_a_link_to_another_place_stays_the_address_while_that_opens(offer: Offer) -> None:

@@ -761,6 +761,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             assert ("The model's own guess" in said) == (index == placed)
             if why:
                 assert ("Right, if its details are right" in said) == (index == doubted)
+                assert ("are those of the two frames: orange" in said) == (index == doubted), said
             assert ("By its look, which errs" in said) == why
             assert ("GPS tag, the white circle, lies " in said) != why
     with monkeypatch.context() as patch:
