@@ -73,14 +73,19 @@ class PageAddress:
         start = self._plain if self._url_state.names_a_state(search) else before
         start = replace(start, dark=not greeting.light, plain=greeting.plain)
         # A page that comes back from another workspace holds its own pictures still.
-        state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
+        try:
+            state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
+        except BaseException:
+            self._stop_waiting()
+            raise
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = opened_alone(self._url_state, self._workspace, search, state)
         with self._lock:
-            self.waiting = False  # the worker may have been woken meanwhile, and would draw another state first
+            now = self._state()
+            self.waiting = False  # the worker may have been woken meanwhile, and would have drawn another state first
             self._views.show_state(state)
-            if self._state() is before:  # otherwise the change has woken the worker
+            if self._state() is now:  # otherwise the change has woken the worker
                 self._wake()
         if problems:
             self._views.panels.notify_error("Not all of the link can be shown", " ".join(problems))

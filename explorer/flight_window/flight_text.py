@@ -266,7 +266,10 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         if known.place_error is not None:
             on_earth = f"within {upper_bound(reach(known.radius))} m on earth"
             on_earth += ", as far as the tags of the map do not all err alike" if known.map_source else ""
-        return f"A typical photo should lie within {on_map} m on this map; {on_earth}.{checks}", lines
+        return (
+            f"99 of 100 photos like the typical one should lie within {on_map} m on this map; {on_earth}.{checks}",
+            lines,
+        )
     return f"{lines[0].figure} on this map ({SIGMA}); {on_earth}.{checks}", lines
 
 

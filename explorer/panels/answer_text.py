@@ -291,7 +291,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         against = ", more than the errors of both allow, so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not concluded.sign:
-        headline = "Its middle fits this map, the rest of it does not"
+        headline = "Its middle fits this map, places beside it do not"
     off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
     look = " Its look alone agrees."
     if off_answer is None or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):

@@ -257,7 +257,7 @@ def page(
         laid=laid,
         turn=_turn(analysis, workspace),
         turned_by=_TURNED_BY,
-        third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None)
+        third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None and not wrong)
         if third is not None and analysis.chosen.rank == 1
         else None,
         lead=lead,
@@ -266,7 +266,7 @@ def page(
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         bring=_BRING,
         gap=analysis.matches[0].gap,
-        bars=_bar_colours(lead),
+        bars=_bar_colours(sure),
         places=None if cells is None else float(cells.sum()),
         no_place=no_place(analysis),
         nowhere=own is not None and not own.answer.accepted,
@@ -411,9 +411,9 @@ def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:
         return ()
 
 
-def _bar_colours(lead: answer_text.Lead | None) -> tuple[str, str]:
+def _bar_colours(sure: bool) -> tuple[str, str]:
     """Return the colours of bars for and against: those of the frames, darker where they stand beside a text."""
-    if lead is None or not lead.sure:
+    if not sure:
         leader, follower = lead_colours(False)
         return theme.css(leader), theme.css(follower)
     return verdict_ink(True), verdict_ink(False)
@@ -494,12 +494,14 @@ def _because(
     known = f"{_details(details, photo) or 'They fit this map'}: they place it."
     if not details.accepted:
         known = "They fit nowhere on this map well enough to place it."
-    doubts = []
+    doubts, which = [], ", which errs" if errs else ""
     if located is not None:
         contradictions = disagreements([located])
         concluded = belief(located, contradictions)
         doubts = [one.told(concluded) for one in contradictions if one.one == "registration"]
-    return [("By its details", [known, *doubts]), (f"By its look{', which errs' if errs else ''}", sentences)]
+        if errs and details.accepted and not concluded.sign:
+            which += " if its details are right"
+    return [("By its details", [known, *doubts]), (f"By its look{which}", sentences)]
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:

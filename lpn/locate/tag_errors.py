@@ -97,7 +97,8 @@ def _legs(tags: Float64Array, off: Float64Array) -> list[Leg]:
         photos = [frame for frames in run for frame in frames]
         own = off[photos]
         own = own[~np.isnan(own[:, 0])]
-        if len(run) >= _FEW and len(own) >= _FEW:
+        answered = sum(bool(np.isfinite(off[frames, 0]).any()) for frames in run)
+        if answered >= _FEW:
             azimuth = math.degrees(math.atan2(*direction)) % 360
             legs.append(Leg(photos[0], photos[-1], azimuth, *own.mean(axis=0).tolist()))
     return legs

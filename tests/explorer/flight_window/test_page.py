@@ -261,8 +261,8 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
 
     summary, of = lines(map_error=0.8)
     assert summary == (
-        "A typical photo should lie within 3.0 m on this map; on earth as good as the map’s georeference, which nothing here "
-        "checks. Not confirmed: only 50 % of the GPS tags lie that near, where 99 % should."
+        "99 of 100 photos like the typical one should lie within 3.0 m on this map; on earth as good as the map’s georeference, "
+        "which nothing here checks. Not confirmed: only 50 % of the GPS tags lie that near, where 99 % should."
     )
     with speaking(Vocabulary()):
         summary, _ = lines(map_error=0.8)

@@ -763,6 +763,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
                 assert ("Right, if its details are right" in said) == (index == doubted)
                 assert ("are those of the two frames: orange" in said) == (index == doubted), said
             assert ("By its look, which errs" in said) == why
+            assert ("which errs if its details are right" in said) == (why and index == doubted)
             assert ("GPS tag, the white circle, lies " in said) != why
     with monkeypatch.context() as patch:
         patch.setattr(LocatedFlight, "judge", "its GPS tag")
