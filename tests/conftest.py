@@ -93,7 +93,8 @@ def _one_core() -> Iterator[None]:
 def _operators_read_once() -> Iterator[None]:
     """Let PyTorch's exporter parse its table of operators once for each process, and not in each export.
 
-    That takes a fifth of the time to export a small network. Each export has lists of its own, which it may extend.
+    Parsing takes a fifth of the time in which a small network is exported. Each export gets a copy of the table, which it may
+    extend.
     """
     export_program = torch.onnx.export
 

@@ -22,7 +22,7 @@ from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
-from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, is_unchecked, placed_errors, share_within
+from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, placed_errors, share_within, unchecked_frames
 from lpn.locate.surveyed import AxisMean
 from lpn.locate.tag_errors import Leg, TagOffsets
 
@@ -266,10 +266,8 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
         if known.place_error is not None:
             on_earth = f"within {upper_bound(reach(known.radius))} m on earth"
             on_earth += ", as far as the tags of the map do not all err alike" if known.map_source else ""
-        return (
-            f"99 of 100 photos like the typical one should lie within {on_map} m on this map; {on_earth}.{checks}",
-            lines,
-        )
+        of = f"{RIGHT_CALIBRATION[3]:.0f} of 100 photos like the typical one"
+        return f"{of} should lie within {on_map} m on this map; {on_earth}.{checks}", lines
     return f"{lines[0].figure} on this map ({SIGMA}); {on_earth}.{checks}", lines
 
 
@@ -311,8 +309,7 @@ def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
     metres = np.concatenate([one.metres for one in compared])
     reach = math.floor(10 * min(one.reach for one in compared)) / 10
     unfit = sum(one.other == "map" for one in view.contradictions)
-    placed = zip(view.flight.frames, view.beliefs, strict=True)
-    unchecked = sum(one.stage == "registration" and bool(one.sign) and is_unchecked(located) for located, one in placed)
+    unchecked = len(unchecked_frames(view.flight.frames, view.beliefs))
     source = (
         f"Median of {len(metres)} places of {len(compared)} photos that were found on the map one by one, "
         f"{upper_bound(metres.max())} m at most: what one transformation of a photo leaves, where the map or the ground is "

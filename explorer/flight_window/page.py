@@ -26,7 +26,7 @@ from lpn.drawing.words import plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFrame, StageRecord
-from lpn.locate.summary import NOT_CHECKED, PLACED, describe_flight, is_unchecked
+from lpn.locate.summary import NOT_CHECKED, PLACED, describe_flight, unchecked_frames
 from lpn.maps import Window
 from lpn.maps.named_window import describe_offset
 
@@ -332,11 +332,9 @@ def lists(view: FlightView) -> dict[str, str]:
     ]
     unchecked = [
         (i, printable(located.frame.name), [flight_text.agreement(view, i, told)])
-        for i, located in enumerate(flight.frames)
-        if view.beliefs[i].stage == "registration"
-        and view.beliefs[i].sign is not None
-        and is_unchecked(located)
-        and (told := located.stages["registration"].agreement) is not None
+        for i in unchecked_frames(flight.frames, view.beliefs)
+        for located in [flight.frames[i]]
+        if (told := located.stages["registration"].agreement) is not None
     ]
     apart = [
         (one.frame, printable(flight.frames[one.frame].frame.name), [flight_text.contradiction(view, one)])

@@ -24,8 +24,7 @@ def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> 
     """Return a text in which an answer's radius, where it is first told, explains itself."""
     if answer is None or answer.radius is None:
         return text
-    radius = f"± {answer.radius:.1f} m {on_what(answer)}"
-    before, told, after = text.partition(radius)
+    before, told, after = text.partition(_radius(answer))
     return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
 
 
@@ -39,6 +38,10 @@ def told_reach(answer: StageRecord) -> str:
     assert answer.radius is not None
     if plain():
         return f"within {upper_bound(reach(answer.radius))} m {on_what(answer)}"
+    return _radius(answer)
+
+
+def _radius(answer: StageRecord) -> str:
     return f"± {answer.radius:.1f} m {on_what(answer)}"
 
 
@@ -65,7 +68,7 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | Non
     assert answer.radius is not None
     limit = explained(f"{upper_bound(reach(answer.radius))} m", _meaning(answer, workspace))
     where = Markup("{} of the true place {}").format(limit, on_what(answer))
-    of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[3])
+    of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[_NEARLY_ALL])
     if confirmed is None:
         return Markup("<strong>It should lie within {}</strong>, as {} should; nothing here checks that.").format(
             where, of

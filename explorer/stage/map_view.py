@@ -216,9 +216,8 @@ class GalleryMap:
             self._ground.show(self._workspace.mosaic(analysis.task))
         if has_city and model is not None:
             if self._city is None:
-                self._scene.configure_environment_map(
-                    "city"
-                )  # it lights the walls that the default lights do not reach
+                # It lights the walls that the default lights do not reach.
+                self._scene.configure_environment_map("city")
                 self._city = self._scene.add_glb(
                     "/map/city", model.data, wxyz=_Z_UP, cast_shadow=False, receive_shadow=False
                 )

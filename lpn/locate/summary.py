@@ -140,20 +140,29 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
         )
         return listed([*map(printable, told), *further])
 
-    registered = [(frame, one.sign) for frame, one in pairs if one.stage == "registration"]
-    contradicted = [frame for frame, sign in registered if sign is None]
+    contradicted = [frame for frame, one in pairs if one.stage == "registration" and one.sign is None]
     if contradicted:
         sentences.append(
             f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
             f"beside the middle: {names(contradicted)}."
         )
-    if unchecked := [frame for frame, sign in registered if sign is not None and is_unchecked(frame)]:
+    if unchecked := unchecked_frames(frames, verdicts):
         more = " more" if contradicted else ""
         sentences.append(
             f"{len(unchecked):,}{more} could not be checked beside the middle, where too few places were found on the map; the "
             f"list {NOT_CHECKED} names {'them' if len(unchecked) > 1 else 'it'}."
         )
     return " ".join(sentences)
+
+
+def unchecked_frames(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) -> list[int]:
+    """Return the numbers of the photos that their details place, undoubted and yet not checked beside their middle.
+
+    Args:
+        verdicts: of the frames, see `lpn.locate.belief.beliefs`.
+    """
+    pairs = enumerate(zip(frames, verdicts, strict=True))
+    return [i for i, (frame, one) in pairs if one.stage == "registration" and one.sign and is_unchecked(frame)]
 
 
 def is_unchecked(located: LocatedFrame) -> bool:
