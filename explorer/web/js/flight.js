@@ -196,7 +196,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th>${data.plain ? '<th title="The metres that its place may be off: nearly all lie nearer">may be off, m</th>' : '<th title="In metres: 1 sigma along each axis">± m</th>'}<th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">${legend()} Pins${data.plain ? ", with Swipe" : ""}: the head is where the map has a place, the other end where the photo has it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th>${data.plain ? '<th title="The metres that its place may be off: nearly all lie nearer">within m</th>' : '<th title="In metres: 1 sigma along each axis">± m</th>'}<th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">${legend()} Pins${data.plain ? ", with Swipe" : ""}: the head is where the map has a place, the other end where the photo has it.</p>`,
     );
   };
   const refresh = () => {
