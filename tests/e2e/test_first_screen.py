@@ -70,12 +70,17 @@ def test_the_stage_is_drawn_only_while_it_is_seen(app: RunningApp, fresh: Page) 
     fresh.goto(app.url)
     expect(first.locator(".sentence")).to_be_visible()
 
-    def drawn(milliseconds: int) -> int:
-        before = fresh.evaluate("drawn")
-        fresh.wait_for_timeout(milliseconds)
-        return int(fresh.evaluate("drawn")) - int(before)
+    def comes_to_rest() -> bool:
+        """The canvas's own first frames may come late; after them viser draws each second what is in sight."""
+        for _ in range(8):
+            before = fresh.evaluate("drawn")
+            fresh.wait_for_timeout(2500)
+            if fresh.evaluate("drawn") == before:
+                return True
+        return False
 
-    assert drawn(2500) == 0  # viser draws each second what is in sight
+    assert comes_to_rest()
+    assert fresh.evaluate("drawn") < 10
     first.locator("[data-act=all]").click()
     expect(first).to_have_count(0)
     fresh.wait_for_function("() => drawn > 40")  # the pictures of the stage
@@ -84,8 +89,7 @@ def test_the_stage_is_drawn_only_while_it_is_seen(app: RunningApp, fresh: Page) 
     assert stage[0] >= 0
     fresh.locator("a", has_text="Start").first.click()
     expect(first.locator(".sentence")).to_be_visible()
-    fresh.wait_for_timeout(1000)
-    assert drawn(2500) == 0
+    assert comes_to_rest()
 
 
 @pytest.mark.slow

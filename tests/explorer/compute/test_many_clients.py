@@ -288,7 +288,7 @@ def test_a_page_that_loads_slowly_keeps_the_state_of_its_address(app: App, monke
     monkeypatch.setattr(address, "_ADDRESS_TIMEOUT", 0.0)
     with Browser(url(app)) as browser:
         browser.camera()
-        browser.wait(lambda: browser.status("seq") not in (None, "0"))
+        browser.wait(lambda: browser.status("seq") not in (None, "0") and browser.find("page") is not None)
         browser.tell("hello", {"search": "?angle=30", "small": False})
         browser.wait(lambda: browser.status("angle") == "30")
         browser.wait(lambda: browser.link is not None)
