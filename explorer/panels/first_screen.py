@@ -257,7 +257,7 @@ def page(
         laid=laid,
         turn=_turn(analysis, workspace),
         turned_by=_TURNED_BY,
-        third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None and not wrong)
+        third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None)
         if third is not None and analysis.chosen.rank == 1
         else None,
         lead=lead,
@@ -284,7 +284,6 @@ def page(
         rendered=rendered,
         untried=place_text.untried(workspace),
         damage=place_text.UNTRIED,
-        judge="" if workspace.flight is None else workspace.flight.judge,
         moved_on=state.task == next(iter(workspace.tasks)) and state.query != workspace.first_query,
     )
 

@@ -43,7 +43,6 @@ class WrongAnswer:
         chance: a sentence that there are none; "" if there are, or if no kinds can be told apart.
         sentence: how far and in which direction the answer lies, and at which place in the list the right one came.
         reasons: what was measured that may be why.
-        mended: the verdict of all methods on a photo of a flight; None without another method.
     """
 
     number: int
@@ -53,7 +52,6 @@ class WrongAnswer:
     chance: str
     sentence: str
     reasons: Sequence[str]
-    mended: Belief | None
 
 
 def rows(workspace: Workspace, state: SessionState) -> Int64Array | None:
@@ -78,17 +76,15 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
     if not len(at):
         return None
     kinds = answer_context.failing_kinds(outcomes, table, task.query_labels)
-    verdicts_of_all = _verdicts(workspace)
     by_chance = answer_context.by_chance(len(listed))
     return WrongAnswer(
         int(at[0]) + 1,
         len(listed),
-        _overall(listed, int(outcomes.known.sum()), verdicts_of_all),
+        _overall(listed, int(outcomes.known.sum()), _verdicts(workspace)),
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
         _sentence(analysis),
         _reasons(analysis, workspace, disputed, kinds or ()) or [_UNEXPLAINED],
-        None if verdicts_of_all is None else verdicts_of_all[state.query],
     )
 
 

@@ -731,7 +731,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "the photo's square shows 45 m of ground from side to side, this answer 26 m and the right one 100 m."
         in of_wrong
     )
-    # The first screen, its reasons, and the flight window say the same of each photo.
+    assert (
+        "✓ Placed by its details. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m" in of_wrong
+    )
+    assert "±" not in of_wrong
+    # The page of wrong answers, the first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]
     assert of_doubted.tag is not None
@@ -765,6 +769,14 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             assert ("By its look, which errs" in said) == why
             assert ("which errs if its details are right" in said) == (why and index == doubted)
             assert ("GPS tag, the white circle, lies " in said) != why
+    with speaking(workspace.vocabulary(True)):
+        fails = session_state.show_fails(state, doubted, 30)
+        html = first_screen.page(analyse(workspace, fails), workspace)
+    assert "? Wrong by its look, if its details are right. The model compared" in text(html)
+    assert "? Placed by its details, but its GPS tag disagrees." in text(html)
+    assert "Right, if its details are right" in text(html)
+    assert theme.css(theme.COLOURS["wrong"]) not in html
+    assert theme.css(theme.COLOURS["right"]) not in html
     with monkeypatch.context() as patch:
         patch.setattr(LocatedFlight, "judge", "its GPS tag")
         said = text(first_screen.page(analyse(workspace, replace(state, query=doubted)), workspace))
