@@ -68,6 +68,7 @@ class SessionState:
         find: filter of the list of queries.
         dark: True for the dark theme.
         plain: True for plain words, see `lpn.drawing.words`.
+        start_plain: True if the first screen speaks plain words, whatever the workbench speaks; no address has it.
         first_screen: True while the page shows one query and its answer only; `why` explains it there.
         fails: True while the first screen shows the wrong answers, one after the other.
         came_from: the query and the own picture that were shown before `fails`; no address has it.
@@ -110,6 +111,7 @@ class SessionState:
     find: str = ""
     dark: bool = True
     plain: bool = False
+    start_plain: bool = True
     first_screen: bool = False
     fails: bool = False
     came_from: tuple[int, OwnPicture | None] | None = None
@@ -373,7 +375,7 @@ def turn(state: SessionState, by: float) -> SessionState:
 
 
 def to_first_screen(state: SessionState) -> SessionState:
-    """Open the first screen, which speaks plain words, and close all that it does not show.
+    """Open the first screen, which speaks its own words, and close all that it does not show.
 
     After the wrong answers it shows what it showed before.
     """
@@ -385,7 +387,7 @@ def to_first_screen(state: SessionState) -> SessionState:
 
 def _only_first_screen(state: SessionState) -> SessionState:
     closed = replace(state, why=False, lab=False, flight=False, map=False, exploded=False, selected=None)
-    return replace(closed, first_screen=True, from_first_screen=False, plain=True)
+    return replace(closed, first_screen=True, from_first_screen=False, plain=state.start_plain)
 
 
 def leave_stage_view(state: SessionState) -> SessionState:
@@ -496,8 +498,8 @@ def show_everything(state: SessionState) -> SessionState:
 
 
 def flip_words(state: SessionState) -> SessionState:
-    """Switch between plain words and the field's terms."""
-    return replace(state, plain=not state.plain)
+    """Switch between plain words and the field's terms, on the first screen, too."""
+    return replace(state, plain=not state.plain, start_plain=not state.plain)
 
 
 def matching_names(names: Sequence[str], text: str) -> list[int]:

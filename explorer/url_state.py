@@ -75,6 +75,7 @@ class UrlState:
             )
         }
         reach = workspace.contract.input_size[1] // 2, workspace.contract.input_size[0] // 2
+        words = parameters.choice("plain", {"expert": False, "plain": True}, "words")
         self._parameters = (
             Parameter("show", self._write_key, self._read_key),
             Parameter("task", lambda s: s.task, self._read_task),
@@ -110,7 +111,7 @@ class UrlState:
             parameters.choice("same_scale", {"own": False, "same": True}, "scale"),
             parameters.number("opacity", 0, 1),
             parameters.choice("dark", {"light": False, "dark": True}, "theme"),
-            parameters.choice("plain", {"expert": False, "plain": True}, "words"),
+            Parameter("words", words.write, lambda s, text: _with_words(words.read(s, text))),
             parameters.choice("first_screen", {"all": False, "first": True}, "screen"),
             Parameter("fails", lambda s: "1" if s.fails and s.first_screen else None, parameters.switch("fails").read),
         )
@@ -347,6 +348,11 @@ def _parameters_of(text: str) -> dict[str, str]:
     if len(text) > _MAX_LENGTH:
         raise ValueError
     return dict(parse_qsl(text.removeprefix("?"), True, max_num_fields=_MOST_PARAMETERS))
+
+
+def _with_words(state: SessionState) -> SessionState:
+    """Return a state whose first screen speaks the same words."""
+    return replace(state, start_plain=state.plain)
 
 
 def _first_positions(names: Iterable[str]) -> dict[str, int]:

@@ -71,7 +71,7 @@ class PageAddress:
                 return
             before = self._state()
         start = self._plain if self._url_state.names_a_state(search) else before
-        start = replace(start, dark=not greeting.light, plain=greeting.plain)
+        start = replace(start, dark=not greeting.light, plain=greeting.plain, start_plain=greeting.start_plain)
         # A page that comes back from another workspace holds its own pictures still.
         try:
             state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
@@ -81,6 +81,10 @@ class PageAddress:
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = opened_alone(self._url_state, self._workspace, search, state)
+        if state.first_screen:
+            state = replace(state, plain=state.start_plain)
+        else:  # the words that a link asks for are those of what it opens
+            state = replace(state, start_plain=greeting.start_plain)
         with self._lock:
             now = self._state()
             self.waiting = False  # the worker may have been woken meanwhile, and would have drawn another state first
@@ -108,15 +112,16 @@ class PageAddress:
         state, problems = self._url_state.read(search, replace(self._plain, **kept), self._views.panels.query.find_own)
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
-        self._views.show_state(replace(state, dark=before.dark, plain=before.plain))
+        plain = before.start_plain if state.first_screen else before.plain
+        self._views.show_state(replace(state, dark=before.dark, plain=plain, start_plain=before.start_plain))
         return problems
 
     def show_other(self, key: str) -> None:
         """Show another workspace, if there is one of this key."""
         state = self._state()
         if key in self._workspace.choices and key != self._workspace.key:
-            screen = "&screen=first" if state.first_screen else ""
-            screen += "&words=plain" if state.plain else ""
+            words = "plain" if state.plain else "expert"
+            screen = f"&screen=first&words={words}" if state.first_screen else ""
             self._show_other(key, f"?show={key}&theme={'dark' if state.dark else 'light'}{screen}")
 
     def write(self, state: SessionState) -> None:

@@ -25,7 +25,8 @@ class Greeting(msgspec.Struct, frozen=True):
     Attributes:
         search: the query string of its address.
         small: its window has room for one panel only.
-        plain: its browser reads plain words.
+        plain: it reads plain words.
+        start_plain: its first screen does; otherwise the person chose expert words.
         light: its browser asks for the light theme.
         theme: the theme that was chosen in its browser before; None without one.
         viewport: width and height of its stage, any numbers; None while it has none.
@@ -34,6 +35,7 @@ class Greeting(msgspec.Struct, frozen=True):
     search: str
     small: bool = False
     plain: bool = False
+    start_plain: bool = True
     light: bool = False
     theme: str | None = None
     viewport: tuple[float, float] | None = None

@@ -126,9 +126,10 @@ class ClientSession:
             self.views.follow(before, state)
             if change is session_state.flip_dark:  # a person's choice, unlike the theme of an address
                 self.views.bridge.call("keepTheme", "dark" if state.dark else "light")
-            unasked = change is session_state.show_everything and before.plain
-            if change is session_state.flip_words or unasked:
-                self.views.bridge.call("keepWords", "plain" if state.plain else "expert", unasked)
+            if change is session_state.flip_words:
+                self.views.bridge.call("keepWords", "plain" if state.plain else "expert")
+            elif change is session_state.show_everything and before.plain:
+                self.views.bridge.call("tellWords")
             only_windows = state == session_state.with_windows(before, state)
             self._state = state
             if only_windows:  # nothing to analyse
@@ -181,7 +182,7 @@ class ClientSession:
         Building that session takes the page seconds. None if either of the two is not on its first screen.
         """
         workspace, shown = services.workspace, self._state
-        start = replace(_opening_state(workspace), dark=shown.dark, plain=shown.plain)
+        start = replace(_opening_state(workspace), dark=shown.dark, plain=shown.plain, start_plain=shown.start_plain)
         state = opened_alone(services.url_state, workspace, search, services.url_state.read(search, start)[0])
         if not (shown.first_screen and state.first_screen):
             return None

@@ -272,9 +272,27 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     expect(fresh.locator("#lpn-told")).to_have_count(0)
     # The field's terms came unasked with the workbench, so they stay with it, and the next visit speaks plain words.
     fresh.reload()
-    expect(fresh.locator("#lpn-header .tools")).to_contain_text("Plain words")
+    tools, words = fresh.locator("#lpn-header .tools"), first.locator("[data-act=words]")
+    expect(tools).to_contain_text("Plain words")
+    # The first screen speaks as it did, however the page comes back to it.
+    fresh.goto(f"{app.url}/?screen=first")
+    expect(words).to_have_text("Expert words")
+    for back in (fresh.locator("#lpn-header .home").click, fresh.go_back):
+        first.locator("[data-act=all]").first.click()
+        expect(tools).to_contain_text("Plain words")
+        fresh.wait_for_timeout(500)  # the address is written 0.2 s later
+        back()
+        expect(words).to_have_text("Expert words")
+    # It keeps expert words that were asked for.
+    words.click()
+    expect(words).to_have_text("Plain words")
+    first.locator("[data-act=all]").first.click()
+    fresh.locator("#lpn-header .home").click()
+    expect(words).to_have_text("Plain words")
+    words.click()
+    expect(words).to_have_text("Expert words")
     fresh.goto(app.url)
-    expect(first.locator("[data-act=words]")).to_have_text("Expert words")
+    expect(words).to_have_text("Expert words")
 
 
 @pytest.mark.slow

@@ -183,7 +183,8 @@ interface Lpn {
   backEndsStory(): boolean;
   backQuietly(): void;
   keepTheme(name: string): void;
-  keepWords(name: string, unasked: boolean): void;
+  keepWords(name: string): void;
+  tellWords(): void;
   linked: boolean;
   greet(): void;
   address(query: string, keys: string[]): void;

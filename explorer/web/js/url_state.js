@@ -62,14 +62,11 @@
   lpn.keepTheme = (name) => lpn.store("local", THEME, name);
   const light = () => (lpn.stored("local", THEME) || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark")) === "light";
 
-  // Plain words, until somebody asks for the field's terms. Those that come unasked with the workbench stay as long as the tab, whose bare
-  // address speaks plain words again.
+  // Plain words, until somebody asks for the field's terms, which the browser keeps. Those that come unasked with the workbench are the
+  // tab's, as long as that shows the workbench.
   const WORDS = "lpn-words";
-  lpn.keepWords = (name, unasked) => {
-    lpn.store("session", WORDS, name);
-    if (!unasked) lpn.store("local", WORDS, name);
-    else lpn.say("The workbench speaks the field’s terms. Its link “Plain words” brings the plain ones back.", 10);
-  };
+  lpn.keepWords = (name) => lpn.store("local", WORDS, name);
+  lpn.tellWords = () => lpn.say("The workbench speaks the field’s terms. Its link “Plain words” brings the plain ones back.", 10);
 
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
@@ -81,8 +78,9 @@
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
     // Another place may take seconds to open; its first screen says so, too.
     if (!names.length || new URLSearchParams(search).get("screen") === "first") lpn.opening();
-    const words = (names.length && lpn.stored("session", WORDS)) || lpn.stored("local", WORDS);
-    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), plain: words !== "expert", light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
+    const chosen = lpn.stored("local", WORDS), words = (names.length && lpn.stored("session", WORDS)) || chosen;
+    const speech = { plain: words !== "expert", start_plain: chosen !== "expert" };
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
     greeting = lpn.every(500, hello);
     hello();
     held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
@@ -106,6 +104,7 @@
     for (const key of [...keys, "websocket"]) others.delete(key);
     if (server) others.set("websocket", server);
     search = "?" + [query, others.toString()].filter(Boolean).join("&");
+    lpn.store("session", WORDS, new URLSearchParams(query).get("words") || "expert");
     // A step that still waits is not lost to the next one.
     if (waiting && stepsOf(waiting.search) !== stepsOf(search) && performance.now() - written > PAUSE) commit();
     // The first address is no step, nor is one that comes after Back, before anything was done: it may answer what was done before.

@@ -515,9 +515,14 @@ def test_the_workbench_speaks_plain_words_until_everything_is_shown(workspace: W
     state = SessionState(TASK, 4, first_screen=True, plain=True)
     everything = session_state.show_everything(state)
     assert (everything.plain, everything.first_screen) == (False, False)
+    # The first screen speaks as before, or as the switch was set meanwhile.
+    assert session_state.to_first_screen(everything) == state
+    chosen = session_state.flip_words(session_state.flip_words(everything))
+    assert not session_state.to_first_screen(chosen).plain
     address = UrlState(workspace)
     assert "words=plain" in address.write(state)
     assert address.read("?words=plain", SessionState(TASK, 4)) == (SessionState(TASK, 4, plain=True), [])
+    assert not address.read("?words=expert", state)[0].start_plain
 
 
 def test_terms_have_the_glossary_s_meaning() -> None:
