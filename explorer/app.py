@@ -107,7 +107,8 @@ class App:
         ready: StateAnalysis | None = None,
         own: HandedOver | None = None,
     ) -> ClientSession:
-        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready, own)
+        left = None if replaced is None else replaced.left
+        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready, own, left)
         with self._lock:
             if self._sessions.get(client.client_id) is replaced:  # else its page has changed its workspace already
                 self._sessions[client.client_id] = session

@@ -6,7 +6,7 @@ import contextlib
 import logging
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import viser
@@ -56,6 +56,7 @@ class ClientSession:
         on_shown: called when the first answer is shown.
         ready: the analysis of a state that the page may open with, see `preview`.
         own: the pictures that the page's session before this one handed over.
+        left: the task and the query at which the page left each workspace, by its key.
 
     Attributes:
         views: all that the page shows.
@@ -70,6 +71,7 @@ class ClientSession:
         on_shown: Callable[[], None] = lambda: None,
         ready: StateAnalysis | None = None,
         own: HandedOver | None = None,
+        left: Mapping[str, tuple[str, int]] | None = None,
     ) -> None:
         workspace = services.workspace
         self._on_shown, self._ready, self._previewed = on_shown, ready, threading.Event()
@@ -78,7 +80,8 @@ class ClientSession:
         self._shown: StateAnalysis | None = None
         # The scoring that this page waits for.
         self._preparing: BackgroundJob[None] | None = None
-        self._state = _opening_state(workspace)
+        self._left = left or {}
+        self._state = self._opening_state(workspace)
         self._requests = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
         with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
@@ -182,7 +185,9 @@ class ClientSession:
         Building that session takes the page seconds. None if either of the two is not on its first screen.
         """
         workspace, shown = services.workspace, self._state
-        start = replace(_opening_state(workspace), dark=shown.dark, plain=shown.plain, start_plain=shown.start_plain)
+        start = replace(
+            self._opening_state(workspace), dark=shown.dark, plain=shown.plain, start_plain=shown.start_plain
+        )
         state = opened_alone(services.url_state, workspace, search, services.url_state.read(search, start)[0])
         if not (shown.first_screen and state.first_screen):
             return None
@@ -198,6 +203,11 @@ class ClientSession:
         self.views.preview(analysis, workspace)
         self._previewed.wait(_PREVIEWED)
         return analysis
+
+    @property
+    def left(self) -> Mapping[str, tuple[str, int]]:
+        """The task and the query at which the page left each workspace, by its key, with those that it shows now."""
+        return {**self._left, self._workspace.key: (self._state.task, self._state.query)}
 
     def wait_for(self, label: str) -> viser.NotificationHandle:
         """Say that another workspace is being opened, and show this one until then."""
@@ -342,6 +352,12 @@ class ClientSession:
             self._comparisons.forget()
         return replace(analysis, own_photo=self._own_photo.follow(picture, windows))
 
+    def _opening_state(self, workspace: Workspace) -> SessionState:
+        """Return the state that a page of a workspace has before its address is read: the picture that it showed there last."""
+        task, query = self._left.get(workspace.key, (next(iter(workspace.tasks)), workspace.first_query))
+        scoring = workspace.default_scoring(task)
+        return workspace.supported_state(SessionState(task, workspace.contract.n_parts, query=query, scoring=scoring))
+
     def _log_line(self, analysis: StateAnalysis, drawing: float) -> str:
         state = analysis.state
         query = f"own picture {printable(analysis.name)}" if state.upload else f"query {printable(analysis.name)}"
@@ -351,12 +367,3 @@ class ClientSession:
         return (
             f"Browser {self.client.client_id}: answer {self.views.sequence}: {state.task}, {query}, {change}: {times}"
         )
-
-
-def _opening_state(workspace: Workspace) -> SessionState:
-    """Return the state that a page of a workspace has before its address is read."""
-    task = next(iter(workspace.tasks))
-    scoring = workspace.default_scoring(task)
-    return workspace.supported_state(
-        SessionState(task, workspace.contract.n_parts, query=workspace.first_query, scoring=scoring)
-    )

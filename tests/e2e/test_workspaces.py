@@ -115,6 +115,10 @@ def test_a_page_changes_its_workspace_and_back(
     expect_workspace(explorer, "four rings", 4)
     explorer.expect_status("query", "0")
     expect(explorer.page).to_have_url(re.compile(r"\?(?!.*show=)"))
+    for label, parts in (("whole pictures", 1), ("four rings", 4)):  # a page comes back to the picture that it left
+        chip(explorer, label).click()
+        expect_workspace(explorer, label, parts)
+        explorer.expect_status("query", "1" if parts == 1 else "0")
     explorer.page.set_viewport_size({"width": 1000, "height": 900})  # no stage of a former session is asked to fit
     explorer.key("n")
     explorer.expect_status("query", "1")
