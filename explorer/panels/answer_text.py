@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
 from explorer.panels import place_text
+from explorer.panels.radius_text import confirmed
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
@@ -147,22 +148,39 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         return None, "Best match", f"{text} {_UNPROVEN} {far[1]}"
     if none := _no_right_answer(analysis, workspace):
         return False, "Wrong", none
+    judged = judged_piece(analysis, workspace)
     if first.true:
         details = workspace.flight is not None and workspace.flight.late_tags is not None
-        place = "where details place the photo" if details else "the place photographed"
+        place = "there" if judged else "where details place the photo" if details else "the place photographed"
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
         return (
             True,
             "Right",
-            f"The model compared {pictures} and found the right one{off}.",
+            f"The model compared {pictures} and found {judged or 'the right one'}{off}.",
         )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
     rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
-        f"The model compared {pictures} and chose {away}; the right one {rank}.",
+        f"The model compared {pictures} and chose {away}; {judged or 'the right one'} {rank}.",
     )
+
+
+def judged_piece(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Return what the piece is called that is right by a judge of a flight's photo whom nothing confirms; "" for any other judge.
+
+    Nothing confirms one that another method contradicts, nor any of a flight whose check does not confirm the radii.
+    """
+    flight = workspace.flight
+    if flight is None or analysis.state.upload is not None or flight.rendered:
+        return ""
+    verdict = belief(flight.frames[analysis.state.query])
+    contradicted = verdict.stage == "registration" and verdict.sign is None
+    if not contradicted and confirmed(workspace) is not False:
+        return ""
+    at = "details place the photo" if flight.judge == "its details" else "the photo's GPS tag lies"
+    return f"the piece where {at}"
 
 
 def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
@@ -458,17 +476,22 @@ def _far_tag(analysis: StateAnalysis) -> float | None:
     return nearest if nearest >= _ELSEWHERE_M else None
 
 
-def lead(analysis: StateAnalysis) -> Lead | None:
+def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     """Return the lead between the top match and the tile that it is best compared with; None where there is none.
 
     For a right answer, that is the hardest negative; for a wrong one, the nearest positive; without a truth, the next tile.
+
+    Args:
+        judged: what the right piece is called where its judge is doubtful, see `judged_piece`.
     """
     first, others = analysis.matches[0], analysis.matches[1:]
     rival: Match | None
     if first.true is False and (rival := analysis.positive) is not None:
-        return Lead(first.contributions - rival.contributions, "the right picture", rival.index, of_answer=False)
+        name = judged or "the right picture"
+        return Lead(first.contributions - rival.contributions, name, rival.index, of_answer=False)
     if first.true:
-        rival, name = next((match for match in others if not match.true), None), "the best wrong picture"
+        rival = next((match for match in others if not match.true), None)
+        name = "the best piece of another place" if judged else "the best wrong picture"
     else:
         rival, name = next(iter(others), None), "the next best picture"
     if rival is None:

@@ -224,7 +224,7 @@ def page(
     found = _verdicts(analysis, workspace)
     disputed = found.disputed
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
-    lead = answer_text.lead(analysis) if state.why else None
+    lead = answer_text.lead(analysis, answer_text.judged_piece(analysis, workspace)) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
@@ -550,10 +550,11 @@ def _third_tile(
     Where the tag is disputed, or the judge is in doubt (`unsure`), that is not known. Parts that differ from picture to picture
     are not drawn, as they would take a forward pass.
     """
-    task, lead = analysis.task, answer_text.lead(analysis)
+    task, judged = analysis.task, answer_text.judged_piece(analysis, workspace)
+    lead = answer_text.lead(analysis, judged)
     known = analysis.ranking.relevant is not None and not disputed
     right: bool | None = not disputed and analysis.positive is not None and analysis.positive.index == index
-    caption = "The right one" if right or lead is None else lead.other.capitalize()
+    caption = "The right one" if lead is None or (right and not judged) else words.capitalised(lead.other)
     if right and unsure:
         caption, right = "Right, if its details are right", None
     if disputed and analysis.positive is not None and analysis.positive.index == index:

@@ -53,30 +53,30 @@ def holds(answer: StageRecord | None, workspace: Workspace, doubted: bool = Fals
     """
     if answer is None or answer.radius is None or not answer.accepted:
         return ""
-    confirmed = _confirmed(workspace)
+    sure = confirmed(workspace)
     if plain():
-        return "" if doubted and confirmed is not False else _nearly_all(answer, workspace, confirmed)
+        return "" if doubted and sure is not False else _nearly_all(answer, workspace, sure)
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     text = (
         f"± {answer.radius:.1f} m should hold for {first:.0f} of 100 photos, and {error_figure(2 * answer.radius)} m for "
         f"{second:.0f}"
     )
-    return f"{text}; the check of this flight does not confirm it." if confirmed is False else f"{text}."
+    return f"{text}; the check of this flight does not confirm it." if sure is False else f"{text}."
 
 
-def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | None) -> str:
+def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None) -> str:
     assert answer.radius is not None
     limit = explained(f"{upper_bound(reach(answer.radius))} m", _meaning(answer, workspace))
     where = Markup("{} of the true place {}").format(limit, on_what(answer))
     of = Markup("{:.0f} of 100 photos").format(RIGHT_CALIBRATION[_NEARLY_ALL])
-    if confirmed is None:
+    if sure is None:
         return Markup("<strong>It should lie within {}</strong>, as {} should; nothing here checks that.").format(
             where, of
         )
     assert workspace.flight is not None
     summary = workspace.flight.summaries()["registration"]
     near = f"{round(summary.calibration[3] / 100 * summary.answered)} of {summary.answered}"
-    if confirmed:
+    if sure:
         return Markup(
             "<strong>It should lie within {}</strong>, as {} should; {} here lie that near to their {}."
         ).format(where, of, near, _truths(workspace))
@@ -86,7 +86,7 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, confirmed: bool | Non
     ).format(of, where, near, _truths(workspace), off)
 
 
-def _confirmed(workspace: Workspace) -> bool | None:
+def confirmed(workspace: Workspace) -> bool | None:
     """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
     calibration = _calibration(workspace)
     return None if calibration is None else calibration[3] >= CONFIRMED_SHARE
@@ -134,7 +134,7 @@ def check(workspace: Workspace) -> str:
         f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {_truths(workspace)}, where "
         f"{right} should."
     )
-    if _confirmed(workspace):
+    if confirmed(workspace):
         return text
     return (
         f"{text} So the check does not confirm the radius: tags that are late or wrong would do the same, and so would a radius "

@@ -158,7 +158,7 @@ def test_rings_that_lead_alike_are_named_together(workspace: Workspace, monkeypa
     lead = answer_text.lead(analysis)
     assert lead is not None
     alike = replace(lead, terms=np.array([0.1, 0.312, 0.05, 0.309]))
-    monkeypatch.setattr(answer_text, "lead", lambda _: alike)
+    monkeypatch.setattr(answer_text, "lead", lambda *_: alike)
     assert workspace.part_names[3] == "4 outer"
     shown = text(first_screen.page(analysis, workspace))
     assert "Parts 2 and 4 (outer) speak most, alike, for this answer (81 % of what speaks for it)" in shown
@@ -774,6 +774,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             assert ("By its look, which errs" in said) == why
             assert ("which errs if its details are right" in said) == (why and index == doubted)
             assert ("GPS tag, the white circle, lies " in said) != why
+            # Nothing confirms the judge, so no piece is called right without it.
+            assert not re.search(r"right (one|picture|tile)|best wrong", said), said
+            assert ("for the piece where details place the photo" in said) == why
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, doubted, 30)
         html = first_screen.page(analyse(workspace, fails), workspace)
@@ -793,7 +796,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
     assert "? Not placed, a best guess only. Its details fit nowhere well enough." in said
     assert "✗ Wrong by its look, judged by its details." in said
-    assert "The right one" in said
+    assert "The piece where details place the photo" in said
     # A photo that is graded by a place off all pieces.
     off = replace(analyse(workspace, replace(state, query=placed)), positive=None)
     nowhere = (
