@@ -16,7 +16,7 @@ from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, belief, disagreements, on_what
+from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
@@ -199,7 +199,8 @@ def flight_verdict(
 ) -> tuple[tuple[bool | None, str, str], tuple[bool | None, str, str] | None]:
     """Return two verdicts on a photo of a flight: on its look, and by all methods, see `lpn.locate.belief`.
 
-    The second is what the program concludes. It is None for a photo of no flight, and before the photo is registered.
+    Each begins with its method, as both stand on one screen. The second is what the program concludes. It is None for a photo of
+    no flight, and before the photo is registered.
     """
     right, _, sentence = look
     if workspace.flight is None or analysis.state.upload is not None:
@@ -207,7 +208,7 @@ def flight_verdict(
     if _no_right_answer(analysis, workspace):
         look = None, "Not graded", sentence
     elif right is not None:
-        look = right, f"{'Right' if right else 'Wrong'} by its look, judged by {workspace.flight.judge}", sentence
+        look = right, f"{by_look(right)}, judged by {workspace.flight.judge}", sentence
     located, elsewhere = workspace.flight.frames[analysis.state.query], other_map(workspace.flight)
     registration = located.stages.get("registration")
     registered = registration is not None
@@ -217,12 +218,26 @@ def flight_verdict(
     told = verdict.summary if words.plain() else verdict.headline
     if registration is not None and verdict.stage == "registration":
         if look[0] is not None and verdict.sign is None and workspace.flight.judge == "its details":
-            look = None, f"{'Right' if right else 'Wrong'} by its look, if its details are right", sentence
+            look = None, f"{by_look(right is True)}, if its details are right", sentence
         beside = _beside_look(analysis, look[0])
-        return look, (verdict.sign, checked(told, located, verdict.sign), " ".join(filter(None, (elsewhere, beside))))
+        return look, (
+            verdict.sign,
+            checked(by_details(told), located, verdict.sign),
+            " ".join(filter(None, (elsewhere, beside))),
+        )
     nowhere = "Its details fit nowhere well enough." if registered else ""
     headline = _OTHER_MAP if elsewhere else told
     return look, (verdict.sign, headline, " ".join(filter(None, (elsewhere, nowhere))))
+
+
+def by_look(right: bool) -> str:
+    """Return the verdict on a photo's look, which begins with the method."""
+    return f"By its look: {'right' if right else 'wrong'}"
+
+
+def by_details(headline: str) -> str:
+    """Return the headline of a registration, see `lpn.locate.belief.Belief`, so that it begins with the method."""
+    return headline.replace(PLACED, "By its details: placed", 1)
 
 
 def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:

@@ -17,6 +17,8 @@ TAG_RADIUS = 5.0
 SIGMAS = 3.0
 # A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
 TILT = 15.0
+# The summary of a registration, which goes on with what contradicts it.
+PLACED = "Placed by its details"
 # Answers in plain words.
 ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 # The answers that may contradict a registration, in words.
@@ -230,7 +232,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
     registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
     why = "" if registration is None else registration.sentence
     if registration is not None and registration.accepted:
-        summary = "Placed by its details"
+        summary = PLACED
         headline = f"{summary}, ± {registration.radius or 0:.1f} m {on_what(registration)}"
         error = located.error("registration")
         beside = "" if error is None else f" It lies {error:.1f} m from its GPS tag."

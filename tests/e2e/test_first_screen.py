@@ -407,7 +407,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     # A ring that turns while the map is searched would take the time of the search from it.
     fresh.emulate_media(reduced_motion="reduce")
     fresh.goto(demo_app.url)
-    expect(sentence).to_contain_text("Placed by its details.")
+    expect(sentence).to_contain_text("By its details: placed.")
     send(DEMO_PLACE[1] / "IMG_9368.webp")
     place.locator("summary").click()
     # The search gives way to all else that the machine does.

@@ -609,11 +609,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     page = first_screen.page(analyse(workspace, state), workspace)
     said = text(page)
     assert "a place that the model was not trained on" in said
-    assert "✓ Right by its look, judged by its details." in said
+    assert "✓ By its look: right, judged by its details." in said
     assert re.search(r"The chosen piece is \d+ m wide; by its details, the photo's middle lies on it\.", said)
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
-        "✓ Placed by its details, ± 6.1 m on earth . ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for 86; the check of "
+        "✓ By its details: placed, ± 6.1 m on earth . ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for 86; the check of "
         "this flight does not confirm it. By its details : 268 details of the photo lie where the map has them. Its GPS tag, the "
         "white circle, lies 10 m from there. "
         "The photo's middle lies at 30.171" in said
@@ -660,7 +660,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert workspace.basemap is not None
     _, file = reports.of_analysis(workspace, analyse(workspace, state), said=told)
     for sentence in (
-        "✓ Placed by its details.",
+        "✓ By its details: placed.",
         "268 details of the photo lie where the map has them.",
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
@@ -730,7 +730,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
     assert "By their look alone, the first answer is wrong for 5 of 30 pictures (17 %)." in of_wrong
-    assert "✗ Wrong by its look, judged by its details." in of_wrong
+    assert "✗ By its look: wrong, judged by its details." in of_wrong
     assert "and chose one that lies 50 m to the south-west; the right one came 2nd." in of_wrong
     assert (
         "the photo's square shows 45 m of ground from side to side, this answer 26 m and the right one 100 m."
@@ -750,13 +750,13 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     for index, headline, by_look in (
         (
             placed,
-            "✓ Placed by its details, ± 6.1 m on earth . The model's own guess, by its look alone, was wrong, ",
-            "✗ Wrong by its look, judged by its details.",
+            "✓ By its details: placed, ± 6.1 m on earth . The model's own guess, by its look alone, was wrong, ",
+            "✗ By its look: wrong, judged by its details.",
         ),
         (
             doubted,
-            "? Placed by its details, ± 6.1 m on earth , but its GPS tag disagrees.",
-            "? Wrong by its look, if its details are right.",
+            "? By its details: placed, ± 6.1 m on earth , but its GPS tag disagrees.",
+            "? By its look: wrong, if its details are right.",
         ),
     ):
         for why in (False, True):
@@ -795,7 +795,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     flight.frames[placed].stages.pop("sequence", None)
     said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
     assert "? Not placed, a best guess only. Its details fit nowhere well enough." in said
-    assert "✗ Wrong by its look, judged by its details." in said
+    assert "✗ By its look: wrong, judged by its details." in said
     assert "The piece where details place the photo" in said
     # A photo that is graded by a place off all pieces.
     off = replace(analyse(workspace, replace(state, query=placed)), positive=None)
@@ -807,7 +807,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     flight.frames[placed].stages["registration"] = before
     said = text(first_screen.page(off, workspace))
     assert f"? Not graded. {nowhere}" in said
-    assert "✓ Placed by its details" in said
+    assert "✓ By its details: placed" in said
     for query, sentence in ((right.index(True), "it lies elsewhere"), (right.index(False), "it lies on this piece")):
         shown = analyse(workspace, replace(state, query=query))
         assert "the map disagree" not in text(first_screen.page(shown, workspace))
