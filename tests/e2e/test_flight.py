@@ -634,3 +634,10 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
         assert box(told)["y"] >= box(line)["y"] + box(line)["height"], "the buttons above the timeline stay free"
         leave()
         expect(told).to_be_empty()
+    # The place of a photo that is chosen by a tap comes into sight.
+    for low in (844, 500):
+        page.set_viewport_size({"width": 390, "height": low})
+        line.evaluate("(line) => line.scrollIntoView({ block: 'start' })")
+        expect(view).not_to_be_in_viewport(ratio=0.5)
+        line.tap(position={"x": 44, "y": 40})
+        expect(view).to_be_in_viewport(ratio=0.9)

@@ -288,7 +288,7 @@
     forget: () => flight.photo.forget(),
     turnto: () => flight.map.turnTo(),
   };
-  const see = (selector) => find(selector).scrollIntoView({ block: "nearest" });
+  const see = (flight.see = (selector) => find(selector).scrollIntoView({ block: "nearest" }));
   const onClick = (event) => {
     // The verdict on a photo of a list comes into sight.
     if (event.target.closest(".entry")) see(".about");

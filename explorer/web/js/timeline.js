@@ -180,6 +180,7 @@
         choose(event);
         held = { frame, plot: timeline.plot };
         explain([event.offsetX, event.offsetY], marks.filter((mark) => mark[2] === frame && mark[3]), Infinity);
+        flight.see(".view"); // a phone's sheet may have scrolled the map, which has the answer, out of sight
       });
       element.addEventListener("pointerdown", (event) => {
         finger = event.pointerType === "touch";
