@@ -31,10 +31,8 @@ from lpn.retrieval import Match
 _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
-OWN_KEPT = (
-    "Your picture stays in the memory of the computer that runs this program, which is yours if you started it, until you close "
-    "this page, and goes nowhere else."
-)
+# The page puts the name of the computer that answers it in place of the braces, as only the page knows its address.
+OWN_KEPT = "Your picture stays in the memory of {computer}, which runs this page, until you close this page, and goes no further."
 NO_LINK = "A link cannot carry your own picture."
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.

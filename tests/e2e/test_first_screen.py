@@ -11,7 +11,7 @@ from playwright.sync_api import Browser, Page, expect
 
 from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
 from lpn.core.images import load_picture, shrink
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, started
 from tools.fixtures import small_worlds
 
 # Check that a phone's sheet has not scrolled since the last look.
@@ -251,7 +251,9 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     with fresh.expect_download() as download:
         first.get_by_role("button", name="Save this answer").click()
     assert "mine.png" in download.value.path().read_text("utf-8")
-    expect(first.locator(".overall")).to_contain_text("stays in the memory of the computer that runs this program")
+    expect(first.locator(".overall")).to_contain_text(
+        "stays in the memory of this computer, which runs this page, until"
+    )
 
     # Several at once are stepped through.
     for index in (6, 7):
@@ -312,7 +314,8 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     page.evaluate("HTMLInputElement.prototype.click = function () { window.chooser = this; }; 0")
     # The page says what suits, and where it goes, before the chooser opens.
     first.locator("[data-act=upload]").tap()
-    expect(first.locator(".offer")).to_contain_text("until you close this page, and goes nowhere else")
+    offer = first.locator(".offer")
+    expect(offer).to_contain_text("memory of this computer, which runs this page, until you close this page, and goes")
     page.evaluate("lpn.firstAgain()")  # as when all pictures are ranked
     assert page.evaluate("window.chooser === undefined")
     first.get_by_role("button", name="Choose pictures").tap()
@@ -434,3 +437,13 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     send(tmp_path / "foreign.png")
     expect(sentence).to_contain_text("Its details fit nowhere on this map", timeout=3000 * PATIENCE)
     expect(captions).to_have_count(2)
+
+
+@pytest.mark.slow
+def test_own_pictures_go_to_the_host_of_the_address(data: Path, model_file: Path, tmp_path: Path, fresh: Page) -> None:
+    options = ["--allow-host", "lab.localhost"]  # browsers find such a name on this computer
+    with started(data, model_file, tmp_path / "cache", options=options) as app:
+        fresh.goto(app.url.replace("127.0.0.1", "lab.localhost"))
+        fresh.locator("#lpn-first [data-act=upload]").click()
+        offer = fresh.locator("#lpn-first .offer")
+        expect(offer).to_contain_text("the memory of the computer lab.localhost, which runs this page, until")

@@ -94,6 +94,8 @@ interface Lpn {
   // viewport.js
   head(html: string): void;
   say(text: string, seconds?: number): void;
+  isHere: boolean;
+  named(text: string): string;
   focus(uuid: string): void;
   small: MediaQueryList;
   stageSize(): Point | null;

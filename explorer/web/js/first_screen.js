@@ -57,7 +57,7 @@
     page.className = "lpn";
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
     const scrolled = page.scrollTop, restoreFocus = keptFocus(page), restoreDetails = keptDetails(page), offer = page.querySelector(".offer");
-    page.innerHTML = html;
+    page.innerHTML = lpn.named(html);
     for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
       // A part that unfolds below the window's edge comes into sight.
@@ -112,7 +112,7 @@
     offer.className = "offer";
     offer.setAttribute("aria-label", "Your own picture");
     offer.innerHTML = '<p></p><p><button type="button" data-act="choose">Choose pictures</button><button type="button" class="quiet" data-act="not-now">Not now</button></p>';
-    offer.querySelector("p").textContent = lpn.ownHint;
+    offer.querySelector("p").textContent = lpn.named(lpn.ownHint);
     const [choose, leave] = offer.querySelectorAll("button");
     choose.onclick = () => lpn.upload();
     leave.onclick = () => lpn.offer();

@@ -147,8 +147,7 @@
     const state = typeof coming === "number" ? "?" + shown : search;
     // A page that opens a link speaks plain words, unless the link asks for others.
     const words = shown.has("words") ? "" : `${search ? "&" : "?"}words=expert`;
-    const here = ["localhost", "127.0.0.1", "[::1]"].includes(location.hostname);
-    const where = here ? ` on this computer only, as its address is ${location.hostname}` : "";
+    const where = lpn.isHere ? ` on this computer only, as its address is ${location.hostname}` : "";
     const photo = /^&look=(swipe|blink)/.exec(look)?.[1];
     const mode = photo ? `, with ${photo === "swipe" ? "Swipe" : "Blink"}` : "";
     if (!(await copied(location.origin + location.pathname + state + words + look + location.hash)))

@@ -19,7 +19,7 @@
   lpn.say = (text, seconds = 4) => {
     const notice = element("lpn-notice", document.body);
     notice.setAttribute("role", "status");
-    notice.textContent = text;
+    notice.textContent = lpn.named(text);
     notice.classList.add("shown");
     clearTimeout(notice.hiding);
     if (seconds) notice.hiding = setTimeout(() => notice.classList.remove("shown"), 1000 * seconds);
