@@ -517,8 +517,13 @@ def trust(analysis: StateAnalysis, workspace: Workspace) -> str:
 
     It is not known under other part weights or for a region, as no other query was ranked so. For an uploaded picture it is not
     known either if the truth names junk, as its junk is unknown, nor among the tiles of a rendered city. Where the details of an
-    uploaded picture are compared with a map, the trials of that map tell.
+    uploaded picture are compared with a map, the trials of that map tell. Of a real flight it says what nobody has tried, too.
     """
+    text = _trust(analysis, workspace)
+    return f"{text} {place_text.untried(workspace)}".strip() if text and analysis.state.upload is None else text
+
+
+def _trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     state, task, result = analysis.state, analysis.task, workspace.rankings[analysis.task.key].result
     own = state.upload is not None
     if own and workspace.own_photos is not None and (_compared(analysis) or analysis.registered is not None):

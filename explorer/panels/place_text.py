@@ -20,7 +20,8 @@ from lpn.maps.named_window import WindowCut, describe_offset
 from lpn.maps.place import season_of
 from lpn.tasks.task import Task
 
-UNTRIED = "Photos of damage, such as a storm's, have not been tried."
+_NO_DAMAGE = "Photos of damage, such as a storm's, have not been tried."
+UNTRIED = "Photos of damage, such as a storm's, and real photos of another season than the map's have not been tried."
 # A piece that the map shows less of than this share has a visible part without a picture.
 _WHOLE = 0.95
 
@@ -121,7 +122,7 @@ def untried(workspace: Workspace) -> str:
     """Say what nobody has measured, where a real flight may lead to believe it; "" for any other data."""
     if workspace.flight is None or workspace.flight.rendered:
         return ""
-    return UNTRIED
+    return _NO_DAMAGE if _seasons_differ(workspace.flight) else UNTRIED
 
 
 def _seasons_differ(flight: LocatedFlight) -> bool:

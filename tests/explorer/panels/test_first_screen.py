@@ -649,7 +649,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert (
         "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30 (4 in doubt, 9 not "
         "checked beside their middle). Nobody measured where they really are. Of 68 photos of other places, none was placed on "
-        "this map." in said
+        "this map. Photos of damage, such as a storm's, and real photos of another season than the map's have not been tried."
+        in said
     )
     assert (
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map away from its "
