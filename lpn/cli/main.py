@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 import os
+import select
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from importlib.metadata import entry_points
-from typing import Any
+from typing import Any, TextIO
 
 import lpn
 from lpn.cli import by_source
@@ -75,9 +76,47 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, and return the exit status.
 
     It is 0; 1 if doctor, verify, or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of
-    the signal that stopped the command.
+    the signal that stopped the command. A command whose reader closes the pipe (`lpn doctor | head -1`) ends without a word, with
+    128 plus the number of SIGPIPE.
     """
-    return _run_until_stopped(arguments, lambda status: status)
+    return _run_until_unread(arguments, lambda status: status)
+
+
+def _run_until_unread(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
+    """Run `_run_until_stopped`, and end silently once the pipe that it prints to is closed.
+
+    SIGPIPE itself stays ignored, as Python has it: it would end a server when a browser leaves.
+    """
+    try:
+        try:
+            return _run_until_stopped(arguments, stopped)
+        finally:  # at exit Python itself would complain of a closed pipe
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except SystemExit as error:
+        # Rich ends the command when its pipe is closed.
+        if not isinstance(error.__context__, BrokenPipeError):
+            raise
+    except OSError as error:
+        if not _is_unread(error):
+            return _refused(error)
+    for stream in filter(_reader_left, (sys.stdout, sys.stderr)):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return 128 + 13  # SIGPIPE; Windows has no name for it
+
+
+def _is_unread(error: OSError) -> bool:
+    """Return whether an error is that of a closed standard output or error, rather than of a connection."""
+    return isinstance(error, BrokenPipeError) and (_reader_left(sys.stdout) or _reader_left(sys.stderr))
+
+
+def _reader_left(stream: TextIO) -> bool:
+    """Return whether a stream is a pipe that nobody reads any more."""
+    with suppress(AttributeError, OSError, ValueError):  # Windows cannot ask; a stream may have no file
+        watch = select.poll()
+        watch.register(stream.fileno(), 0)
+        return bool(watch.poll(0))
+    return False
 
 
 def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int], Any]) -> int:
@@ -132,9 +171,15 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
         print(f"lpn: {broken_package(error)}", file=sys.stderr)
         return 2
     except OSError as error:
-        name = f" ({printable(str(error.filename))})" if error.filename else ""
-        print(f"lpn: The system refused a file or device{name}: {error.strerror or error}.", file=sys.stderr)
-        return 2
+        if _is_unread(error):
+            raise
+        return _refused(error)
+
+
+def _refused(error: OSError) -> int:
+    name = f" ({printable(str(error.filename))})" if error.filename else ""
+    print(f"lpn: The system refused a file or device{name}: {error.strerror or error}.", file=sys.stderr)
+    return 2
 
 
 def _stopped(parsed: list[Any], number: int) -> int:
@@ -186,7 +231,7 @@ def _help() -> str:
 
 def run() -> None:
     """The console script; after a stop it waits for no thread that still computes."""
-    sys.exit(_run_until_stopped(None, exit_now))
+    sys.exit(_run_until_unread(None, exit_now))
 
 
 if __name__ == "__main__":

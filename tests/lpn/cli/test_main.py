@@ -1,7 +1,9 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -142,3 +144,20 @@ def test_train_takes_its_defaults_from_the_named_recipe(
     assert capsys.readouterr().err == ""
     assert main.main(["evaluate", "--data", str(root), "--model", str(tmp_path / "m.onnx")]) == 0
     assert "n = 2, 64 x 64" in capsys.readouterr().out
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="closed pipes are POSIX's")
+@pytest.mark.parametrize("arguments", ["--help", "search --help", "doctor", "evaluate --data none --model none.pth"])
+def test_a_closed_pipe_ends_a_command_in_silence(arguments: str) -> None:
+    """One that prints, that prints by Rich, that prints tyro's help, and that prints an error."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    to_errors = "none" in arguments
+    done = subprocess.run(
+        [sys.executable, "-m", "lpn", *arguments.split()],
+        stdout=subprocess.PIPE if to_errors else writer,
+        stderr=writer if to_errors else subprocess.PIPE,
+        check=False,
+    )
+    os.close(writer)
+    assert (done.returncode, done.stdout or b"", done.stderr or b"") == (141, b"", b"")
