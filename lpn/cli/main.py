@@ -14,6 +14,7 @@ from typing import Any, TextIO
 
 import lpn
 from lpn.cli import by_source
+from lpn.cli.choices import IN_ORDER
 from lpn.cli.compare import CompareCommand
 from lpn.cli.crossval import CrossvalCommand, parse_crossval
 from lpn.cli.describe import DescribeCommand, GatherCommand
@@ -159,7 +160,9 @@ def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int],
 def _run(arguments: list[str], parsed: list[Any]) -> int:
     """Parse a command, append it to `parsed`, and run it."""
     try:
-        parsed.append(_parse(commands()[arguments[0]], arguments[1:], f"lpn {arguments[0]}"))
+        command = commands()[arguments[0]]
+        with IN_ORDER:
+            parsed.append(_parse(command, arguments[1:], f"lpn {arguments[0]}"))
         return int(parsed[0].run() or 0)
     except LPNError as error:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -71,13 +72,17 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     tile_place = describe_position(evidence.tile.cells[best], tile_view)
     if float(evidence.query.constants[best]) > evidence.cosines[best] / 2:
         places = "most of it by a constant that comes from no cell"
+    elif query_place == tile_place == "all around":
+        places = "from places all over both pictures"
     else:
-        places = f"where {_place(say('query'), query_place)} agrees with {_place(say('tile'), tile_place)}"
+        verb = "agree" if query_place == "all around" else "agrees"
+        places = f"where {_place(say('query'), query_place)} {verb} with {_place(say('tile'), tile_place)}"
     similarity, what = float(weighted.sum()), say("score" if evidence.csls is None else "part cosine")
     constants = float(evidence.query.constants @ evidence.weights)
     if len(names) == 1:
+        mainly = re.sub("^(from )?(where|places)", r"mainly from \2", places)
         text = f"The {what} is {signed(similarity)}"
-        text += "." if constants > similarity / 2 > 0 else f", {places.replace('where', 'mainly from where', 1)}."
+        text += "." if constants > similarity / 2 > 0 else f", {mainly}."
     else:
         share = f"{signed(weighted[best])} of {similarity:.3f}"
         text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
@@ -372,4 +377,4 @@ def _decisive(margin: FloatingArray, part_names: Sequence[str], costs: bool = Fa
 
 
 def _place(picture: str, position: str) -> str:
-    return f"all of the {picture}" if position == "all around" else f"the {picture}'s {position}"
+    return f"places all over the {picture}" if position == "all around" else f"the {picture}'s {position}"

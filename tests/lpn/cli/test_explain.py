@@ -117,3 +117,20 @@ def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against(
         "Part 2 outer adds most to the score (+0.400 of 0.300), where the query's upper right agrees with the tile's "
         "north-east. Part 1 centre speaks against the pair (−0.100)."
     )
+
+
+def test_cells_on_no_side_are_told_as_places_all_over_the_pictures() -> None:
+    east = np.zeros((1, 4, 4))
+    east[0, 1:3, 3] = 1.0
+    sides = [SideEvidence(cells, np.zeros(1)) for cells in (np.full((1, 4, 4), 1.0), east)]
+    said = [
+        verdicts.describe_evidence(
+            Evidence(np.array([0.8]), part_weights(1), sides[query], sides[tile]), ["whole"], "drone", "satellite"
+        )
+        for query, tile in ((0, 0), (0, 1), (1, 0))
+    ]
+    assert said == [
+        "The score is +0.800, mainly from places all over both pictures.",
+        "The score is +0.800, mainly from where places all over the query agree with the tile's east.",
+        "The score is +0.800, mainly from where the query's right agrees with places all over the tile.",
+    ]

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from lpn.cli import main
+from lpn.datasets.base import TASKS
 from lpn.descriptors import open_store
+from lpn.descriptors.weather import WEATHERS
 from tools.fixtures import small_worlds
 from tools.fixtures.trainings import make_resnets_shallow
 from tools.fixtures.without_torch import run_without_torch
@@ -161,3 +163,14 @@ def test_a_closed_pipe_ends_a_command_in_silence(arguments: str) -> None:
     )
     os.close(writer)
     assert (done.returncode, done.stdout or b"", done.stderr or b"") == (141, b"", b"")
+
+
+def test_the_words_of_an_option_are_listed_in_their_order_and_without_none(capsys: pytest.CaptureFixture[str]) -> None:
+    for option, value, words in (
+        ("--task", "both", [*TASKS, "street-to-street"]),
+        ("--weather", "hail", [*WEATHERS, "all"]),
+    ):
+        with pytest.raises(SystemExit):
+            main.main(["evaluate", "--data", "d", "--model", "m", option, value])
+        said = " ".join(capsys.readouterr().err.replace("│", " ").split())
+        assert f"Expected one of ({', '.join(map(repr, words))})." in said
