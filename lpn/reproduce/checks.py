@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lpn.core.errors import InputError
 from lpn.core.views import View, views_of
 from lpn.models.base import Model
+from lpn.models.spec import ModelSpec
 from lpn.reproduce.sources import TASKS
-from lpn.reproduce.tables import PaperTable, TableRow, Training
+from lpn.reproduce.tables import PaperTable, Scale, TableRow, Training
 from lpn.reproduce.trainings import TrainingJob
-from lpn.training.recipes import Recipe
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class NetworkUse:
             raise InputError(f"{self.used_by} needs the view {lacking[0]}; {source} has {', '.join(available)}.")
 
 
-def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> None:
+def check_fits(model: Model, file: Path, use: NetworkUse, scale: Scale) -> None:
     """Raise InputError if a given network is not of the kind that it stands for; backbone and weights are free."""
     use.check_views(model.views, file.name)
-    spec, name = model.spec, use.training.name
+    spec, name, recipe = model.spec, use.training.name, scale.recipe(use.training, 0)
     if spec is None:
         raise InputError(f"{file.name} is {model.contract.method}, and {name} needs an LPN; give one, or leave it out.")
     compared = {
@@ -68,10 +68,26 @@ def check_fits(model: Model, file: Path, use: NetworkUse, recipe: Recipe) -> Non
         if actual != expected:
             read = what == "input size" and file.suffix == ".pth" and not file.with_name("opts.yaml").is_file()
             hint = " (no opts.yaml is beside it, and without one a .pth is read as 256 x 256)" if read else ""
+            size = None if read or what != "input size" else _size_options(spec, use.training, scale)
+            remedy = "give it under the name of a network of its own kind, or leave it out"
+            if size is not None:
+                remedy = f"give {size}, which holds for every network without a size of its own, or leave the file out"
             raise InputError(
-                f"{file.name} has {what} {actual}{hint}, and {name} needs {what} {expected} in {use.used_by}; give it "
-                "under the name of a network of its own kind, or leave it out."
+                f"{file.name} has {what} {actual}{hint}, and {name} needs {what} {expected} in {use.used_by}; {remedy}."
             )
+
+
+def _size_options(spec: ModelSpec, training: Training, scale: Scale) -> str | None:
+    """Return the options by which a training gets the input size of a network, such as "--size 128"; None if it has its own."""
+    height, width = spec.input_size
+    changes = {**scale.changes, "size": height, "width": 0 if width == height else width}
+    try:
+        changed = replace(scale, changes=changes).recipe(training, 0)
+    except InputError:
+        return None
+    if changed.input_size != spec.input_size:
+        return None
+    return f"--size {height}" if width == height else f"--size {height} --width {width}"
 
 
 def check_used(models: Mapping[str, Path], uses: Sequence[NetworkUse]) -> None:

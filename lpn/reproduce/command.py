@@ -162,8 +162,7 @@ class Reproduction:
         loaded = {name: lpn.load(file) for name, file in self.models.items()}
         for use in uses:
             if use.training.name in loaded:
-                recipe = self.scale.recipe(use.training, 0)
-                checks.check_fits(loaded[use.training.name], self.models[use.training.name], use, recipe)
+                checks.check_fits(loaded[use.training.name], self.models[use.training.name], use, self.scale)
                 if self.scale.released and use.carried:
                     transfer.check_model(loaded[use.training.name])
         return loaded

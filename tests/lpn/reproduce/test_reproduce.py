@@ -347,7 +347,7 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
         (
             {"models": {"lpn": start}, "changes": {}},
             ["table4"],
-            "has input size 64 x 64, and lpn needs input size 256 x",
+            "has input size 64 x 64, and lpn needs input size 256 x 256 in .*; give --size 64, which holds for every network",
         ),
         ({"models": {"lpn": strips(tmp_path)}}, ["table5"], "has layout strips, and lpn needs layout university"),
         ({"models": {"lpn-2-parts": model}}, ["table5"], "as lpn-2-parts, which no requested row uses"),
@@ -726,7 +726,7 @@ def test_figure_1_has_its_own_name_and_figure_8_shows_what_safa_with_lpn_retriev
     given = {"lpn": model_file, "panorama-safa-lpn": tmp_path / "safa-lpn.safetensors"}
     scale = replace(SCALES["reduced"], changes=QUICK)
     assert scale.recipe(SHOWN["figure8-panoramas"][0], 0).input_size == (112, 616)
-    with pytest.raises(InputError, match="needs input size 112 x 616 in figure8-panoramas"):
+    with pytest.raises(InputError, match="needs input size 112 x 616 in figure8-panoramas; give it under"):
         reproduction(places, tmp_path / "small", models=given, **options).run(["figure8"])
     drawn = retrievals(lpn.load(given["panorama-safa-lpn"]), open_dataset(tmp_path / "cvusa"), ("street",), top=3)
     assert drawn.startswith(b"\x89PNG")
