@@ -216,7 +216,8 @@ class WindowIndex:
 
     def _places(self, names: Iterable[str]) -> list[NamedWindow]:
         """Return the windows of names, north up and each once."""
-        return list(dict.fromkeys(replace(one, heading=0.0) for one in self._named(names)))
+        upright = (replace(one, heading=0.0) if one.heading else one for one in self._named(names))
+        return list(dict.fromkeys(upright))
 
     def _on_map(self, named: Sequence[NamedWindow]) -> list[Window]:
         places = self._map.frame.xy([one.latitude for one in named], [one.longitude for one in named]).tolist()

@@ -19,6 +19,7 @@ import numpy as np
 from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import cache_folder
+from lpn.core.filled_cache import FilledCache
 from lpn.core.progress import CountProgress, Progress
 from lpn.core.views import View
 from lpn.descriptors.cache import in_cache
@@ -51,6 +52,8 @@ _AIRCRAFT_TURNS = (0.0, -10.0, 10.0, -20.0, 20.0)
 _OTHER_TURN = 1.5
 # Added to the variances that whitening divides by, as a share of their mean: few samples tell the small ones badly.
 _SHRINKAGE = 1.0
+# Bytes of the scores of frames that are held in memory: a sequence asks for each frame's a dozen times.
+_HELD_SCORES = 1 << 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,9 @@ class MapRetrieval:
     by_aircraft: frozenset[int] = frozenset()
     overlap: float = 0.75
     turned_windows: Float32Array | None = None
+    _scores: FilledCache[Float64Array] = field(
+        default_factory=lambda: FilledCache(_HELD_SCORES, lambda scores: scores.nbytes), init=False, repr=False
+    )
 
     def scores(self, frame: int) -> Float64Array:
         """Return the score of each window, (W,), the best heading counting."""
@@ -125,6 +131,9 @@ class MapRetrieval:
         Headings more than 20 degrees from an aircraft's count with 1.5 standard deviations of the frame's scores less. Windows of
         other sizes get the lowest score that a window has at its best heading.
         """
+        return self._scores.get(frame, lambda: self._scored(frame))
+
+    def _scored(self, frame: int) -> Float64Array:
         described = self.frames_described[frame]
         if described is None:
             return np.zeros((len(self.windows), 1))
@@ -137,6 +146,7 @@ class MapRetrieval:
             scores[:, len(_AIRCRAFT_TURNS) :] -= _OTHER_TURN * scores.std()
         if not np.isnan(self.levels[frame]):
             scores[self.sizes != self.levels[frame]] = scores.max(axis=1).min()
+        scores.flags.writeable = False  # it is held
         return scores
 
     def best_turn(self, frame: int) -> int:

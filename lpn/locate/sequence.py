@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, lru_cache
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -19,6 +20,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.core.filled_cache import FilledCache
 from lpn.core.numbers import wrap_degrees
 
 # Scores or log emissions of a frame's windows at its headings, (N, K), by the frame's position in the flight.
@@ -49,6 +51,8 @@ _JUMP = 1e-3
 _PATH_STATES = 200
 # Metres between coordinates that count as one: those of an index come from names, which are rounded to about 1 cm.
 _ONE_COORDINATE = 0.02
+# Bytes of the steps that are held in memory: each is taken several times, and steps of like seconds and headings are one.
+_HELD_STEPS = 1 << 26
 
 
 @dataclass(frozen=True)
@@ -272,7 +276,7 @@ def smooth(
     Raises:
         InputError: if the shapes do not fit.
     """
-    chain = _Chain(log_emissions, headings, places, times, motion)
+    chain = _Chain(log_emissions, _Steps(headings, places, times, motion))
     gained: dict[int, float] = {}
 
     def ahead(t: int, before: Float64Array | None) -> Float64Array:
@@ -472,8 +476,13 @@ def _likelihood(
     chosen = [scores(t) for t in range(start, stop)]
     seconds = np.asarray(times, np.float64)[start:stop]
 
+    @lru_cache(1)  # the temperatures of one motion are compared in a row
+    def steps(motion: MotionModel) -> _Steps:
+        return _Steps(headings[start:stop], places, seconds, motion)
+
+    @cache
     def likelihood(motion: MotionModel, temperature: float) -> float:
-        chain = _Chain(lambda t: emissions(chosen[t], temperature), headings[start:stop], places, seconds, motion)
+        chain = _Chain(lambda t: emissions(chosen[t], temperature), steps(motion))
         total, forward = 0.0, None
         for t in range(stop - start):
             forward, gained = chain.forward(t, forward)
@@ -483,33 +492,50 @@ def _likelihood(
     return likelihood
 
 
+class _Steps:
+    """The steps between the frames of a flight; those that are alike are computed once.
+
+    Attributes:
+        headings: of each frame in degrees, (K,).
+        shape: number of windows, and of the first frame's headings.
+    """
+
+    def __init__(
+        self, headings: Sequence[Float64Array], places: Float64Array, times: npt.ArrayLike, motion: MotionModel
+    ) -> None:
+        seconds = np.asarray(times, np.float64)
+        self.headings, self._motion = headings, motion
+        self.shape = len(places), len(headings[0])
+        if seconds.shape != (len(headings),) or places.shape != (len(places), 2):
+            raise InputError(
+                f"There are {len(headings)} frames and {len(places)} windows, but times of shape {seconds.shape} and places of "
+                f"shape {places.shape}; expected ({len(headings)},) and ({len(places)}, 2)."
+            )
+        self._elapsed, self._deviations = np.abs(np.diff(seconds)), motion.steps(seconds)
+        self._grid = _Grid(places)
+        self._held = FilledCache[_Step](_HELD_STEPS, lambda step: step.nbytes)
+
+    def __getitem__(self, t: int) -> _Step:
+        """Return the step from frame t to the next."""
+        before, after = self.headings[t : t + 2]
+        elapsed, deviation = float(self._elapsed[t]), float(self._deviations[t])
+        return self._held.get(
+            (elapsed, deviation, before.tobytes(), after.tobytes()),
+            lambda: _Step(self._grid, self._motion, elapsed, deviation, before, after),
+        )
+
+
 class _Chain:
     """The hidden Markov model of a flight: its emissions, and the steps between its frames."""
 
-    def __init__(
-        self,
-        log_emissions: OfFrame,
-        headings: Sequence[Float64Array],
-        places: Float64Array,
-        times: npt.ArrayLike,
-        motion: MotionModel,
-    ) -> None:
-        seconds = np.asarray(times, np.float64)
-        shape = (len(places), len(headings[0]))
-        if seconds.shape != (len(headings),) or places.shape != (len(places), 2) or log_emissions(0).shape != shape:
-            raise InputError(
-                f"There are {len(headings)} frames and {len(places)} windows, but times of shape {seconds.shape}, places of "
-                f"shape {places.shape}, and log emissions of shape {log_emissions(0).shape}; expected ({len(headings)},), "
-                f"({len(places)}, 2), and {shape}."
-            )
-        self._log_emissions, self._headings, self._motion = log_emissions, headings, motion
-        self._elapsed, self._deviations = np.abs(np.diff(seconds)), motion.steps(seconds)
-        self._grid = _Grid(places)
+    def __init__(self, log_emissions: OfFrame, steps: _Steps) -> None:
+        if (shape := log_emissions(0).shape) != steps.shape:
+            raise InputError(f"The log emissions have the shape {shape}; expected {steps.shape}, windows and headings.")
+        self._log_emissions, self._steps = log_emissions, steps
 
     def step(self, t: int) -> _Step:
         """Return the step from frame t to the next."""
-        before, after = self._headings[t : t + 2]
-        return _Step(self._grid, self._motion, float(self._elapsed[t]), float(self._deviations[t]), before, after)
+        return self._steps[t]
 
     def emission(self, t: int) -> tuple[Float64Array, float]:
         """Return a frame's emissions over the greatest one, (N, K), and the log of that."""
@@ -543,8 +569,10 @@ class _Chain:
         at = [int(scores.argmax())]
         for back in reversed(came):
             at.append(int(back[at[-1]]))
-        pairs = [divmod(int(of[i]), len(own)) for of, i, own in zip(states, at[::-1], self._headings, strict=True)]
-        headings = [own[k] for own, (_, k) in zip(self._headings, pairs, strict=True)]
+        pairs = [
+            divmod(int(of[i]), len(own)) for of, i, own in zip(states, at[::-1], self._steps.headings, strict=True)
+        ]
+        headings = [own[k] for own, (_, k) in zip(self._steps.headings, pairs, strict=True)]
         return np.array([window for window, _ in pairs], np.int64), np.array(headings, np.float64)
 
 
@@ -647,6 +675,11 @@ class _Step:
         )
         self._y *= (weights / deviations**2)[:, None, None]
         self._scale = grid.values(self._blurred(grid.windows, back=True)) / (1 - _JUMP)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        return sum(array.nbytes for array in (self._x, self._y, self._scale, self._turns))
 
     def push(self, weights: Float64Array) -> Float64Array:
         """Return the distribution (N, M) after the step of one before it, (N, K)."""

@@ -214,3 +214,19 @@ def test_squares_of_reduced_pictures_are_those_of_whole_ones(tmp_path: Path) -> 
         reader = FrameReader(pixels)
         for heading in (0.0, 45.0, 203.0):
             np.testing.assert_array_equal(reader(file, heading, share), cut_square(picture, heading, share, pixels))
+
+
+def test_scores_are_computed_once_while_there_is_room_for_them(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    flight = _flight(tmp_path / "two", [(-40.0, 10.0), (30.0, -35.0)])
+    found = _retrieved(GridModel(), town, flight)
+    scores = found.scores_by_heading(1)
+    assert found.scores_by_heading(1) is scores
+    assert not scores.flags.writeable
+    monkeypatch.setattr("lpn.locate.retrieval._HELD_SCORES", scores.nbytes)
+    small = replace(found)
+    assert small.scores_by_heading(0) is small.scores_by_heading(0)
+    again = small.scores_by_heading(1)
+    assert again is not small.scores_by_heading(1)
+    np.testing.assert_array_equal(again, scores)

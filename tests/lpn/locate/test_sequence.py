@@ -6,6 +6,7 @@ import itertools
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from lpn.locate.sequence import (
     MotionModel,
     SequenceResult,
     _Grid,
+    _Step,
     emissions,
     fitted,
     heading_evidence,
@@ -365,7 +367,7 @@ def test_wrong_numbers_are_refused() -> None:
         emissions(np.zeros((2, 3)), temperature=0)
     with pytest.raises(InputError, match="shape"):
         emissions(np.full((2, 3), np.nan))
-    with pytest.raises(InputError, match=r"expected \(4,\), \(5, 2\), and \(5, 1\)"):
+    with pytest.raises(InputError, match=r"shape \(4, 1\); expected \(5, 1\)"):
         smooth(lambda _: np.zeros((4, 1)), ANY, PLACES, TIMES, MOTION)
     with pytest.raises(InputError, match="motion model"):
         MotionModel(speed=0)
@@ -396,3 +398,32 @@ def test_ten_thousand_windows_and_many_frames_fit() -> None:
     scores = 0.4 * np.exp(-((distance / 40) ** 2)) + np.random.default_rng(0).normal(0, 0.05, distance.shape)
     found = _track(scores, places, np.arange(60) * 10.0, MotionModel(6.0, 10.0))
     assert np.median(np.linalg.norm(found.positions - truth, axis=1)) < 15
+
+
+def test_steps_of_like_seconds_and_headings_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[float] = []
+
+    class Counted(_Step):
+        def __init__(self, *args: Any) -> None:
+            made.append(args[2])
+            super().__init__(*args)
+
+    turns = [np.array([0.0, 120.0, 240.0])] * 9
+    times = np.array([0.0, 2.0, 4.0, 6.0, 8.0, 13.0, 15.0, 17.0, 22.0])
+    scores = np.random.default_rng(0).standard_normal((9, 5, 3))
+    plain = fitted(lambda t: scores[t], turns, PLACES, times, 20.0)
+    smoothed = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
+    monkeypatch.setattr("lpn.locate.sequence._Step", Counted)
+    assert fitted(lambda t: scores[t], turns, PLACES, times, 20.0) == plain
+    # Of each motion the steps of 2 and of 5 seconds; six temperatures add none.
+    motions = 2 * len(SPEEDS) + 5
+    assert len(made) <= 2 * (motions + 1)
+    made.clear()
+    found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
+    assert made == [2.0, 5.0]
+    assert found.log_likelihood == smoothed.log_likelihood
+    monkeypatch.setattr("lpn.locate.sequence._HELD_STEPS", 0)
+    made.clear()
+    found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
+    assert len(made) > 16
+    np.testing.assert_array_equal(found.positions, smoothed.positions)
