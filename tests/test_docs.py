@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import re
+import tomllib
 from collections import Counter, defaultdict
 from pathlib import Path
 
 import pytest
+import yaml
+
+import lpn
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "README.md"]
@@ -74,6 +78,29 @@ def test_only_equations_and_sections_of_the_paper_are_cited() -> None:
 
 def test_the_readme_is_read_in_two_minutes() -> None:
     assert len((ROOT / "README.md").read_text("utf-8").splitlines()) <= 100
+
+
+def test_the_citation_is_of_this_version_and_names_the_paper() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert citation["cff-version"] == "1.2.0"
+    assert {"title", "message", "authors"} <= set(citation)
+    assert (citation["version"], citation["license"]) == (lpn.__version__, project["license"])
+    assert all(author["name"] in (ROOT / "LICENSE").read_text("utf-8") for author in citation["authors"])
+    (paper,) = citation["references"]
+    readme = (ROOT / "README.md").read_text("utf-8").partition("## Cite")[2]
+    assert "CITATION.cff" in readme
+    for fact in ("doi", "title", "year", "start", "end", "journal"):
+        assert str(paper[fact]) in readme, fact
+    assert [name for name in (author["family-names"] for author in paper["authors"]) if name not in readme] == []
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/evaluation.md", "docs/reproduction.md"])
+def test_a_page_says_first_that_no_figure_of_the_paper_was_reproduced(page: str) -> None:
+    text = (ROOT / page).read_text("utf-8")
+    shown = text if page == "README.md" else text.partition("\n## ")[0]
+    assert "**No figure of the paper was reproduced on its own data sets**" in shown
+    assert "paper's tables again" not in text
 
 
 @pytest.mark.parametrize("page", ["scale.md", "serving.md"])

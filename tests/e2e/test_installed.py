@@ -48,7 +48,16 @@ def test_the_sdist_holds_what_is_built_and_nothing_else(built: tuple[Path, Path,
     checkout, sdist, _ = built
     with tarfile.open(sdist) as archive:
         files = {one.name.partition("/")[2] for one in archive.getmembers() if one.isfile()}
-    beside = {"LICENSE", "MANIFEST.in", "PKG-INFO", "README.md", "pyproject.toml", "setup.cfg", "setup.py"}
+    beside = {
+        "CITATION.cff",
+        "LICENSE",
+        "MANIFEST.in",
+        "PKG-INFO",
+        "README.md",
+        "pyproject.toml",
+        "setup.cfg",
+        "setup.py",
+    }
     assert {file for file in files if not file.startswith("lpn_explorer.egg-info/")} == beside | packed(checkout)
     assert sum(path.stat().st_size for path in checkout.rglob("*") if path.is_file()) < LARGEST_CHECKOUT
 

@@ -738,7 +738,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         in of_wrong
     )
     assert (
-        "✓ Placed by its details. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m" in of_wrong
+        "✓ By its details: placed. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m" in of_wrong
     )
     assert "±" not in of_wrong
     # The page of wrong answers, the first screen, its reasons, and the flight window say the same of each photo.
@@ -781,8 +781,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, doubted, 30)
         html = first_screen.page(analyse(workspace, fails), workspace)
-    assert "? Wrong by its look, if its details are right. The model compared" in text(html)
-    assert "? Placed by its details, but its GPS tag disagrees." in text(html)
+    assert "? By its look: wrong, if its details are right. The model compared" in text(html)
+    assert "? By its details: placed, but its GPS tag disagrees." in text(html)
     assert "Right, if its details are right" in text(html)
     assert theme.css(theme.COLOURS["wrong"]) not in html
     assert theme.css(theme.COLOURS["right"]) not in html
