@@ -175,9 +175,10 @@ class ClientSession:
         self._requests.close()
 
     def end(self) -> None:
-        """Leave, and wait for a drawing that goes on: the page would show it over what the next session draws."""
+        """Leave, and wait for drawings that go on: the page would show them over what the next session draws."""
         self.leave()
         self._worker.join(_DRAWN)
+        self.views.flight.join(_DRAWN)
 
     def preview(self, services: WorkspaceServices, search: str) -> StateAnalysis | None:
         """Show the first screen of another workspace, whose session is to replace this one, and return its analysis.

@@ -132,6 +132,10 @@ class FlightWindow:
         self._service.watchers.unwatch(self._worker.wake)
         self._worker.stop()
 
+    def join(self, seconds: float) -> None:
+        """Wait until the window's work has ended after `leave`, the given seconds at most."""
+        self._worker.join(seconds)
+
     def _paint(self, part: Painted) -> None:
         self._change(session_state.open_flight)
         self._choose(painted=part)

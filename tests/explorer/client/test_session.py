@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
@@ -10,6 +11,8 @@ from unittest.mock import MagicMock
 import pytest
 
 from explorer.client.session import ClientSession
+from explorer.compute.worker import Worker
+from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
 
 
@@ -29,3 +32,21 @@ def test_an_error_goes_with_the_next_picture_and_that_of_an_address_stays_until_
     ClientSession.change(session, lambda state: replace(state, query=1))
     assert session._state.query == 1
     assert session.views.panels.forget_error.called == forgotten
+
+
+def test_a_session_that_ends_waits_for_what_its_flight_window_draws() -> None:
+    begun, may_end, drawn = threading.Event(), threading.Event(), list[bool]()
+
+    def draw() -> None:
+        begun.set()
+        drawn.append(may_end.wait(60))
+
+    worker = Worker(draw, lambda _: None)
+    session: Any = MagicMock()
+    session.leave.side_effect = worker.stop
+    session.views.flight.join.side_effect = lambda seconds: FlightWindow.join(MagicMock(_worker=worker), seconds)
+    worker.wake()
+    assert begun.wait(60)
+    threading.Timer(0.2, may_end.set).start()
+    ClientSession.end(session)
+    assert drawn == [True]
