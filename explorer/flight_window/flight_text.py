@@ -22,7 +22,7 @@ from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
-from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, placed_errors, share_within, unchecked_frames
+from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, share_within, unchecked_frames
 from lpn.locate.surveyed import AxisMean
 from lpn.locate.tag_errors import Leg, TagOffsets
 
@@ -108,21 +108,23 @@ def contradiction(view: FlightView, one: Disagreement) -> str:
     measured = None if answer is None else answer.agreement
     if one.other != "map" or answer is None or measured is None or measured.largest is None:
         return one.told(view.beliefs[one.frame])
+    metres, allowed = one.figures
     text = (
-        f"Beside its middle, {len(measured.rows)} places of the photo lie {one.metres:.1f} m in the median from where the map "
-        f"has them, and {measured.largest:.1f} m at the farthest, {_farthest(measured)}. {_allowed_median(answer)} Uneven "
-        "ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be right."
+        f"Beside its middle, {len(measured.rows)} places of the photo lie {metres} m in the median from where the map "
+        f"has them, and {measured.largest:.1f} m at the farthest, {_farthest(measured)}. {_allowed_median(answer, allowed)} "
+        "Uneven ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be "
+        "right."
     )
     if answer.on_earth and not plain():
         text += f" Its place is {told_reach(answer)}, where the map's own error moves all of the photo alike."
     return text
 
 
-def _allowed_median(answer: StageRecord) -> str:
-    """Say how far places beside the middle of a photo may lie off in the median."""
+def _allowed_median(answer: StageRecord, allowed: str) -> str:
+    """Say how far places beside the middle of a photo may lie off in the median: `allowed` metres."""
     radius = answer.radius_on_map or 0.0
     times = "" if plain() else f", three times ± {radius:.1f} m"
-    return f"At most {SIGMAS * radius:.1f} m are allowed for the median, as far as the middle may be off on this map{times}."
+    return f"At most {allowed} m are allowed for the median, as far as the middle may be off on this map{times}."
 
 
 def _truth(located: LocatedFrame) -> str:
@@ -146,7 +148,7 @@ def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
         return text
     if any((one.frame, one.other) == (frame, "map") for one in view.contradictions):
         return f"? {text}"
-    return f"\u2713 {text} {_allowed_median(answer)}"
+    return f"\u2713 {text} {_allowed_median(answer, upper_bound(SIGMAS * answer.radius_on_map))}"
 
 
 def _farthest(measured: MapAgreement) -> str:
@@ -197,7 +199,7 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
 
 
 def _allowed(against: Sequence[Disagreement], other: str) -> str:
-    return next((f" where {one.allowed:.1f} m are allowed" for one in against if one.other == other), "")
+    return next((f" where {one.figures[1]} m are allowed" for one in against if one.other == other), "")
 
 
 def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
@@ -247,7 +249,7 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
     on_earth, earth = _on_earth(view.flight, known)
     shape, shape_failed = _whole_photos(view)
     lines = [_on_map(view.flight, known), *shape, earth]
-    errors = placed_errors(view.flight, view.beliefs)
+    errors = view.errors
     if errors is not None:
         lines.append(AccuracyLine("GPS tags", f"{errors.offsets.median:.1f} m", _tags(errors, view.flight.audit)))
         if errors.offsets.photos > 1:

@@ -273,7 +273,7 @@ def _comparison() -> str:
 def sentence(view: FlightView, running: bool) -> str:
     """Say how the flight's photos were placed; `running` says that a registration goes on."""
     more = f" {_comparison()} is still running, so these numbers change." if running else ""
-    return f"{describe_flight(view.flight, view.beliefs)}{more}"
+    return f"{describe_flight(view.flight, view.beliefs, view.errors)}{more}"
 
 
 def accuracy(view: FlightView) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,8 @@ from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagre
 from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
 from lpn.locate.located import LocatedFlight
+from lpn.locate.summary import placed_errors
+from lpn.locate.tag_errors import TagOffsets
 from lpn.locate.tags import enter_corrections
 from lpn.locate.tracks import track_bytes
 
@@ -56,6 +59,11 @@ class FlightView:
         pairs = disagreements(flight.frames)
         verdicts = beliefs(flight.frames, pairs)
         return cls(flight, [outline(located) for located in flight.frames], pairs, verdicts, kept, error)
+
+    @cached_property
+    def errors(self) -> TagOffsets | None:
+        """The errors of the placed photos against their GPS tags; None if no placed photo has one."""
+        return placed_errors(self.flight, self.beliefs)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:
         """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""

@@ -227,9 +227,9 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
             else f", which are no exact truth, as the registration finds {lag}"
         )
     return (
-        f"Errors are against {truth}; shares are of all photos with such a truth; 'no false' is the share that can be "
-        "accepted before one is more than 50 m off, smallest radius first, for the retrieval greatest score first. The retrieval "
-        "ranks windows and verifies none."
+        f"Errors are against {truth}; p90 and p95 are bounds, and so rounded up; shares are of all photos with such a truth; "
+        "'no false' is the share that can be accepted before one is more than 50 m off, smallest radius first, for the retrieval "
+        "greatest score first. The retrieval ranks windows and verifies none."
     )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
+from lpn.core.numbers import upper_bound
 from lpn.drawing.words import capitalised, plain
 from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.tracks import TrackPoint, TrackState
@@ -88,31 +89,39 @@ class Disagreement:
     tilt: float = 0.0
 
     @property
+    def figures(self) -> tuple[str, str]:
+        """The metres, and those that are allowed, a bound and so rounded up; with digits enough to tell that they are more."""
+        digits = next((n for n in (1, 2) if round(self.metres, n) - 10.0**-n >= self.allowed - 1e-6), 3)
+        return f"{self.metres:.{digits}f}", upper_bound(self.allowed, digits)
+
+    @property
     def sentence(self) -> str:
         """The finding in the field's words, as files have it."""
+        metres, allowed = self.figures
         if self.other == "map":
             return (
-                f"Away from its middle, the photo lies {self.metres:.1f} m off the map in the median; the radius on this "
-                f"map ({self.allowed / SIGMAS:.1f} m) allows {self.allowed:.1f} m. Its middle may still be right."
+                f"Away from its middle, the photo lies {metres} m off the map in the median; the radius on this "
+                f"map ({self.allowed / SIGMAS:.1f} m) allows {allowed} m. Its middle may still be right."
             )
-        return f"{self.one.capitalize()} and {self.other} lie {self.metres:.1f} m apart; their radii allow {self.allowed:.1f} m."
+        return f"{self.one.capitalize()} and {self.other} lie {metres} m apart; their radii allow {allowed} m."
 
     def told(self, verdict: Belief) -> str:
         """Return the finding in the words that are spoken, with what the verdict on the frame makes of it."""
+        metres, allowed = self.figures
         if not plain():
             return self.sentence
         if self.other == "map":
             return (
-                f"Away from its middle, the photo's places lie {self.metres:.1f} m from where the map has them, in the median; "
-                f"at most {self.allowed:.1f} m are allowed. Uneven ground, the lens, or ground that has changed can do that, and "
+                f"Away from its middle, the photo's places lie {metres} m from where the map has them, in the median; "
+                f"at most {allowed} m are allowed. Uneven ground, the lens, or ground that has changed can do that, and "
                 "its middle may still be right."
             )
         if verdict.sign:  # tag and details agree, and the neighbours alone differ
             place = "here" if self.one == "registration" else ENDS[self.other]
-            return f"Its neighbours would place it {self.metres:.1f} m from {place}."
+            return f"Its neighbours would place it {metres} m from {place}."
         tilt = f", and {self.tilt:.1f} m as a tilted camera looks aside" if self.tilt else ""
         return (
-            f"{capitalised(ENDS[self.one])} and {ENDS[self.other]} lie {self.metres:.1f} m apart, and {self.allowed:.1f} m are "
+            f"{capitalised(ENDS[self.one])} and {ENDS[self.other]} lie {metres} m apart, and {allowed} m are "
             f"allowed: three times the error of both{tilt}. Nothing here tells which of the two errs."
         )
 

@@ -100,7 +100,7 @@ def other_map(flight: LocatedFlight) -> str:
     return f"{flight.elsewhere}, so the map is probably of another place. {advice}"
 
 
-def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
+def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: TagOffsets | None) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
     Contradicted photos are named, and others that could not be checked beside their middle are counted. A flight whose tags
@@ -110,6 +110,7 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
 
     Args:
         verdicts: of the frames, see `lpn.locate.belief.beliefs`.
+        errors: those of `placed_errors`.
     """
     frames = flight.frames
     counts = {stage: sum(verdict.stage == stage for verdict in verdicts) for stage in (*PLACED, "retrieval")}
@@ -125,9 +126,9 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief]) -> str:
     sentences = [other_map(flight)] if flight.elsewhere else []
     sentences.append(f"A drone took {len(frames):,} photos{over}: {', '.join(pieces)}.")
     pairs = list(zip(frames, verdicts, strict=True))
-    if (known := placed_errors(flight, verdicts)) is not None:
+    if errors is not None:
         sentences.append(
-            f"The placed ones lie {known.offsets.median:.1f} m from their GPS tags in the median{share_within(known)}, "
+            f"The placed ones lie {errors.offsets.median:.1f} m from their GPS tags in the median{share_within(errors)}, "
             "which is the error of both together."
         )
     stems = {PurePath(frame.frame.name).stem for frame in frames}

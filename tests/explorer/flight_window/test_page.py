@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress
-from explorer.flight_window import flight_text, page
+from explorer.flight_window import flight_text, page, service
 from explorer.flight_window.service import FlightService, FlightView
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.errors import DataError
@@ -27,7 +27,7 @@ from lpn.locate.audit import TagAudit
 from lpn.locate.belief import Belief
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
-from lpn.locate.summary import describe_flight
+from lpn.locate.summary import describe_flight, placed_errors
 from lpn.maps import open_map
 from lpn.maps.tag_placed import placing_sentence
 from tests.explorer.flight_window.conftest import registered
@@ -53,6 +53,18 @@ def analysis(flight: LocatedFlight, tile: int = 0) -> Any:
     return SimpleNamespace(ranking=ranking, chosen=SimpleNamespace(index=tile))
 
 
+def test_sentence_and_accuracy_compute_the_errors_of_the_placed_photos_once(
+    flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed: list[LocatedFlight] = []
+    monkeypatch.setattr(service, "placed_errors", lambda *of: computed.append(of[0]) or placed_errors(*of))
+    view = view_of(flight)
+    for _ in range(2):
+        page.sentence(view, running=False)
+        page.accuracy(view)
+    assert computed == [flight]
+
+
 def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     text = page.sentence(view, running=False)
     assert text.startswith(
@@ -64,14 +76,14 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
-    guessed = describe_flight(view.flight, verdicts)
+    guessed = describe_flight(view.flight, verdicts, placed_errors(view.flight, verdicts))
     assert guessed == (
         "A drone took 3 photos over this map: 1 placed (1 by registration), 1 only guessed by retrieval, 1 refused. The "
         "placed ones lie 1.0 m from their GPS tags in the median, which is the error of both together."
     ), "a guess counts for nothing"
     with speaking(Vocabulary(plain=True)):
         assert ": 1 placed (1 by their details), 1 only guessed by their look, 1" in describe_flight(
-            view.flight, verdicts
+            view.flight, verdicts, None
         )
     assert page.sentence(view, running=True).endswith("Registration is still running, so these numbers change.")
     away = view_of(replace(view.flight, tags_away=1.929e6))
@@ -168,6 +180,11 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
         "allowed for the median, as far as the middle may be off on this map."
     )
     assert "the farthest 1.0 m, at the bottom." in said(0.4, 0.2, 1.0)
+    finer = compared(flight, 0, 0.4, 5.2, 1.0)
+    answer = finer.frames[0].stages["registration"]
+    finer.frames[0].stages["registration"] = msgspec.structs.replace(answer, radius=1.01, place_error=0.0)
+    assert answer.agreement is not None
+    assert " At most 3.1 m are" in flight_text.agreement(view_of(finer), 0, answer.agreement), "a bound is rounded up"
     assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
     assert said(0.4, 5.2) == (
         "Not checked: beside its middle only 2 places of the photo could be found on the map. At least 3 are needed to check "

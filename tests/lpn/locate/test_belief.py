@@ -8,7 +8,7 @@ import pytest
 
 from lpn.flights import Frame
 from lpn.locate.agreement import MapAgreement
-from lpn.locate.belief import TAG_RADIUS, belief, disagreements
+from lpn.locate.belief import TAG_RADIUS, Disagreement, belief, disagreements
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.registered_stage import with_map_error
 
@@ -41,6 +41,20 @@ def test_answers_disagree_beyond_three_times_their_common_radius() -> None:
         == found[0].told(belief(located()))
         == "Registration and tag lie 15.4 m apart; their radii allow 15.3 m."
     )
+
+
+@pytest.mark.parametrize(
+    ("metres", "allowed", "told"),
+    [(4.0, 3.03, ("4.0", "3.1")), (3.14, 3.03, ("3.14", "3.03")), (3.0304, 3.03, ("3.030", "3.030"))],
+)
+def test_what_is_allowed_is_a_bound_that_lies_below_what_is_measured(
+    metres: float, allowed: float, told: tuple[str, str]
+) -> None:
+    one = Disagreement(0, "registration", "map", metres, allowed)
+    assert one.figures == told
+    for text in (one.sentence, one.told(belief(located()))):
+        assert f"{told[0]} m" in text
+        assert f"{told[1]} m" in text
 
 
 def test_the_error_of_the_map_counts_against_a_tag_alone() -> None:

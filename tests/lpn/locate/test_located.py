@@ -73,6 +73,7 @@ def test_the_percentiles_of_errors_are_bounds_and_so_rounded_up() -> None:
     (row,) = (line for line in written.getvalue().splitlines() if "registration" in line and "│" in line)
     # Errors are 1 m and more, in steps of 0.101 m: 2.01 m, 2.818 m, and 2.919 m.
     assert [cell.strip() for cell in row.split("│")[3:6]] == ["2.0", "2.9", "3.0"]
+    assert "p90 and p95 are bounds, and so rounded up" in written.getvalue()
 
 
 def test_without_a_truth_no_share_is_told() -> None:
