@@ -93,7 +93,7 @@ def test_the_stage_is_drawn_only_while_it_is_seen(app: RunningApp, fresh: Page) 
 
 
 @pytest.mark.slow
-def test_the_workbench_opens_at_its_final_size_with_the_left_panel_folded(app: RunningApp, fresh: Page) -> None:
+def test_the_workbench_opens_at_its_final_size_with_the_left_panel_folded_or_open(app: RunningApp, fresh: Page) -> None:
     sent: list[str] = []
     heard = re.compile(rb'"kind":"(hello|viewport)".*?"(?:viewport|value)":\[(\d+),(\d+)\]')
 
@@ -109,6 +109,18 @@ def test_the_workbench_opens_at_its_final_size_with_the_left_panel_folded(app: R
     stage, _ = fresh.evaluate(LAID)
     assert set(sent) == {f"{stage[2]} x {stage[3]}"}
     assert not fresh.evaluate("unfolded")
+    # A panel that was left open takes its room from the stage, and the page knows how much it took.
+    fresh.evaluate("localStorage.setItem('lpn-panels', 'open')")
+    fresh.reload()
+    fresh.get_by_text("Degrees counter-clockwise").click()
+    fresh.wait_for_function("() => localStorage.getItem('lpn-beside')")
+    sent.clear()
+    fresh.reload()
+    expect(fresh.get_by_text("Degrees counter-clockwise")).to_be_visible()
+    fresh.wait_for_timeout(2500)
+    narrower, _ = fresh.evaluate(LAID)
+    assert narrower[2] < stage[2]
+    assert set(sent) == {f"{narrower[2]} x {narrower[3]}"}
 
 
 @pytest.mark.slow

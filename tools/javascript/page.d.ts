@@ -94,6 +94,7 @@ interface Lpn {
   // viewport.js
   head(html: string): void;
   say(text: string, seconds?: number): void;
+  openingSize(): number[] | null;
   isHere: boolean;
   named(text: string): string;
   focus(uuid: string): void;

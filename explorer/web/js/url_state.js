@@ -80,7 +80,7 @@
     if (!names.length || new URLSearchParams(search).get("screen") === "first") lpn.opening();
     const chosen = lpn.stored("local", WORDS), words = (names.length && lpn.stored("session", WORDS)) || chosen;
     const speech = { plain: words !== "expert", start_plain: chosen !== "expert" };
-    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.stageSize() });
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.openingSize() });
     greeting = lpn.every(500, hello);
     hello();
     held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));

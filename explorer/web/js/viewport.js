@@ -115,9 +115,14 @@
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.folded()));
   // The panel of the query is folded, unless the browser remembers that it was left open.
-  const PANELS = "lpn-panels", LEFT = "Query";
+  const PANELS = "lpn-panels", LEFT = "Query", BESIDE = "lpn-beside";
   lpn.folded = () => lpn.small.matches || lpn.stored("local", PANELS) !== "open";
-  const keepPanels = () => lpn.small.matches || lpn.store("local", PANELS, tabs().some((one) => one.textContent.trim() === LEFT) ? "open" : "folded");
+  const keepPanels = () => {
+    if (lpn.small.matches) return;
+    const open = tabs().some((one) => one.textContent.trim() === LEFT), size = lpn.stageSize();
+    lpn.store("local", PANELS, open ? "open" : "folded");
+    if (open && size) lpn.store("local", BESIDE, String(innerWidth - size[0]));
+  };
   document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(keepPanels, 400), true);
 
   // On a phone the way back to the first screen stays above the stage, however the sheet is scrolled or folded.
@@ -146,6 +151,11 @@
   lpn.stageSize = () => {
     const room = lpn.canvas()?.parentElement;
     return room?.clientWidth && room.clientHeight ? [room.clientWidth, room.clientHeight] : null;
+  };
+  // The size that the stage of a page that opens will have: a panel that was left open unfolds only when the server knows of it.
+  lpn.openingSize = () => {
+    const size = lpn.stageSize(), beside = Number(lpn.stored("local", BESIDE));
+    return size && !lpn.folded() && beside ? [innerWidth - beside, size[1]] : size;
   };
   let sizing = 0;
   const stage = new ResizeObserver(() => {
