@@ -1,22 +1,24 @@
 """Exact search in process, without extras: the result equals that of scanning every float32 vector.
 
-A scan gives an upper bound on each tile's score (`lpn.index.scan`), from the vectors or from a copy of a half or a quarter of
-their size. The k tiles with the highest bounds are scored first. Then the tiles whose bound reaches the k-th score are
-scored, highest bound first, until no bound reaches the k-th best score. Ties keep the order of insertion.
+A scan gives bounds on each tile's score (`lpn.index.scan`), from the vectors or from a copy of a half or a quarter of their
+size, and only tiles that may be among the k best are held. The k tiles with the highest upper bounds are scored first. Then the
+tiles whose bound reaches the k-th score get a finer one, and those that still reach it are scored, highest bound first, until no
+bound reaches the k-th best score. Ties keep the order of insertion.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.descriptors.store import Precision
 from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
-from lpn.index.folder import Candidates, FolderIndex, IndexManifest, create
+from lpn.index.folder import Candidates, FolderIndex, IndexManifest, create, gather
 from lpn.index.scan import Scan
 from lpn.index.segments import Segment
 
@@ -24,8 +26,8 @@ from lpn.index.segments import Segment
 _FEW = 4
 _PICKED = 4096
 _NEXT = 256
-# Bounds of which the largest one stands for all when the k highest are looked for.
-_GROUP = 512
+# Tiles that are held before those that are not among the k best are looked for.
+_HELD = 4096
 
 
 class ExactIndex(FolderIndex):
@@ -67,22 +69,19 @@ class ExactIndex(FolderIndex):
         wanted = self.kind.rescaled(query, weights)
         k, box = check_count(k), check_box(box)
         segments = self._current().segments
-        places, bounds = self._bounds(segments, wanted, box)
-        k = min(k, len(bounds))
+        places, bounds = self._near(segments, wanted, k, box)
+        k = min(k, len(places))
         if not k:
-            return self._result(segments, Candidates(np.zeros(0, np.int64), bounds), 0)
-        first = highest(bounds, k)
-        candidates = Candidates.of(segments, places.of(first), wanted)
-        least = float(candidates.scores.min())
-        bounds[first] = -np.inf
-        rest = np.flatnonzero(bounds >= least)
-        rest = rest[np.argsort(-bounds[rest])]
-        for start in range(0, len(rest), _NEXT):
-            some = rest[start : start + _NEXT]
+            return self._result(segments, Candidates(places, bounds), 0)
+        order = np.argsort(-bounds)
+        candidates = Candidates.of(segments, places[order[:k]], wanted)
+        for start in range(k, len(order), _NEXT):
+            some = order[start : start + _NEXT]
+            least = float(candidates.scores.min())
             if bounds[some[0]] < least:
                 break
-            candidates = candidates.merged_with(Candidates.of(segments, places.of(some), wanted), k)
-            least = float(candidates.scores.min())
+            near = places[some][self._finer(segments, places[some], wanted) >= least]
+            candidates = candidates.merged_with(Candidates.of(segments, near, wanted), k)
         return self._result(segments, candidates, k)
 
     def close(self) -> None:
@@ -93,64 +92,85 @@ class ExactIndex(FolderIndex):
     def _finish(self, folder: Path, rows: int) -> None:
         pass
 
-    def _bounds(
-        self, segments: list[Segment], wanted: Float64Array, box: DegreeBox | None
-    ) -> tuple[_SearchedPlaces, Float64Array]:
-        """Return the places of the searched tiles, and an upper bound on the score of each."""
-        searched: list[tuple[int, Int64Array | None]] = []
-        bounds: list[Float64Array] = []
-        counts: list[int] = []
+    def _near(
+        self, segments: list[Segment], wanted: Float64Array, k: int, box: DegreeBox | None
+    ) -> tuple[Int64Array, Float64Array]:
+        """Return the places of the searched tiles that may be among the k best, and an upper bound on the score of each."""
+        nearest = _Nearest(k)
         start = 0
         for segment in segments:
             rows = segment.chosen(box)
             if rows is not None and len(rows) * _FEW <= segment.rows:
-                some = (self._picked(segment, rows[i : i + _PICKED], wanted) for i in range(0, len(rows), _PICKED))
-                bounds.append(np.concatenate([np.zeros(0), *some]))
+                for i in range(0, len(rows), _PICKED):
+                    some = rows[i : i + _PICKED]
+                    self._scan.run(wanted, *segment.compact(some), partial(nearest.take, start + some, None))
             else:
-                every = self._scan.bounds(wanted, segment.small, segment.scales, segment.errors)
-                bounds.append(every if rows is None else every[rows])
-            searched.append((start, rows))
-            counts.append(len(bounds[-1]))
+                searched = None
+                if rows is not None:
+                    searched = np.zeros(segment.rows, np.bool_)
+                    searched[rows] = True
+                self._scan.run(wanted, *segment.compact(), partial(nearest.take, start, searched))
             start += segment.rows
-        return _SearchedPlaces(searched, counts), np.concatenate([np.zeros(0), *bounds])
+        return nearest.end()
 
-    def _picked(self, segment: Segment, rows: Int64Array, wanted: Float64Array) -> Float64Array:
-        scales = None if segment.scales is None else segment.scales[rows]
-        errors = None if segment.errors is None else segment.errors[rows]
-        return self._scan.bounds(wanted, segment.small[rows], scales, errors)
+    def _finer(self, segments: list[Segment], places: Int64Array, wanted: Float64Array) -> Float64Array:
+        """Return an upper bound on the score of each of few tiles, close enough that few of their vectors are read in vain."""
+        if self.precision == "float32":
+            return np.full(len(places), np.inf)
+        small, scales, errors = (
+            gather([getattr(segment, name) for segment in segments], places) for name in ("small", "scales", "errors")
+        )
+        return self._scan.bounds(wanted, small, scales, errors, finely=True)
 
 
-class _SearchedPlaces:
-    """The places of searched tiles among the rows of all segments, made for those that are asked for: there may be 10^8.
+class _Nearest:
+    """The tiles that may be among the k best, by the bounds that are known so far. Thread-safe.
 
-    Args:
-        searched: of each segment, the place of its first row, and its searched rows; None for all.
-        counts: number of searched rows of each segment.
+    A tile is left out when k others have lower bounds above its upper bound. So few tiles of 10^8 are held at a time.
     """
 
-    def __init__(self, searched: Sequence[tuple[int, Int64Array | None]], counts: Sequence[int]) -> None:
-        self._searched, self._starts = searched, np.cumsum([0, *counts])
+    def __init__(self, k: int) -> None:
+        self._k, self._lock, self._count, self._most = k, Lock(), 0, _HELD
+        # The k-th highest lower bound, which the k-th best score reaches.
+        self._least = -np.inf
+        none = np.zeros(0)
+        self._held: list[tuple[Int64Array, Float64Array, Float64Array]] = [(np.zeros(0, np.int64), none, none)]
 
-    def of(self, positions: Int64Array) -> Int64Array:
-        """Return the places of some searched tiles by their positions, (P,)."""
-        owners = np.searchsorted(self._starts, positions, "right") - 1
-        places: Int64Array = positions - self._starts[owners]
-        for owner in np.unique(owners).tolist():
-            start, rows = self._searched[owner]
-            mine = owners == owner
-            places[mine] = start + (places[mine] if rows is None else rows[places[mine]])
-        return places
+    def take(
+        self,
+        places: Int64Array | int,
+        searched: BoolArray | None,
+        block: slice,
+        upper: Float64Array,
+        slack: Float64Array,
+    ) -> None:
+        """Take the bounds of a block of rows, see `Scan.run`.
 
+        Args:
+            places: of all rows, or of the first of them if they follow each other.
+            searched: rows that count, (N,); None for all.
+        """
+        near = np.flatnonzero(upper >= self._least)
+        rows = block.start + near
+        if searched is not None:
+            near, rows = near[searched[rows]], rows[searched[rows]]
+        upper = upper[near]
+        found = places + rows if isinstance(places, int) else places[rows], upper, upper - 2 * slack[near]
+        with self._lock:
+            self._held.append(found)
+            self._count += len(near)
+            if self._count > self._most:
+                self._shrink()
+                self._most = 2 * self._count + _HELD
 
-def highest(values: Float64Array, k: int) -> Int64Array:
-    """Return the positions of the k highest of values (N,), in no order.
+    def end(self) -> tuple[Int64Array, Float64Array]:
+        """Return the places of the tiles, and their upper bounds."""
+        self._shrink()
+        return self._held[0][:2]
 
-    The k-th highest of the largest values of groups is at most the k-th highest of all, so values below it are left out: two
-    quick passes in place of a partition of all.
-    """
-    groups = len(values) // _GROUP
-    if groups <= k:
-        return np.argpartition(values, len(values) - k)[len(values) - k :]
-    largest = values[: groups * _GROUP].reshape(groups, _GROUP).max(axis=1)
-    some = np.flatnonzero(values >= np.partition(largest, groups - k)[groups - k])
-    return some[np.argpartition(values[some], len(some) - k)[len(some) - k :]]
+    def _shrink(self) -> None:
+        places, upper, lower = (np.concatenate(values) for values in zip(*self._held, strict=True))
+        if len(lower) >= self._k:
+            self._least = np.partition(lower, len(lower) - self._k)[len(lower) - self._k]
+        near = upper >= self._least
+        self._held, self._count = [(places[near], upper[near], lower[near])], int(near.sum())

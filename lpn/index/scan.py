@@ -8,11 +8,9 @@ rescaled query v is rounded to v' if the product needs it. By Cauchy-Schwarz for
 A sum of m products in float32, in any order, has an error of at most m u / (1 - m u) |v'| |g'| with u = 2^-24. Float32 vectors
 have no copy: r_i = 0, and only rounding remains. A tile whose bound is below the k-th best score is not among the k best.
 
-For int8 the query is the sum of two integer vectors, of which the second quantises the rounding error of the first, 254 times
-finer. Both are multiplied with a row while it is in the processor's cache, so the second costs little.
-
-numkong multiplies float16 and int8 rows directly where it is installed (the extra `search`). Otherwise NumPy multiplies rows
-that are converted to float32 block by block.
+numkong multiplies float16 and int8 rows directly where it is installed (the extra `search`), by a query that is rounded likewise:
+as many numbers as a row has are multiplied once, which takes as long as all else together. Where a finer bound is asked for, and
+otherwise, NumPy multiplies rows that are converted to float32 block by block by the query in float32.
 """
 
 from __future__ import annotations
@@ -33,7 +31,6 @@ from lpn.index.base import LONGEST, DescriptorKind
 PRECISIONS: tuple[Precision, ...] = ("float32", "float16", "int8")
 
 _STEPS = 127
-_FINER = 2 * _STEPS
 _UNIT = 2.0**-24
 _ROUNDING = 1e-12
 # Maximum length of a vector for which sums of 8-bit products, shifted to unsigned as on some processors, fit 32 bits.
@@ -41,6 +38,8 @@ _INTEGERS = 1 << 16
 # Numbers in a block of rows for numkong: 4096 rows of 4 parts of 512.
 _BLOCK = 1 << 22
 _NUMPY_BLOCK = 1 << 20
+# Takes the bounds of a block of rows, see `Scan.run`.
+TakeBounds = Callable[[slice, Float64Array, Float64Array], None]
 
 
 def small_copy(
@@ -82,57 +81,80 @@ class Scan:
             self._pool = None
 
     def bounds(
-        self, wanted: Float64Array, rows: AnyArray, scales: Float32Array | None, errors: Float32Array | None
+        self,
+        wanted: Float64Array,
+        rows: AnyArray,
+        scales: Float32Array | None,
+        errors: Float32Array | None,
+        finely: bool = False,
     ) -> Float64Array:
-        """Return an upper bound on the score of each row under a rescaled query (n D,): (N,) float64.
+        """Return an upper bound on the score of each row, (N,) float64; see `run`."""
+        upper = np.empty(len(rows))
+
+        def take(block: slice, bounds: Float64Array, _: Float64Array) -> None:
+            upper[block] = bounds
+
+        self.run(wanted, rows, scales, errors, take, finely)
+        return upper
+
+    def run(
+        self,
+        wanted: Float64Array,
+        rows: AnyArray,
+        scales: Float32Array | None,
+        errors: Float32Array | None,
+        take: TakeBounds,
+        finely: bool = False,
+    ) -> None:
+        """Compute bounds on the score of each row under a rescaled query (n D,), block by block.
 
         Args:
             rows: (N, n D) in the precision of the scan.
             scales, errors: from `small_copy`; None in float32.
+            take: called with the rows of each block, an upper bound on the score of each, (B,) float64, and half the width of the
+                interval below that bound in which the score lies, (B,); by several threads at once.
+            finely: do not round the query to the precision of the rows; for a few rows, as it takes longer.
         """
         longest = LONGEST * self._kind.n_parts**-0.5
+        used = wanted.astype(np.float32)
         if scales is None or errors is None:
-            used = wanted.astype(np.float32)
-            upper: Float64Array = (rows @ used).astype(np.float64)
-            return upper + self._missed(wanted - used, longest) + self._rounding(wanted, longest) + _ROUNDING
+            missed = self._missed(wanted - used, longest) + self._rounding(wanted, longest) + _ROUNDING
+            take(slice(0, len(rows)), (rows @ used).astype(np.float64) + missed, np.broadcast_to(missed, len(rows)))
+            return
         # A copy can be longer than its row, by half a step in every number.
         longest *= 1 + self._kind.embedding**0.5 / (2 * _STEPS)
-        kernel = _numkong()
-        used = wanted.astype(np.float32)
+        kernel = None if finely else _numkong()
         missed = self._missed(wanted - used, longest) + self._rounding(wanted, longest)
-        factors: Float64Array | None = None
-        queries: AnyArray = used[None]
+        rounded: AnyArray | None = None
+        scale = 1.0
         if kernel is not None and self._precision == "int8" and self._kind.numbers <= _INTEGERS:
             scale = max(float(np.abs(wanted).max()), 1e-300) / _STEPS
-            first = np.round(wanted / scale)
-            second = np.round((wanted / scale - first) * _FINER)
-            queries, factors = np.stack([first, second]).astype(np.int8), np.array([scale, scale / _FINER])
-            missed = self._missed(wanted - scale * (first + second / _FINER), longest)
+            rounded = np.round(wanted / scale).astype(np.int8)
+            missed = self._missed(wanted - scale * rounded, longest)
         elif kernel is not None and self._precision == "float16":
-            half = wanted.astype(np.float16)
-            queries, factors = half[None], np.ones(1)
-            missed = self._missed(wanted - half, longest) + self._rounding(wanted, longest)
+            rounded = wanted.astype(np.float16)
+            missed = self._missed(wanted - rounded, longest) + self._rounding(wanted, longest)
         parts = np.linalg.norm(wanted.reshape(self._kind.n_parts, -1), axis=1)
         lengths = (parts * (1 + 1e-5)).astype(np.float32)
-        upper = np.empty(len(rows))
 
         def fill(block: slice) -> None:
             # All of a block is computed while it is in the processor's cache.
-            if kernel is None or factors is None:
-                upper[block] = rows[block].astype(np.float32) @ used
+            if kernel is None or rounded is None:
+                upper = (rows[block].astype(np.float32) @ used).astype(np.float64)
             else:
-                upper[block] = factors @ np.asarray(kernel.cdist(queries, rows[block], metric="dot"), np.float64)
-            upper[block] *= scales[block]
-            upper[block] += errors[block] @ lengths
-            upper[block] += missed + _ROUNDING
+                upper = np.asarray(kernel.cdist(rounded[None], rows[block], metric="dot"), np.float64)[0] * scale
+            upper *= scales[block]
+            slack = (errors[block] @ lengths).astype(np.float64)
+            slack += missed + _ROUNDING
+            upper += slack
+            take(block, upper, slack)
 
-        if factors is None:  # NumPy's product has threads of its own
+        if rounded is None:  # NumPy's product has threads of its own
             for block in _blocks(len(rows), max(1, _NUMPY_BLOCK // self._kind.numbers)):
                 fill(block)
         else:
             size = min(max(1, _BLOCK // self._kind.numbers), max(1, -(-len(rows) // self._threads)))
             self._share(fill, list(_blocks(len(rows), size)))
-        return upper
 
     def _missed(self, difference: Float64Array, longest: float) -> float:
         """Bound the change of a score by the rounding of the query."""
@@ -168,8 +190,8 @@ def _numkong() -> ModuleType | None:
     large = np.full((3, 4096), _STEPS, np.int8)
     halves = np.linspace(0.5, 1, 3 * 4096).reshape(3, 4096).astype(np.float16)
     for rows in (large, halves):
-        exact = rows[:2].astype(np.float64) @ rows.T.astype(np.float64)
-        products = np.asarray(kernel.cdist(rows[:2], rows, metric="dot"))
+        exact = rows[:1].astype(np.float64) @ rows.T.astype(np.float64)
+        products = np.asarray(kernel.cdist(rows[:1], rows, metric="dot"))
         if not (abs(products - exact) <= (0 if rows is large else 4096 * _UNIT) * exact).all():
             return None
     return kernel

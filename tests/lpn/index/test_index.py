@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -31,7 +32,6 @@ from lpn.index import (
     scan,
     segment_checksums,
 )
-from lpn.index.exact import highest
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -278,6 +278,57 @@ def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: p
         for query in tiles.descriptors[:10]:
             index.search(query, None, 10)
     assert sum(read) < 10 * 400
+
+
+def test_a_scan_multiplies_each_row_once_and_finer_bounds_spare_vectors(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kernel = pytest.importorskip("numkong", reason="numkong is not installed (the extra search)")
+    queries: list[int] = []
+
+    class Counting:
+        def cdist(self, some: Any, rows: Any, metric: str) -> Any:
+            queries.append(len(some))
+            return kernel.cdist(some, rows, metric=metric)
+
+    monkeypatch.setattr(scan, "_numkong", Counting)
+    read: list[int] = []
+    original = folder.scores_of
+    monkeypatch.setattr(
+        folder, "scores_of", lambda vectors, wanted: read.append(len(vectors)) or original(vectors, wanted)
+    )
+    kind = DescriptorKind("f", 4, 64)
+    tiles = Tiles.draw(20_000, kind=kind)
+    with ExactIndex.create(tmp_path / "index", kind, "int8") as index:
+        tiles.add_to(index)
+        for query in tiles.descriptors[:5]:
+            index.search(query, None, 100)
+        finely = sum(read)
+        read.clear()
+        monkeypatch.setattr(index, "_finer", lambda _, places, __: np.full(len(places), np.inf))
+        for query in tiles.descriptors[:5]:
+            index.search(query, None, 100)
+    assert set(queries) == {1}
+    assert finely < 0.9 * sum(read)
+
+
+@pytest.mark.usefixtures("products")
+def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_BLOCK", "_NUMPY_BLOCK"):
+        monkeypatch.setattr(scan, name, 1 << 14)
+    tiles = Tiles.draw(100_000)
+    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+        tiles.add_to(index, 50_000)
+        index.search(tiles.descriptors[0], None, 10)
+        tracemalloc.start()
+        try:
+            found = index.search(tiles.descriptors[1], None, 10)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+    tiles.check(found, tiles.descriptors[1], None, 10, None)
+    # One bound of each tile would take 8 bytes.
+    assert peak < 8 * 100_000
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
@@ -767,12 +818,3 @@ def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(
         assert said in error, (said, error)
         assert error.count("\n") == 1
         assert not (tmp_path / "i").exists()
-
-
-@pytest.mark.parametrize(("size", "k"), [(5, 5), (3000, 7), (100_000, 100), (100_003, 1)])
-def test_the_highest_values_are_those_of_sorting(size: int, k: int) -> None:
-    values = np.random.default_rng(size).integers(0, 5000, size).astype(np.float64)
-    values[-1] = 6000.0  # beyond the last whole group
-    found = highest(values, k)
-    assert len(set(found.tolist())) == k
-    np.testing.assert_array_equal(np.sort(values[found]), np.sort(values)[-k:])
