@@ -156,6 +156,12 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
     return pairs
 
 
+def tag_allowance(located: LocatedFrame) -> float:
+    """Return the metres that a registration and its tag may lie apart, see `disagreements`."""
+    answer = located.stages["registration"]
+    return SIGMAS * math.hypot(answer.radius or 0.0, TAG_RADIUS) + (0.0 if answer.camera else _shift(located))
+
+
 def _misfit(frame: int, answer: StageRecord | None) -> Disagreement | None:
     """Return that places beside the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
     if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:

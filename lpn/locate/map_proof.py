@@ -3,8 +3,10 @@
 A photo of another place fits a map by chance now and then, most often where trees stand on both. On such maps up to two of nine
 photos did. So registrations that are not more than that prove nothing by their number. They prove something by their places if
 neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. Tags prove the map only if
-half of the registrations lie where their tags say: tags that merely lie on it let false registrations pass. Photos of one view,
-such as those of a drone that hovers, fit by one and the same chance, so they count once.
+half of the registrations lie where their tags say: tags that merely lie on it let false registrations pass. Where only the
+surroundings of each tag were searched (`--prior`), a false registration lies near its tag and near its neighbours anyway, so each
+agreement counts by its chance there. Photos of one view, such as those of a drone that hovers, fit by one and the same chance, so
+they count once.
 """
 
 from __future__ import annotations
@@ -17,19 +19,27 @@ import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.locate.belief import disagreements
+from lpn.locate.belief import disagreements, tag_allowance
 from lpn.locate.located import LocatedFrame
+from lpn.locate.registered_stage import AROUND
 
 # Share of the views that fit a map of another place by chance, and the log odds that exceed it.
 _CHANCE, _EVIDENCE = 0.2, 4.0
+# Points along each side of a searched square at which a chance is measured.
+_POINTS = 41
 # Flights of fewer frames tell nothing either way.
 _FEWEST = 5
 # Photos whose middles are nearer than this share of their ground width, or than their radii, are of one view.
 ONE_VIEW = 0.25
+# Photos nearer than this share of their ground width see some of the same things, which may mislead both alike.
+_SAME_THINGS = 0.5
 
 
 def refuse_unproven(
-    frames: Sequence[LocatedFrame], bounds: tuple[float, float, float, float], map_error: float = 0.0
+    frames: Sequence[LocatedFrame],
+    bounds: tuple[float, float, float, float],
+    map_error: float = 0.0,
+    prior: float | None = None,
 ) -> list[str]:
     """Refuse the accepted registrations of a flight unless something shows that the map is of its place; return a sentence.
 
@@ -41,16 +51,19 @@ def refuse_unproven(
         frames: their registrations are replaced.
         bounds: x0, y0, x1, y1 of the map in metres.
         map_error: 1-sigma error of the map in metres that the radii hold; it moves all photos alike.
+        prior: metres about each photo's tag that were searched without a model; None if the tags were not used.
     """
     registered = [located for located in frames if _registered(located)]
-    if len(frames) < _FEWEST or not registered or _known(frames):
+    if len(frames) < _FEWEST or not registered or _shown(frames):
         return []
     views = new_views(frames, map_error)
+    if _tags_agree(frames, bounds, map_error, prior):
+        return []
     # Further photos of a view are no further chances.
     chances = len(frames) - len(registered) + len(views)
-    if -_log_chance(len(views), chances) >= _EVIDENCE:
+    if -_log_chance(len(views), chances, _CHANCE) >= _EVIDENCE:
         return []
-    if _overlaps(frames, views, bounds) >= _EVIDENCE + math.log(len(frames)):
+    if _overlaps(frames, views, bounds, prior) >= _EVIDENCE + math.log(len(frames)):
         return []
     count, total = len(registered), len(frames)
     if len(views) == count:
@@ -58,8 +71,12 @@ def refuse_unproven(
     else:
         shown = "one view" if len(views) == 1 else f"{len(views)} views"
         few = f"The {count} of {total} photos that fit this map show {shown}, as by chance"
-    confirms = "their GPS tags do not" if any(located.tag is not None for located in registered) else "no GPS tags"
-    sentence = f"{few} on a map of another place, and {confirms} confirm it"
+    confirms = "no GPS tags confirm it"
+    if any(located.tag is not None for located in registered):
+        confirms = "their GPS tags do not confirm it"
+        if prior is not None:
+            confirms = f"their GPS tags prove little, as only the map within {prior:g} m of each was searched"
+    sentence = f"{few} on a map of another place, and {confirms}"
     for located in registered:
         answer = located.stages["registration"]
         located.stages["registration"] = msgspec.structs.replace(
@@ -68,17 +85,37 @@ def refuse_unproven(
     return [f"{sentence}, so none was accepted; check that the map is of the flight's place."]
 
 
-def _known(frames: Sequence[LocatedFrame]) -> bool:
-    """Return whether tags, a correction, or the sequence show that the map is of the flight's place."""
-    if any(
+def _shown(frames: Sequence[LocatedFrame]) -> bool:
+    """Return whether a correction or the sequence shows that the map is of the flight's place."""
+    return any(
         located.by_hand is not None or ("sequence" in located.stages and located.stages["sequence"].accepted)
         for located in frames
-    ):
-        return True
+    )
+
+
+def _tags_agree(
+    frames: Sequence[LocatedFrame],
+    bounds: tuple[float, float, float, float],
+    map_error: float,
+    prior: float | None,
+) -> bool:
+    """Return whether half of the registrations lie where their tags say, and with a prior more of them than by chance."""
     contradicted = {one.frame for one in disagreements(frames) if (one.one, one.other) == ("registration", "tag")}
     registered = [i for i, located in enumerate(frames) if _registered(located)]
-    agreeing = [i for i in registered if frames[i].tag is not None and i not in contradicted]
-    return 2 * len(agreeing) >= len(registered)
+    agreeing = {i for i in registered if frames[i].tag is not None and i not in contradicted}
+    if 2 * len(agreeing) < len(registered):
+        return False
+    if prior is None:
+        return True
+    views = new_views(frames, map_error, _SAME_THINGS)
+    chances = [
+        _share_near(frames[i], tag, tag_allowance(frames[i]), bounds, prior)
+        for i in views
+        if (tag := frames[i].tag) is not None
+    ]
+    # Of chances that differ, a binomial distribution of their mean has the longer tail (Hoeffding, 1956).
+    agreed = len(agreeing.intersection(views))
+    return -_log_chance(agreed, len(chances), float(np.mean(chances))) >= _EVIDENCE
 
 
 def _registered(located: LocatedFrame) -> bool:
@@ -92,8 +129,13 @@ def _middle(located: LocatedFrame) -> Float64Array:
     return np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
 
 
-def new_views(frames: Sequence[LocatedFrame], map_error: float) -> list[int]:
-    """Return the numbers of registered frames that show a view which no earlier one of them does; `map_error` as above."""
+def new_views(frames: Sequence[LocatedFrame], map_error: float, share: float = ONE_VIEW) -> list[int]:
+    """Return the numbers of registered frames that show a view which no earlier one of them does.
+
+    Args:
+        map_error: as above.
+        share: of the ground width within which middles are of one view.
+    """
     views: list[tuple[int, Float64Array, float, float]] = []
     for i, located in enumerate(frames):
         if not _registered(located):
@@ -101,27 +143,33 @@ def new_views(frames: Sequence[LocatedFrame], map_error: float) -> list[int]:
         middle, answer = _middle(located), located.stages["registration"]
         width, radius = answer.width or 0.0, math.sqrt(max((answer.radius or 0.0) ** 2 - map_error**2, 0.0))
         if all(
-            np.linalg.norm(middle - place) > max(ONE_VIEW * max(width, wide), radius + wrong)
+            np.linalg.norm(middle - place) > max(share * max(width, wide), radius + wrong)
             for _, place, wide, wrong in views
         ):
             views.append((i, middle, width, radius))
     return [i for i, *_ in views]
 
 
-def _log_chance(count: int, chances: int) -> float:
-    """Return the logarithm of the probability that so many of the views fit by chance, or more (binomial)."""
+def _log_chance(count: int, chances: int, chance: float) -> float:
+    """Return the logarithm of the probability that `count` of so many chances or more come true (binomial)."""
+    if chance >= 1:
+        return 0.0
     logs = [
         math.lgamma(chances + 1) - math.lgamma(k + 1) - math.lgamma(chances - k + 1)
-        + k * math.log(_CHANCE) + (chances - k) * math.log(1 - _CHANCE)
+        + k * math.log(chance) + (chances - k) * math.log(1 - chance)
         for k in range(count, chances + 1)
     ]  # fmt: skip
     most = max(logs)
     return most + math.log(sum(math.exp(log - most) for log in logs))
 
 
-def _overlaps(frames: Sequence[LocatedFrame], views: Sequence[int], bounds: tuple[float, float, float, float]) -> float:
+def _overlaps(
+    frames: Sequence[LocatedFrame],
+    views: Sequence[int],
+    bounds: tuple[float, float, float, float],
+    prior: float | None,
+) -> float:
     """Return the log odds of neighbours in the flight whose registered pictures overlap, where the later one is a new view."""
-    area = (bounds[2] - bounds[0]) * (bounds[3] - bounds[1])
     new = set(views)
     odds = 0.0
     for (_, one), (i, other) in pairwise(enumerate(frames)):
@@ -129,5 +177,29 @@ def _overlaps(frames: Sequence[LocatedFrame], views: Sequence[int], bounds: tupl
             continue
         reach = ((one.stages["registration"].width or 0.0) + (other.stages["registration"].width or 0.0)) / 2
         if reach > 0 and np.linalg.norm(_middle(one) - _middle(other)) <= reach:
-            odds -= min(0.0, math.log(math.pi * reach**2 / area))
+            odds -= math.log(_share_near(other, _middle(one), reach, bounds, prior))
     return odds
+
+
+def _share_near(
+    located: LocatedFrame,
+    point: Float64Array,
+    distance: float,
+    bounds: tuple[float, float, float, float],
+    prior: float | None,
+) -> float:
+    """Return the share of the ground where a photo's middle may be registered that lies so near to a point, (2,): above 0, to 1.
+
+    It is the map, or, with a prior, its part in the square about the tag in which a photo of this width lies.
+    """
+    west, south, east, north = bounds
+    if prior is None or located.tag is None:
+        return min(1.0, math.pi * distance**2 / ((east - west) * (north - south)))
+    half = prior + (AROUND - 0.5) * (located.stages["registration"].width or 0.0)
+    steps = half * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
+    points = located.tag + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
+    if not len(points):
+        return 1.0
+    near = int((np.linalg.norm(points - point, axis=1) <= distance).sum())
+    return max(near, 1) / len(points)

@@ -140,7 +140,7 @@ def registered(
     )
     if located.retrieval is not None:
         confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds, map_error)
-    notes += refuse_unproven(frames, located.basemap.bounds, map_error)
+    notes += refuse_unproven(frames, located.basemap.bounds, map_error, options.prior)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

@@ -112,3 +112,45 @@ def test_few_photos_an_accepted_sequence_and_a_correction_are_left() -> None:
             frames[3].by_hand = StageRecord("accepted", "Corrected.", 0.0, 0.0)
         assert refuse_unproven(frames, BOUNDS) == []
         assert accepted(frames) == 1
+
+
+# Places within 20 m of tags of photos that do not overlap, and tags that lie where they do.
+NEAR = {i: (160.0 * i - 400 + 8, 10.0) for i in range(5)}
+FORGED = {i: (160.0 * i - 400, 0.0) for i in NEAR}
+
+
+@pytest.mark.parametrize(
+    ("prior", "kept"),
+    [
+        (None, 5),  # the tags were not used, and agree
+        (100.0, 5),  # five of five lie near them though the search saw much more
+        (15.0, 0),  # each would do so by chance in every second draw
+    ],
+)
+def test_tags_that_the_search_used_prove_only_what_chance_does_not(prior: float | None, kept: int) -> None:
+    frames = flight(NEAR)
+    for i, tag in FORGED.items():
+        frames[i].tag = np.array(tag)
+    notes = refuse_unproven(frames, BOUNDS, prior=prior)
+    assert accepted(frames) == kept
+    if notes:
+        assert "prove little, as only the map within 15 m of each was searched" in notes[0]
+
+
+def test_neighbours_whose_tags_overlap_prove_nothing_with_a_prior() -> None:
+    frames = flight(TRACK)
+    for i in TRACK:
+        frames[i].tag = np.array([40.0 * i, 22.0])
+    assert not refuse_unproven(frames, BOUNDS)
+    assert accepted(frames) == 5
+    assert refuse_unproven(frames, BOUNDS, prior=15.0)
+    assert accepted(frames) == 0
+
+
+@pytest.mark.parametrize(("apart", "kept"), [(24.0, 0), (40.0, 2)])
+def test_photos_of_the_same_things_agree_once_with_tags_that_the_search_used(apart: float, kept: int) -> None:
+    frames = flight({3: (0.0, 0.0), 8: (apart, 0.0)})
+    for i, x in ((3, 0.0), (8, apart)):
+        frames[i].tag = np.array([x, 10.0])
+    refuse_unproven(frames, BOUNDS, prior=60.0)
+    assert accepted(frames) == kept
