@@ -23,6 +23,26 @@ assert [row.agrees for row in rows] == [True, False, False]
 Console(width=150).print(parity_table(rows))
 """
 
+FORGED = """
+from pathlib import Path
+import numpy as np
+from lpn.core.numbers import wrap_degrees
+from tools.bench.wrong_maps import RENDERED, forged, open_pair
+flight, own = open_pair(RENDERED, Path())
+moved = forged(flight, own, own, 3)
+before, after = own.frame.xy(*flight.degrees.T), own.frame.xy(*moved.degrees.T)
+steps, turned = np.diff(before, axis=0), np.diff(after, axis=0)
+np.testing.assert_allclose(np.linalg.norm(turned, axis=1), np.linalg.norm(steps, axis=1), atol=0.05)
+long = np.linalg.norm(steps, axis=1) > 5
+turns = wrap_degrees(np.degrees(np.arctan2(*turned.T) - np.arctan2(*steps.T)))[long]
+np.testing.assert_allclose(wrap_degrees(turns - turns[0]), 0, atol=0.5)
+headings = [one.heading - other.heading for one, other in zip(moved.frames, flight.frames, strict=True)]
+np.testing.assert_allclose(wrap_degrees(np.array(headings) - turns[0]), 0, atol=0.5)
+west, south, east, north = own.bounds
+assert ((after >= (west, south)) & (after <= (east, north))).all()
+assert np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > 5
+"""
+
 WITHOUT_COMPILER = """
 from lpn.core.errors import InputError
 from tools.bench import describe, gpu
@@ -126,3 +146,8 @@ def test_the_chart_of_a_county_is_that_of_its_figures(tmp_path: Path) -> None:
     ]
     subprocess.run(command, check=True, capture_output=True, cwd=docs.parent)
     assert drawn.read_text() == (docs / "scale.svg").read_text()
+
+
+def test_forged_tags_are_those_of_the_flight_turned_and_moved() -> None:
+    done = run("-c", FORGED)
+    assert done.returncode == 0, done.stderr

@@ -5,6 +5,9 @@ the maps of the other flights, and over the mirror image of its own map, which h
 `--side` cuts the maps to so many metres, `--every 3` takes every third photo, `--own` adds the flight's own map, and `--changed`
 adds it at 1 and 2 m a pixel and with its channels swapped, so that vegetation is red as in near infrared. Descriptors and
 registrations are kept in the user's cache, so a run that was killed goes on.
+
+`--prior METRES --draws N` lays each map N times under the tags, which keep their distances and are turned and moved at random,
+and searches about them alone.
 """
 
 from __future__ import annotations
@@ -115,6 +118,32 @@ def changed_maps(own: Map, side: float, folder: Path) -> Iterator[tuple[str, Map
     yield "own, channels swapped", write_map(folder / "swapped.tif", swapped, valid, metres, (latitude, longitude))
 
 
+def forged(flight: Flight, own: Map, basemap: Map, seed: int) -> Flight:
+    """Return a flight over its own map as if it had been flown over another one: positions and headings are turned and moved.
+
+    The positions stay on the map where it is large enough.
+    """
+    generator = np.random.default_rng(seed)
+    angle = float(generator.uniform(0, 360))
+    places = own.frame.xy(*flight.degrees.T)
+    places -= np.nanmean(places, axis=0)
+    sine, cosine = np.sin(np.radians(angle)), np.cos(np.radians(angle))
+    places = places @ np.array([[cosine, -sine], [sine, cosine]])  # clockwise, as headings are
+    west, south, east, north = basemap.bounds
+    room = np.maximum(np.array([east - west, north - south]) / 2 - np.nanmax(np.abs(places), axis=0), 0)
+    middle = np.array([west + east, south + north]) / 2 + generator.uniform(-room, room)
+    frames = [
+        replace(
+            frame,
+            latitude=float(latitude),
+            longitude=float(longitude),
+            heading=None if frame.heading is None else (frame.heading + angle) % 360,
+        )
+        for frame, (latitude, longitude) in zip(flight.frames, basemap.frame.degrees(places + middle), strict=True)
+    ]
+    return replace(flight, frames=tuple(frames))
+
+
 def measured(
     flight: Flight, name: str, map_name: str, basemap: Map, model: Model | None, options: LocateOptions
 ) -> WrongMapRow:
@@ -149,11 +178,13 @@ def main() -> None:
     parser.add_argument("--own", action="store_true")
     parser.add_argument("--changed", action="store_true")
     parser.add_argument("--no-register", action="store_true")
+    parser.add_argument("--prior", type=float)
+    parser.add_argument("--draws", type=int, default=10)
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     if given.folder is None:
         raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
-    options = LocateOptions(register=not given.no_register)
+    options = LocateOptions(register=not given.no_register, prior=given.prior)
     model = None if given.model is None else lpn.load(given.model)
     names = dict.fromkeys([*given.names, *(given.over or ["brighton", "caliterra", "seneca", RENDERED])])
     pairs = {name: open_pair(name, Path(given.folder)) for name in names}
@@ -170,9 +201,16 @@ def main() -> None:
                 tried.append(("its own", own))
             if given.changed:
                 tried += changed_maps(own, given.side, folder)
-            for map_name, basemap in tried:
+            flights = [(flight, map_name, basemap) for map_name, basemap in tried]
+            if given.prior is not None:
+                flights = [
+                    (forged(flight, own, basemap, seed), f"{map_name}, draw {seed}", basemap)
+                    for seed in range(given.draws)
+                    for map_name, basemap in tried
+                ]
+            for drawn, map_name, basemap in flights:
                 try:
-                    rows.append(measured(flight, name, map_name, basemap, model, options))
+                    rows.append(measured(drawn, name, map_name, basemap, model, options))
                 except LPNError as error:  # a map smaller than a window
                     print(f"{name:10s} over {map_name:24s} {error}", flush=True)
                     continue
