@@ -36,6 +36,7 @@ from lpn.models.published_checkpoints import (
     name_unknown,
     read_options,
     unknown_entries,
+    with_named_branch,
 )
 from lpn.models.spec import ModelSpec, is_timm
 from lpn.models.timm_networks import TimmMap
@@ -158,6 +159,7 @@ def from_state(
     state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
 ) -> TorchModel:
     """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
+    state = with_named_branch(state, options, path.name)
     spec = infer_spec(state, options, path.name)
     with torch.device("meta"):
         network = LPN(spec)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
-from lpn.core.views import BRANCH, View
+from lpn.core.views import BRANCH, VIEWS, View
 from lpn.models.efficientnet_lite import STAGES, last_block
 from lpn.models.spec import BACKBONES, ModelSpec, is_timm
 
@@ -38,6 +38,9 @@ _WORDS: dict[str, bool | None] = {
 # The last convolution of each block of an EfficientNet-Lite.
 _PROJECTION = re.compile(r"_blocks\.(\d{1,3})\._project_conv\.weight")
 
+# Words in the options of models that were trained on panoramas.
+_PANORAMAS = ("cvusa", "cvact")
+
 # Entries of layers that the published code keeps and does not use.
 UNUSED = re.compile(r"model_\d\.model\.(fc|classifier|avgpool2?|maxpool2)\.")
 # Further ones, by which a checkpoint may differ from the network without being of another method.
@@ -49,17 +52,21 @@ _BESIDE = re.compile(
 def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file") -> ModelSpec:
     """Infer the architecture of a published state dict from its keys and the options of its `opts.yaml`.
 
-    Three branches are University-1652's. Two branches, model_1 and model_2, are satellite and street with the layout "cvusa"
-    of the released CVUSA and CVACT models, since the released code trains no other LPN of two views. This is logged unless
-    the options `data_dir` or `name` mention these data sets. Model_1 and model_3 are satellite and drone, with
-    University-1652's rings.
+    Three branches are University-1652's. Model_1 and model_3 are satellite and drone, with University-1652's rings, see also
+    `with_named_branch`. Model_1 and model_2 are
+
+    - one network for all three views, with University-1652's rings, if they are equal;
+    - else satellite and street with the layout "cvusa" of the released CVUSA and CVACT models, since the released code trains
+      no other LPN of two views. So they are, even if equal, where the options `data_dir` or `name` mention these data sets.
+
+    How they are read is logged where no option confirms it, and so is the input size where none states it.
 
     A backbone of timm is named by the option `backbone`, such as "timm:convnext_tiny".
 
     Raises:
         ModelFileError: if it is not an LPN or baseline, or contradicts its options.
     """
-    views = tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
+    views = _held(state)
     heads = {m[1] for key in state if (m := re.match(r"classifier(\d*)\.", key))}
     if not views or not heads:
         listed = ", ".join(list(state)[:3]) or "nothing"
@@ -87,26 +94,62 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
             {k[len(prefix) :]: value for k, value in state.items() if k.startswith(prefix)}, name
         )
     _check_options(options, name, views, n_parts, backbone)
+    shared, panoramas = _branches_equal(state, views), False
+    if views == ("satellite", "street"):
+        panoramas = not shared or any(data in _trained_on(options) for data in _PANORAMAS)
+        _tell_views(options, name, panoramas)
+        views = views if panoramas else VIEWS
     head = f"classifier{expected[0]}"
     linear = state.get(f"{head}.add_block.0.weight")
     if linear is None or linear.ndim != 2:
         shape = "is missing" if linear is None else f"has shape {tuple(linear.shape)}"
         raise ModelFileError(f"In {name}, {head}.add_block.0.weight {shape}; expected the (D, C) weights of a head.")
-    size = (int(options.get("h", 256)), int(options.get("w", 256)))
     classes = state.get(f"{head}.classifier.0.weight")
     return ModelSpec(
         backbone=backbone,
         last_layer=last_layer,
         last_stride=int(options.get("stride", 1)),
         views=views,
-        shared=_branches_equal(state, views),
+        shared=shared,
         n_parts=n_parts,
-        layout="cvusa" if views == ("satellite", "street") else "university",
+        layout="cvusa" if panoramas else "university",
         embedding=linear.shape[0],
         classes=1 if classes is None or classes.ndim != 2 else classes.shape[0],
         dropout=float(options.get("droprate", 0.5)),
-        input_size=size,
+        input_size=stated_size(options, (256, 256), name),
     )
+
+
+def stated_size(options: Mapping[str, Any], default: tuple[int, int], name: str) -> tuple[int, int]:
+    """Return the input size (height, width) of the options; if they lack it, that of the released script, which is logged."""
+    if not {"h", "w"} <= options.keys():
+        log.warning(
+            "%s does not tell the size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, write "
+            "h: and w: into an opts.yaml beside it.",
+            printable(name),
+            options.get("h", default[0]),
+            options.get("w", default[1]),
+        )
+    return int(options.get("h", default[0])), int(options.get("w", default[1]))
+
+
+def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -> StateDict:
+    """Return a state dict whose second branch is the drone's if the option `model_2` says so.
+
+    Raises:
+        ModelFileError: if the option is neither street nor drone, or the file has a drone's branch besides.
+    """
+    stated = options.get("model_2", "street")
+    if stated not in ("street", "drone"):
+        raise _invalid("model_2", stated, "street or drone, the pictures that this branch describes")
+    if stated == "street":
+        return state
+    if "drone" in _held(state):
+        raise ModelFileError(
+            f"{name} has a branch model_3, which describes drone pictures, but the opts.yaml beside it says model_2: drone; "
+            "correct or remove it."
+        )
+    return {re.sub(r"^model_2\.", "model_3.", key): value for key, value in state.items()}
 
 
 def unknown_entries(state: StateDict, known: Collection[str]) -> list[str]:
@@ -160,7 +203,7 @@ def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
 
 
 def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], n_parts: int, backbone: str) -> None:
-    """Refuse options of another model; log how two branches are read if the options do not confirm it."""
+    """Refuse options of another model."""
     facts = [
         ("block", n_parts, f"{n_parts} heads"),
         ("views", len(views), f"the branches {', '.join(BRANCH[view] for view in views)}"),
@@ -172,13 +215,29 @@ def _check_options(options: dict[str, Any], name: str, views: tuple[View, ...], 
             raise ModelFileError(
                 f"{name} has {source}, but the opts.yaml beside it says {option}: {options[option]}; correct or remove it."
             )
-    trained_on = f"{options.get('data_dir')} {options.get('name')}".lower()
-    if views == ("satellite", "street") and not any(data in trained_on for data in ("cvusa", "cvact")):
-        log.warning(
-            "%s has the branches model_1 and model_2; they are read as satellite and street, as in the models released for "
-            "CVUSA and CVACT. If model_2 saw drone pictures, rename its entries to model_3.",
-            printable(name),
+
+
+def _tell_views(options: dict[str, Any], name: str, panoramas: bool) -> None:
+    """Log how the branches model_1 and model_2 are read unless the options confirm it."""
+    if "model_2" in options or any(data in _trained_on(options) for data in (_PANORAMAS if panoramas else ("1652",))):
+        return
+    if panoramas:
+        read = (
+            "they are read as satellite and street, as in the models released for CVUSA and CVACT. If model_2 saw drone "
+            "pictures, write model_2: drone into an opts.yaml beside the file"
         )
+    else:
+        read = "they are equal, so they are read as one network for satellite, street, and drone, with University-1652's rings"
+    log.warning("%s has the branches model_1 and model_2; %s.", printable(name), read)
+
+
+def _trained_on(options: dict[str, Any]) -> str:
+    return f"{options.get('data_dir')} {options.get('name')}".lower()
+
+
+def _held(state: StateDict) -> tuple[View, ...]:
+    """Return the views that have a branch of their own."""
+    return tuple(view for view, branch in BRANCH.items() if any(k.startswith(branch + ".model.") for k in state))
 
 
 def _branches_equal(state: StateDict, views: tuple[View, ...]) -> bool:

@@ -412,6 +412,7 @@ def test_weights_of_several_names_are_read_by_the_first_and_the_log_says_so(
 ) -> None:
     state = small_worlds.make_network().state_dict()
     torch.save({"ema": state, "model": state, "epoch": 3}, tmp_path / "net.pth")
+    (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\n")
     lpn.load(tmp_path / "net.pth")
     assert [record.getMessage() for record in caplog.records] == [
         "net.pth holds weights as model, ema; those of model are read."

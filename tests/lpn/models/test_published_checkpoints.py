@@ -161,19 +161,70 @@ def test_options_that_say_nothing_of_the_network_are_left_alone() -> None:
     assert infer_spec(state, {"LPN": False, "block": 6}).n_parts == 4
 
 
+SIZE = {"h": 256, "w": 256}
+
+
 def test_the_log_says_how_two_branches_are_read_unless_the_options_do(caplog: pytest.LogCaptureFixture) -> None:
     state = two_branches()
     for options in ({"data_dir": "/data/CVUSA/train"}, {"data_dir": "./data/cvact", "name": "x"}, {"name": "CVUSA_n8"}):
-        assert infer_spec(state, options).layout == "cvusa"
-    infer_spec(small_worlds.make_network().state_dict(), {})
+        assert infer_spec(state, options | SIZE).layout == "cvusa"
+    infer_spec(state, {"model_2": "street", **SIZE})
+    infer_spec(small_worlds.make_network().state_dict(), SIZE)
     assert not caplog.records
-    for options in ({}, {"data_dir": "/data/University-Release/train", "views": 2}):
+    for options in (SIZE, {"data_dir": "/data/University-Release/train", "views": 2, **SIZE}):
         caplog.clear()
         told = infer_spec(state, options, "net_last.pth")
         assert (told.views, told.layout) == (("satellite", "street"), "cvusa")
         (record,) = caplog.records
         assert "net_last.pth has the branches model_1 and model_2" in record.getMessage()
-        assert "rename its entries to model_3" in record.getMessage()
+        assert "write model_2: drone into an opts.yaml beside the file" in record.getMessage()
+
+
+def test_two_equal_branches_are_one_network_of_every_view(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    state = two_branches()
+    state |= {k.replace("model_1.", "model_2."): v.clone() for k, v in state.items() if k.startswith("model_1.")}
+    torch.save(state, tmp_path / "net_119.pth")
+    (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\nviews: 2\nshare: true\n")
+    model = lpn.load(tmp_path / "net_119.pth", "cpu")
+    assert model.views == ("satellite", "street", "drone")
+    (record,) = caplog.records
+    assert "they are equal, so they are read as one network for satellite, street, and drone" in record.getMessage()
+    pictures = seeded.pictures(1, 1, 64, 64)
+    of_satellite, of_street, of_drone = (model.part_embeddings(pictures, view) for view in model.views)
+    np.testing.assert_array_equal(of_drone, of_satellite)
+    np.testing.assert_array_equal(of_drone, of_street)
+    caplog.clear()
+    assert infer_spec(state, {"data_dir": "University-1652/train", **SIZE}).shared
+    told = infer_spec(state, {"data_dir": "data/CVUSA", **SIZE})
+    assert (told.views, told.layout, told.shared) == (("satellite", "street"), "cvusa", True)
+    assert not caplog.records
+
+
+def test_an_option_names_the_second_branch_the_drones(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    torch.save(two_branches(), tmp_path / "net_119.pth")
+    (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\nviews: 2\nmodel_2: drone\n")
+    model = lpn.load(tmp_path / "net_119.pth", "cpu")
+    assert (model.views, model.spec.layout) == (("satellite", "drone"), "university")
+    assert not caplog.records
+    (tmp_path / "opts.yaml").write_text("model_2: balloon\n")
+    with pytest.raises(ModelFileError, match="model_2: balloon; expected street or drone"):
+        lpn.load(tmp_path / "net_119.pth")
+    torch.save(small_worlds.make_network().state_dict(), tmp_path / "net_119.pth")
+    (tmp_path / "opts.yaml").write_text("model_2: drone\n")
+    with pytest.raises(ModelFileError, match=r"has a branch model_3, .* says model_2: drone; correct or remove it"):
+        lpn.load(tmp_path / "net_119.pth")
+
+
+def test_the_log_says_that_a_size_is_assumed_where_no_option_states_it(caplog: pytest.LogCaptureFixture) -> None:
+    state = small_worlds.make_network().state_dict()
+    assert infer_spec(state, {"h": 128}, "net.pth").input_size == (128, 256)
+    (record,) = caplog.records
+    assert record.getMessage().startswith(
+        "net.pth does not tell the size of its pictures, so 128 x 256 pixels are assumed;"
+    )
+    caplog.clear()
+    infer_spec(state, {"h": 128, "w": 128})
+    assert not caplog.records
 
 
 def test_a_second_branch_renamed_to_the_third_is_the_drones() -> None:
