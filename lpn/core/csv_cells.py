@@ -20,7 +20,7 @@ _BEFORE = rf"(?:^(?={{}}[{_SIGN}\t\r\n])|(?<=[;\t\r\n])(?={{}}[{_SIGN}]))"
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?(?:\Z|(?=[;\t\r\n]))"
 _FORMULA = re.compile(_BEFORE.format("'*", "'*") + f"(?!{_NUMBER})")
 _ESCAPED = re.compile(_BEFORE.format("'+", "'+") + "'")
-# A table in UTF-16 that Excel saves has tabs. Semicolons are refused unless the file names them.
+# A table in UTF-16 that Excel saves has tabs. Where Excel writes semicolons, its first line has neither of them.
 _DELIMITERS = ",\t"
 # Excel's first line that names the delimiter.
 _NAMED_DELIMITER = re.compile(r"\"?sep=([,;\t])\"?\r?\n", re.IGNORECASE)
@@ -83,12 +83,16 @@ class Delimited(NamedTuple):
 def delimited(text: str, strict: bool = False) -> Delimited:
     """Split a text at commas or tabs, whichever its first line has more of, or at what a first line such as `sep=;` names.
 
+    A first line with semicolons and neither commas nor tabs is split at semicolons.
+
     Args:
         strict: refuse quotes that are not closed, as a file that was cut short has.
     """
     named = _NAMED_DELIMITER.match(text)
     first = text.lstrip("\r\n").partition("\n")[0]
     delimiter = max(_DELIMITERS, key=first.count) if named is None else named[1]
+    if named is None and delimiter not in first and ";" in first:
+        delimiter = ";"
     lines = csv.reader(io.StringIO(text[named.end() if named else 0 :], newline=""), delimiter=delimiter, strict=strict)
     skipped = 0 if named is None else 1
     rows = ((lines.line_num + skipped, values) for values in lines if any(value.strip() for value in values))

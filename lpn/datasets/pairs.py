@@ -6,7 +6,7 @@
 
 The first line names two or three of satellite, street, drone, and optionally split (train or test; default test) and place
 (a whole number). A cell may be empty if a line has no picture of a view. Without a place, lines with the same satellite
-picture (without satellites: the same picture of the first view) show the same place.
+picture (without satellites: the same picture of the first view) show the same place. Positions stand in a `geo.csv` beside it.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
+from lpn.datasets import geo
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, read_rows, warn_left_out
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 
@@ -83,9 +84,15 @@ def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
     views: list[str] = [name for name in header if name in VIEWS]
     unknown = set(header) - {*VIEWS, "split", "place"}
     if len(views) < 2 or unknown or len(set(header)) < len(header):
+        found = printable(",".join(header)) or "empty"
+        more = ""
+        if {"latitude", "longitude", "lat", "lon"} & unknown:
+            more = f" Positions go into a {geo.NAME} beside it, with the columns path,latitude,longitude."
+        elif ";" in found:
+            more = " Where semicolons separate values, put the line sep=; above it."
         raise DataError(
-            f"The first line of {NAME} is {printable(','.join(header)) or 'empty'}; expected two or three of "
-            f"{', '.join(VIEWS)} and, if wanted, split and place."
+            f"The first line of {NAME} is {found}; expected two or three of {', '.join(VIEWS)} and, if wanted, split and "
+            f"place.{more}"
         )
     parsed = [_row(header, views, values, line) for line, values in rows]
     if not parsed:

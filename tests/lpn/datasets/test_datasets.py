@@ -175,6 +175,11 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
     [
         ("", r"first line of pairs\.csv is empty; expected two or three of satellite, street, drone"),
         ("satellite\na.jpg\n", "first line"),
+        (
+            "satellite,drone,latitude,longitude\n",
+            r"split and place\. Positions go into a geo\.csv beside it, with the columns path,latitude,longitude\.",
+        ),
+        ("satellite;drone,place\n", r"Where semicolons separate values, put the line sep=; above it\."),
         ("satellite,street,colour\n", "first line"),
         ("satellite,satellite,street\n", "first line"),
         ("satellite,street\n", "no line after the first"),

@@ -116,6 +116,9 @@ def test_text_of_any_editor_is_decoded(encoding: str, lines: str) -> None:
     table = delimited(decode_text(text.encode(encoding)))
     assert (table.decimal_comma, list(table.rows)) == (True, [(1, ["path", "latitude"]), (2, ["test/ä.jpg", "30,25"])])
     assert list(delimited(f"sep=\t{lines}a,b\tc{lines}").rows) == [(2, ["a,b", "c"])]
+    table = delimited(decode_text(f"path;latitude{lines}a.jpg;30,25{lines}".encode(encoding)))
+    assert (table.decimal_comma, list(table.rows)) == (True, [(1, ["path", "latitude"]), (2, ["a.jpg", "30,25"])])
+    assert list(delimited(f"a;b,c{lines}").rows) == [(1, ["a;b", "c"])]
 
 
 Change = Callable[[str], str]
