@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
+from contextlib import suppress
 from pathlib import Path
 
 import torch
@@ -26,7 +27,7 @@ from lpn.models.adapters.vit import build_pooled
 from lpn.models.adapters.vit_names import vit_prefix
 from lpn.models.base import Model
 from lpn.models.checkpoints import from_state, holds_safetensors, is_own, load_torch, read_state
-from lpn.models.published_checkpoints import StateDict, name_unknown, read_options
+from lpn.models.published_checkpoints import StateDict, infer_backbone, name_unknown, read_options
 from lpn.models.token_pooling import TokenPooling
 
 log = logging.getLogger(__name__)
@@ -99,11 +100,44 @@ def load_published(
         return _pooled(state, path, device, compiled, pooling, network)
     found: Recognised
     if named is None:
-        found, state = unwrapped(state, path.name)
+        try:
+            found, state = unwrapped(state, path.name)
+        except ModelFileError as error:
+            raise _backbone_alone(state, path.name) or error from None
     else:
         found, state = named, unwrapped_as(named, state)
         check_named(named, state, path.name)
     return _built(found, state, path, device, compiled, named is None)
+
+
+# First words of the names that a backbone alone has: torchvision's and EfficientNet-Lite's, and those of timm's networks.
+_OF_BACKBONE = re.compile(
+    r"(conv1|bn1|layer[1-4]|fc|features|classifier|_conv_stem|_bn0|_blocks|_conv_head|_bn1|_fc)\."
+)
+_OF_TIMM = re.compile(
+    r"(conv1|bn1|layer[1-4]|fc|stem|stages|layers|blocks|patch_embed|norm|norm_pre|fc_norm|head|conv_stem|conv_head|bn2|classifier)"
+    r"\.|(cls_token|reg_token|pos_embed)$"
+)
+
+
+def _backbone_alone(state: StateDict, name: str) -> ModelFileError | None:
+    """Return the error about a backbone without heads, such as `lpn train --init` takes; None for other files."""
+    own = {re.sub(r"^model_\d\.model\.", "", key): tensor for key, tensor in state.items()}
+    if own and all(map(_OF_BACKBONE.match, own)):
+        with suppress(ModelFileError):
+            backbone, last = infer_backbone(own, name)
+            held = f"{backbone} up to layer3" if last == "layer3" and backbone.startswith("resnet") else backbone
+            return ModelFileError(
+                f"{printable(name)} is a backbone alone ({held}), without the heads of a model; train a model "
+                "that starts from it by giving the file to lpn train --init."
+            )
+    if own and all(map(_OF_TIMM.match, own)):
+        return ModelFileError(
+            f"{printable(name)} is a backbone alone, by its names one of timm, without the heads of a model; read it as it is by "
+            "--model timm:NAME:FILE with its name in timm, or train a model that starts from it by lpn train --backbone "
+            "timm:NAME --init FILE."
+        )
+    return None
 
 
 # The files that transformers writes beside the weights.

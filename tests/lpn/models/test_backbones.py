@@ -9,12 +9,13 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+import lpn
 from lpn.core.errors import InputError, ModelFileError
 from lpn.models.backbones import VGG16
 from lpn.models.checkpoints import backbone_in, load_backbone
 from lpn.models.network import LPN
 from lpn.models.published_checkpoints import infer_backbone
-from lpn.models.spec import ModelSpec
+from lpn.models.spec import BACKBONES, ModelSpec
 
 # Torchvision's numbers of the convolutions of VGG-13, 16, and 19 without batch normalisation, and of VGG-16 with it.
 VGG13 = (0, 2, 5, 7, 10, 12, 15, 17, 20, 22)
@@ -94,3 +95,33 @@ def test_backbones_without_dropout_are_refused_a_rate() -> None:
         replace(SPEC, backbone="resnet18")
     with pytest.raises(InputError, match=r"backbone_dropout is 1\.0"):
         replace(SPEC, backbone_dropout=1.0)
+
+
+@pytest.mark.parametrize("backbone", BACKBONES)
+@pytest.mark.parametrize("prefix", ["", "model_1.model."])
+def test_a_backbone_given_as_a_model_is_told_as_that(backbone: str, prefix: str, tmp_path: Path) -> None:
+    with torch.device("meta"):
+        network = LPN(ModelSpec(backbone, views=("satellite",)))
+    of_branch = network.branch("satellite").model.state_dict()
+    state = {prefix + key: torch.zeros(value.shape[:1]) for key, value in of_branch.items()}
+    torch.save(state, tmp_path / "weights.pth")
+    with pytest.raises(ModelFileError) as caught:
+        lpn.load(tmp_path / "weights.pth")
+    assert str(caught.value) == (
+        f"weights.pth is a backbone alone ({backbone}), without the heads of a model; train a model that starts from it by "
+        "giving the file to lpn train --init."
+    )
+    assert backbone_in(tmp_path / "weights.pth") == backbone
+
+
+def test_a_backbone_of_timm_and_one_without_its_last_stage_are_told_as_that(tmp_path: Path) -> None:
+    network = LPN(ModelSpec("resnet18", "layer3", views=("satellite",)))
+    torch.save(network.branch("satellite").model.state_dict(), tmp_path / "weights.pth")
+    with pytest.raises(ModelFileError, match=r"a backbone alone \(resnet18 up to layer3\)"):
+        lpn.load(tmp_path / "weights.pth")
+    names = ("stem.0.weight", "stages.0.blocks.0.conv_dw.weight", "head.norm.weight", "head.fc.weight")
+    torch.save({name: torch.zeros(2) for name in names}, tmp_path / "weights.pth")
+    with pytest.raises(
+        ModelFileError, match=r"by its names one of timm, .* lpn train --backbone timm:NAME --init FILE"
+    ):
+        lpn.load(tmp_path / "weights.pth")
