@@ -177,10 +177,17 @@ def misplaced(root: Path) -> DataError | None:
     split = _lists_of(root)
     if split is None:
         return None
-    lists = first_few([name for name in folders if name in (*_TRAIN_SETS, *_TEST_LISTS)], 3)
-    name = printable(str(root))
+    held = [name for name in folders if name in (*_TRAIN_SETS, *_TEST_LISTS)]
+    lists, name = first_few(held, 3), printable(str(root))
     if root.name.lower() == split:
         return DataError(f"{name} holds {lists}; rename it to {split}, and give --data {printable(str(root.parent))}.")
+    query = next((view for view in ("drone", "street") if view in held), None)
+    if split == "train" and query is not None and "satellite" in held:
+        return DataError(
+            f"{name} holds {lists}, and nothing says whether to train on them or to test with them; to train, move them into "
+            f"{name}/train; to test, rename {query} to {name}/test/query_{query} and satellite to {name}/test/gallery_satellite. "
+            f"Then give --data {name}."
+        )
     return DataError(
         f"{name} holds {lists}, which belong into a folder {split}; move them into {name}/{split}, and give --data {name}."
     )

@@ -9,11 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
 from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import levels, open_dataset
 from lpn.retrieval.sides import TaskPictures
+from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
 
@@ -96,12 +98,31 @@ def test_the_lists_of_a_split_alone_are_told_where_they_belong(tmp_path: Path) -
         alone = tmp_path / f"{split} alone" / "mine"
         shutil.copytree(release / split, alone)
         assert refusal(alone).startswith(f"{alone} holds {lists}")
-        assert refusal(alone).endswith(
-            f"into a folder {split}; move them into {alone}/{split}, and give --data {alone}."
-        )
+        if split == "test":
+            assert refusal(alone).endswith(f"into a folder test; move them into {alone}/test, and give --data {alone}.")
         upper = alone.rename(alone.with_name(split.title()))
         assert refusal(upper).endswith(f"rename it to {split}, and give --data {upper.parent}.")
         assert refusal(upper.parent) == f"{upper.parent} has the folder {upper.name}; expected {split}, so rename it."
+
+
+def test_the_advice_for_views_alone_leads_to_data_sets_that_train_and_that_test(tmp_path: Path) -> None:
+    release = layouts.university_gaps(tmp_path / "release")
+    for query in ("drone", "street"):
+        alone = tmp_path / query
+        for view in (query, "satellite"):
+            shutil.copytree(release / "train" / view, alone / view)
+        listed = ", ".join(sorted((query, "satellite")))
+        assert refusal(alone) == (
+            f"{alone} holds {listed}, and nothing says whether to train on them or to test with "
+            f"them; to train, move them into {alone}/train; to test, rename {query} to {alone}/test/query_{query} and "
+            f"satellite to {alone}/test/gallery_satellite. Then give --data {alone}."
+        )
+        trained = shutil.copytree(alone, tmp_path / f"train {query}" / "train").parent
+        assert len(TrainingSet(open_dataset(trained), Console(quiet=True)).labels) > 1
+        (alone / "test").mkdir()
+        (alone / query).rename(alone / "test" / f"query_{query}")
+        (alone / "satellite").rename(alone / "test" / "gallery_satellite")
+        assert open_dataset(alone).tasks() == [f"{query}-to-satellite"]
 
 
 def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
