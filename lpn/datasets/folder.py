@@ -37,8 +37,10 @@ class Folder(ListedDataset):
                 f"{printable(str(self.whole))}"
             )
         return (
-            "is a folder of pictures without queries and a gallery; expected test/query_drone/<number>/* and "
-            "test/gallery_satellite/<number>/*, or a pairs.csv that names the pairs"
+            "is a folder of pictures, and nothing says which of them show the same place; name the pairs in a pairs.csv (columns "
+            "satellite,drone,split), or make folders of a number for each place: train/drone/<number>/* and "
+            "train/satellite/<number>/* to train on, test/query_drone/<number>/* and test/gallery_satellite/<number>/* to test "
+            "with"
         )
 
     def lists(self) -> dict[str, list[Picture]]:

@@ -97,7 +97,7 @@ class TrainingSet:
             console.print(
                 "train/google is left out: its pictures train the street branch, and there is no train/street."
             )
-        if isinstance(dataset, Folder) and dataset.whole is not None:
+        if isinstance(dataset, Folder):
             raise dataset.no_task()
         _check_sets(by_place, dataset.root)
         _leave_out_broken(by_place, dataset.root, console)
@@ -215,10 +215,11 @@ class TrainingSet:
 def _check_sets(by_place: Mapping[str, object], root: Path) -> None:
     """Raise DataError without tiles, or without pictures of another view."""
     if "satellite" not in by_place or not {"drone", "street"} & set(by_place):
-        listed = ", ".join(f"train/{name}" for name in by_place) or "none"
+        listed = ", ".join(f"train/{name}" for name in by_place)
+        held = f"pictures in {listed}" if listed else "no pictures to train on"
         raise DataError(
-            f"{root.name} has pictures in {listed}; training needs train/satellite and at least one of train/drone, "
-            "train/street, as in University-1652."
+            f"{root.name} has {held}; training needs train/satellite and at least one of train/drone, train/street, as in "
+            "University-1652, or such pictures in lines of a pairs.csv with the split train."
         )
 
 

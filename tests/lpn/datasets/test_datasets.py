@@ -65,7 +65,10 @@ def test_a_folder_without_a_task_says_what_it_lacks(tmp_path: Path) -> None:
     (tmp_path / "empty" / "test").mkdir(parents=True)
     (tmp_path / "half" / "test" / "query_drone").mkdir(parents=True)
     for name, lack in (
-        ("photos", "is a folder of pictures without queries and a gallery; expected test/query_drone"),
+        (
+            "photos",
+            "is a folder of pictures, and nothing says which of them show the same place; name the pairs in a pairs.csv",
+        ),
         ("empty", "has no pictures to test with; expected queries of one view and a gallery of another"),
         ("half", "has only test/query_drone; expected queries of one view and a gallery of another"),
     ):

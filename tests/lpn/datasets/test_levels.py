@@ -125,6 +125,18 @@ def test_the_advice_for_views_alone_leads_to_data_sets_that_train_and_that_test(
         assert open_dataset(alone).tasks() == [f"{query}-to-satellite"]
 
 
+def test_a_folder_of_pictures_gets_one_sentence_for_training_and_for_testing(tmp_path: Path) -> None:
+    for view in ("drone", "satellite"):
+        small_worlds.write(tmp_path / "alike" / view / "1.jpg", layouts.small(1))
+    dataset = open_dataset(tmp_path / "alike")
+    with pytest.raises(DataError) as caught:
+        TrainingSet(dataset, Console(quiet=True))
+    assert str(caught.value) == str(dataset.no_task())
+    assert "alike is a folder of pictures, and nothing says which of them show the same place; name the pairs" in str(
+        caught.value
+    )
+
+
 def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
