@@ -25,6 +25,10 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
 
 
+# What a page's name may end in.
+PAGES = (".html", ".htm", ".md")
+
+
 @dataclass(kw_only=True)
 class ComparisonOptions:
     """The comparison."""
@@ -50,11 +54,10 @@ class ComparisonOfSources(ABC):
     def run(self) -> None:
         from lpn.analysis.model_table import compare
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_atomic, write_json
+        from lpn.core.files import check_outputs, write_atomic, write_json
 
         options = self.comparison
-        for file in filter(None, (options.markdown, options.csv, options.json)):
-            check_writable(file)
+        check_outputs((options.markdown, ".md"), (options.csv, ".csv"), (options.json, ".json"))
         table = compare(list(self._ranked()), options.seed, options.resamples)
         _print(table, wide_console())
         if options.markdown is not None:
@@ -196,8 +199,8 @@ class ComparisonOfFlights(ComparisonOfSources):
     flight: Path
     """Flight over the map: a folder of lpn flight, or one of photos."""
     page: Path | None = None
-    """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML if the name ends in .html, else
-    Markdown."""
+    """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML or Markdown, as the name
+    ends in .html or .md."""
 
     def run(self) -> None:
         if self.page is None:
@@ -250,8 +253,8 @@ class CompareCommand(ComparisonOfSources):
     """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
     (docs/evaluation.md); a row of its own. 0 for none."""
     page: Path | None = None
-    """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML if the
-    name ends in .html, else Markdown."""
+    """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML
+    or Markdown, as the name ends in .html or .md."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -341,10 +344,11 @@ def _networks(
     """Return the networks of a page by their names, and the bytes of their files.
 
     Raises:
-        InputError: if there are fewer than two, one holds descriptors, or other files than the page's are to be written.
+        InputError: if there are fewer than two, one holds descriptors, other files than the page's are to be written, or a file's
+            name has the ending of no kind that is written.
         OutputError: if a file cannot be written.
     """
-    from lpn.core.files import check_writable
+    from lpn.core.files import check_ending, check_outputs, check_writable
     from lpn.models.shipped import model_file
 
     if options.markdown is not None or options.csv is not None:
@@ -354,8 +358,9 @@ def _networks(
     if saved:
         raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
     _check_several(len(models))
-    for file in filter(None, (page, options.json)):
-        check_writable(file)
+    check_ending(page, *PAGES)
+    check_outputs((options.json, ".json"))
+    check_writable(page)
     files = {name: model_file(model.model) for name, model in models.items()}
     sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
     return {name: model.load() for name, model in models.items()}, sizes

@@ -34,10 +34,10 @@ class DoctorCommand:
     """Folders of data sets: print which rows of the paper's tables can be made on them, the trainings with an estimate of their
     hours, and what is missing; nothing is trained."""
     json: Path | None = None
-    """File to write all findings to, with every name."""
+    """File to write all findings to, with every name, as JSON."""
 
     def run(self) -> int:
-        from lpn.core.files import check_writable, write_json
+        from lpn.core.files import check_outputs, write_json
 
         if self.reproduce:
             if self.data or self.model or self.kind or self.pooling or self.quick or self.json:
@@ -46,8 +46,7 @@ class DoctorCommand:
 
             print_plan([str(folder) for folder in self.reproduce])
             return 0
-        if self.json is not None:
-            check_writable(self.json)
+        check_outputs((self.json, ".json"))
         if self.model is not None:
             return self._check_model(self.model)
         for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):

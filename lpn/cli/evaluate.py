@@ -117,10 +117,9 @@ class EvaluationOfSource(ABC):
     """File to write the measures to, as JSON."""
 
     def run(self) -> None:
-        from lpn.core.files import check_writable, write_json
+        from lpn.core.files import check_outputs, write_json
 
-        if self.json is not None:
-            check_writable(self.json)
+        check_outputs((self.json, ".json"))
         title, result = self._evaluate()
         _print_result(title, result)
         if self.json is not None:
@@ -140,7 +139,7 @@ class EvaluationWithAnswers(EvaluationOfSource):
     (answer.txt); nothing is measured then."""
 
     def run(self) -> None:
-        from lpn.core.files import check_writable, printable
+        from lpn.core.files import check_outputs, printable
         from lpn.tasks.answers import write_answers
 
         if self.answers is None:
@@ -151,7 +150,7 @@ class EvaluationWithAnswers(EvaluationOfSource):
                 "Answers are those of whole descriptors of queries as they are, and nothing is measured; leave --json, changes "
                 "of queries, and other rankings out."
             )
-        check_writable(self.answers)
+        check_outputs((self.answers, ".txt"))
         _check_no_query_lacks(self._data())
         written = write_answers(self._task(), self.answers)
         print(f"{printable(str(self.answers))} has the answers to {written} queries; a server takes it zipped.")
@@ -296,7 +295,7 @@ class EvaluationOfFlight:
     def run(self) -> None:
         from lpn.cli.locate import locate_files, print_summary
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, printable, write_json
+        from lpn.core.files import check_outputs, printable, write_json
         from lpn.locate.options import LocateOptions
         from lpn.locate.surveyed import compare_surveyed, summarise_surveyed, survey_remarks, write_residuals
 
@@ -304,9 +303,7 @@ class EvaluationOfFlight:
             if given is not None and self.positions is None:
                 raise InputError(f"{option} belongs to --positions; give both, or leave it out.")
         self._check_files_differ()
-        for file in (self.json, self.residuals):
-            if file is not None:
-                check_writable(file)
+        check_outputs((self.json, ".json"), (self.residuals, ".csv"))
         console = wide_console()
         options = LocateOptions(register=self.register, prior=self.prior, map_error=self.map_error, tags=self.tags)
         survey: list[MatchedSurvey] = []
@@ -397,13 +394,12 @@ class EvaluationOfPoses:
 
     def run(self) -> None:
         from lpn.core.consoles import counting_bar, wide_console
-        from lpn.core.files import check_writable, printable, write_json
+        from lpn.core.files import check_outputs, printable, write_json
         from lpn.core.posed_samples import sample_folders
         from lpn.locate.options import LocateOptions
         from lpn.locate.pose_benchmark import measure, summarise
 
-        if self.json is not None:
-            check_writable(self.json)
+        check_outputs((self.json, ".json"))
         if self.limit is not None and self.limit < 1:
             raise InputError(f"The limit is {self.limit} photos; expected 1 or more.")
         folders = [one for one in sample_folders(self.data) if one.samples]
@@ -456,11 +452,10 @@ class EvaluateCommand(EvaluationWithAnswers):
             super().run()
 
     def _run_weathers(self) -> None:
-        from lpn.core.files import check_writable, write_json
+        from lpn.core.files import check_outputs, write_json
         from lpn.retrieval.weathers import evaluate_weathers
 
-        if self.json is not None:
-            check_writable(self.json)
+        check_outputs((self.json, ".json"))
         model, dataset, tasks, title = self._opened()
         result = evaluate_weathers(
             model,

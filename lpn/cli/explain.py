@@ -49,7 +49,7 @@ class ExplainCommand:
     covering: bool = False
     """Measure instead the loss of score when a square of the query is blurred (occlusion): approximate, for every model."""
     json: Path | None = None
-    """File to write score, parts, and every cell to."""
+    """File to write score, parts, and every cell to, as JSON."""
     png: Path | None = None
     """Picture to write."""
 
@@ -58,15 +58,13 @@ class ExplainCommand:
         from lpn import explain, retrieval
         from lpn.core import images
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_atomic, write_json
+        from lpn.core.files import check_outputs, write_atomic, write_json
         from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
 
-        for file in (self.json, self.png):
-            if file is not None:
-                check_writable(file)
+        check_outputs((self.json, ".json"), (self.png, ".png"))
         model, views = lpn.load(self.model, kind=self.kind, pooling=self.pooling), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)

@@ -41,7 +41,7 @@ class FailuresOptions:
     notes: Path | None = None
     """File of tags and notes; by default notes.csv in the folder of the queries."""
     csv: Path | None = None
-    """File to write all queries that match --where to, with all columns, tags, and notes."""
+    """File to write all queries that match --where to, with all columns, tags, and notes, as CSV."""
 
 
 @dataclass(kw_only=True)
@@ -53,15 +53,14 @@ class FailuresOfSource(ABC):
 
     def run(self) -> None:
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.files import check_outputs, write_atomic
         from lpn.datasets import metadata
         from lpn.tasks.query_outcomes import OUTCOME_COLUMNS, RANK_A
 
         listing = self.listing
         if listing.top < 1:
             raise InputError(f"The number of queries listed is {listing.top}; expected 1 or more.")
-        if listing.csv is not None:
-            check_writable(listing.csv)
+        check_outputs((listing.csv, ".csv"))
         task = open_with_notes(self.source, listing.notes)
         made = self._compared(task, task.table)
         rows = made.sort(made.filter(made.rows(), listing.where), listing.sort, listing.descending)

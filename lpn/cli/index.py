@@ -165,20 +165,19 @@ class SearchCommand:
     depth: int | None = None
     """For faiss: candidates, in multiples of --top, that are scored again by their vectors; 16 by default."""
     json: Path | None = None
-    """File to write the tiles to, with scores, parts, and positions."""
+    """File to write the tiles to, with scores, parts, and positions, as JSON."""
 
     def run(self) -> None:
         from lpn import retrieval
         from lpn.core import images
-        from lpn.core.files import check_writable, write_json
+        from lpn.core.files import check_outputs, write_json
         from lpn.index import check_effort, open_index
         from lpn.index.base import check_count
         from lpn.retrieval import scoring
 
         check_count(self.top)
         check_effort(self.effort, self.depth)
-        if self.json is not None:
-            check_writable(self.json)
+        check_outputs((self.json, ".json"))
         model = lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
         # An index holds a gallery (`lpn.index.tiles`).
         model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)

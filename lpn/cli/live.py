@@ -12,7 +12,7 @@ from typing import IO, TYPE_CHECKING, Literal
 import lpn
 from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
-from lpn.core.files import check_writable, printable
+from lpn.core.files import check_ending, check_writable, printable
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
 
@@ -127,7 +127,7 @@ class LiveCommand(LiveInput):
     """
 
     out: Path | None = None
-    """File of GeoJSON lines, which are appended; by default they are printed."""
+    """File of GeoJSON lines, ending in .jsonl, .geojsonl, or .ndjson, which are appended; by default they are printed."""
     send: str | None = None
     """MAVLink address that accepted places are sent to, such as udpout:127.0.0.1:14551."""
     send_as: Literal["gps", "vision"] = "gps"
@@ -142,6 +142,7 @@ class LiveCommand(LiveInput):
             if self.out is None:
                 lines: IO[str] = sys.stdout
             else:
+                check_ending(self.out, ".jsonl", ".geojsonl", ".ndjson")
                 check_writable(self.out)
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
                 self.belief = self.belief or self.out.with_name(self.out.name + ".belief")

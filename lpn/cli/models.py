@@ -21,17 +21,16 @@ class ModelsCommand:
     name: Annotated[str | None, tyro.conf.Positional] = None
     """Model whose card is shown: training, figures with intervals and their source, limits."""
     json: Path | None = None
-    """File to write the cards to."""
+    """File to write the cards to, as JSON."""
 
     def run(self) -> None:
         import msgspec
 
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_json
+        from lpn.core.files import check_outputs, write_json
         from lpn.models.shipped import model_card, model_cards
 
-        if self.json is not None:
-            check_writable(self.json)
+        check_outputs((self.json, ".json"))
         cards = model_cards() if self.name is None else (model_card(self.name),)
         console = wide_console()
         if self.name is None:

@@ -41,9 +41,9 @@ class SweepOptions:
     weights: str | None = None
     """Weight of each part, such as 1,1,1,0; equal by default."""
     csv: Path | None = None
-    """File to write the table to."""
+    """File to write the table to, as CSV."""
     png: Path | None = None
-    """File to draw the curves to; needs matplotlib, of the extra train."""
+    """File to draw the curves to, as PNG; needs matplotlib, of the extra train."""
 
 
 @dataclass(kw_only=True)
@@ -55,11 +55,10 @@ class SweepOfSource(ABC):
 
     def run(self) -> None:
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_writable, write_atomic
+        from lpn.core.files import check_outputs, write_atomic
 
         options = self.sweep
-        for file in filter(None, (options.csv, options.png)):
-            check_writable(file)
+        check_outputs((options.csv, ".csv"), (options.png, ".png"))
         if options.png is not None:
             import matplotlib  # noqa: F401 (fail before the long computation)
         console = wide_console()

@@ -20,7 +20,7 @@ from pathlib import Path
 from tokenize import TokenError
 from typing import TYPE_CHECKING
 
-from lpn.core.errors import OutputError, StoreError
+from lpn.core.errors import InputError, OutputError, StoreError
 from lpn.core.shutdown import uninterrupted
 
 if TYPE_CHECKING:
@@ -213,6 +213,40 @@ def raise_open_file_limit() -> None:
         with suppress(OSError, ValueError):
             resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
             return
+
+
+def check_ending(path: Path, *endings: str) -> None:
+    """Check that a file's name says what is written into it.
+
+    Args:
+        endings: of the kinds of file that can be written, such as ".png"; upper case counts as lower case.
+
+    Raises:
+        InputError: if the name ends in none of them.
+    """
+    if path.suffix.lower() not in endings:
+        expected = (
+            f"{', '.join(endings[:-1])}{',' * (len(endings) > 2)} or {endings[-1]}" if endings[1:] else endings[0]
+        )
+        raise InputError(f"The file to write is named {printable(path.name)}; expected a name that ends in {expected}.")
+
+
+def check_outputs(*outputs: tuple[Path | None, str]) -> None:
+    """Check the names of files that options ask for, and then, before long work, that each can be written.
+
+    Args:
+        outputs: file and its ending; None for an option that is not given.
+
+    Raises:
+        InputError: if a name has another ending, see `check_ending`; no folder was created then.
+        OutputError: if a file cannot be written.
+    """
+    given = [(path, ending) for path, ending in outputs if path is not None]
+    for path, ending in given:
+        if not path.is_dir():
+            check_ending(path, ending)
+    for path, _ in given:
+        check_writable(path)
 
 
 def check_writable(path: Path) -> None:

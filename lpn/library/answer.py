@@ -11,7 +11,7 @@ from markupsafe import Markup
 from lpn import explain, retrieval
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.files import printable, write_atomic
+from lpn.core.files import check_ending, printable, write_atomic
 from lpn.core.notebook_html import table
 from lpn.core.views import View
 from lpn.datasets import Picture
@@ -50,8 +50,7 @@ class PairPicture:
             OutputError: if the file cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() != ".png":
-            raise InputError(f"The figure's file is {printable(path.name)}; expected a name that ends in .png.")
+        check_ending(path, ".png")
         write_atomic(path, self._repr_png_())
 
     def _repr_png_(self) -> bytes:

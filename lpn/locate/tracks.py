@@ -16,8 +16,7 @@ from typing import Any, Literal
 from xml.etree import ElementTree
 
 from lpn.core.csv_cells import csv_bytes
-from lpn.core.errors import InputError
-from lpn.core.files import json_bytes, portable, printable, write_atomic
+from lpn.core.files import check_ending, json_bytes, portable, printable, write_atomic
 from lpn.core.numbers import SIGMA, heading_figure
 from lpn.drawing import theme
 
@@ -129,10 +128,7 @@ _POSE_COLUMNS = {
 
 def check_suffix(path: Path) -> None:
     """Raise InputError unless the format of a track is known by its suffix."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise InputError(
-            f"The track {path.name} has the suffix {path.suffix!r}; expected one of {', '.join(SUFFIXES)}."
-        )
+    check_ending(path, *SUFFIXES)
 
 
 def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:

@@ -25,7 +25,7 @@ from lpn.analysis.model_table import RESAMPLES, intervals
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.consoles import wide_console
 from lpn.core.errors import InputError
-from lpn.core.files import check_writable, fingerprint, printable, write_atomic, write_json
+from lpn.core.files import check_outputs, fingerprint, printable, write_atomic, write_json
 from lpn.core.formats import decode_json
 from lpn.datasets import Dataset
 from lpn.models.base import Model
@@ -184,9 +184,10 @@ class CrossValidation:
         """Train and measure what is left, and write the table as JSON after each fold; return the last one.
 
         Raises:
+            InputError: if the table's name does not end in .json.
             LPNError: as `lpn.training.trainer.Trainer`, except for a divergence, which leaves a trial without that fold.
         """
-        check_writable(table)
+        check_outputs((table, ".json"))
         for step in dict.fromkeys(map(_step, self.jobs)):
             trainings.train([job for job in self.jobs if _step(job) == step], self.console)
             values = self.table()

@@ -843,7 +843,7 @@ def test_the_commands_write_a_track_and_measures(
     assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["registration"]
     assert "by hand" not in capsys.readouterr().out
     assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
-    assert "suffix '.shp'" in capsys.readouterr().err
+    assert "named track.shp" in capsys.readouterr().err
     assert main(["evaluate", "flight", *where, "--map-error", "-1"]) == 2
     assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
     survey = tmp_path / "survey.csv"

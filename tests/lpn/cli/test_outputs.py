@@ -1,0 +1,79 @@
+"""A file whose name is of another kind is refused in one sentence, before a model or a data set is opened."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from lpn.cli import main
+from lpn.core.errors import InputError
+from lpn.core.files import check_ending
+
+PAIR = ["explain", "--model", "none.onnx", "--query", "a.jpg", "--match", "b.jpg"]
+MODEL = ["--data", "none", "--model", "none.onnx"]
+COMPARED = ["compare", "none.onnx", "other.onnx", "--data", "none"]
+FLOWN = ["--map", "none.tif", "--flight", "none"]
+SURVEYED = ["evaluate", "flight", *FLOWN, "--positions", "survey.csv"]
+SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.jpg", "--view", "drone"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "option", "name", "expected"),
+    [
+        *((PAIR, "--png", name, ".png") for name in ("out.pdf", "out.svg", "out.jpg", "out")),
+        (PAIR, "--json", "why.csv", ".json"),
+        (["sweep", *MODEL, "--query", "0001/01"], "--csv", "t.json", ".csv"),
+        (["sweep", *MODEL, "--query", "0001/01"], "--png", "t.pdf", ".png"),
+        (["failures", *MODEL], "--csv", "f.xlsx", ".csv"),
+        (["report", *MODEL], "--out", "r.pdf", ".html or .htm"),
+        (["models"], "--json", "m.txt", ".json"),
+        (["doctor"], "--json", "d.txt", ".json"),
+        (SEARCH, "--json", "s.csv", ".json"),
+        (["evaluate", *MODEL], "--json", "e.csv", ".json"),
+        (["evaluate", *MODEL, "--weather", "all"], "--json", "e.csv", ".json"),
+        (["evaluate", *MODEL], "--answers", "a.zip", ".txt"),
+        (["evaluate", "flight", *FLOWN], "--json", "e.csv", ".json"),
+        (SURVEYED, "--residuals", "r.json", ".csv"),
+        (["evaluate", "poses", "--data", "none"], "--json", "e.csv", ".json"),
+        (COMPARED, "--markdown", "t.tex", ".md"),
+        (COMPARED, "--csv", "t.md", ".csv"),
+        (COMPARED, "--json", "t.csv", ".json"),
+        (COMPARED, "--page", "page.pdf", ".md"),
+        (["compare", "flight", "none.onnx", "other.onnx", *FLOWN], "--page", "page.docx", ".md"),
+        (["locate", *FLOWN], "--out", "track.shp", ".geojson, .gpx, .kml, or .csv"),
+        (["export", "--model", "none.pth"], "--out", "model.pt", ".onnx"),
+    ],
+)
+def test_another_kind_of_file_is_refused_before_anything_is_opened(
+    arguments: list[str],
+    option: str,
+    name: str,
+    expected: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("none.pth").touch()
+    assert main.main([*arguments, option, f"deep/{name}"]) == 2
+    error = capsys.readouterr().err
+    assert f"named {name};" in error
+    assert expected in error
+    assert len(error.splitlines()) == 1
+    assert not Path("deep").exists()
+
+
+def test_all_names_are_checked_before_a_folder_is_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main.main([*PAIR, "--json", "deep/why.json", "--png", "deep/out.pdf"]) == 2
+    assert "expected a name that ends in .png" in capsys.readouterr().err
+    assert not Path("deep").exists()
+
+
+def test_upper_case_endings_count_and_several_are_listed() -> None:
+    check_ending(Path("OUT.PNG"), ".png")
+    with pytest.raises(InputError, match=r"named a\.txt; expected a name that ends in \.b, \.c, or \.d\.$"):
+        check_ending(Path("x/a.txt"), ".b", ".c", ".d")
