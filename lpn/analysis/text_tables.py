@@ -1,10 +1,30 @@
-"""Tables of text, which Markdown and a page of HTML show alike."""
+"""Tables of text, which Markdown, LaTeX, and a page of HTML show alike."""
 
 from __future__ import annotations
 
 import html
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+
+_LATEX: Mapping[str, str] = {
+    **{sign: f"\\{sign}" for sign in "&%$#_{}"},
+    "\\": r"\textbackslash{}",
+    # A line that begins with a bracket would be an argument of the command that ends the line above it.
+    "[": "{[}",
+    "\n": " ",
+    "`": r"\textasciigrave{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "|": r"\textbar{}",
+    "→": r"$\rightarrow$",
+    "±": r"$\pm$",
+    "−": "$-$",
+    "×": r"$\times$",
+    "°": r"$^{\circ}$",
+    "²": "$^{2}$",
+}
 
 
 @dataclass(frozen=True)
@@ -27,6 +47,16 @@ class TextTable:
         for row in (self.head, rule, *self.rows):
             yield f"| {' | '.join(map(markdown_text, row))} |"
         yield ""
+
+    def latex_lines(self) -> Iterator[str]:
+        """Yield the lines of a tabular of LaTeX's package booktabs, which has as many columns in each row."""
+        yield f"\\begin{{tabular}}{{{'l' * self.texts}{'r' * (len(self.head) - self.texts)}}}"
+        yield r"\toprule"
+        for row in (self.head, *self.rows):
+            yield f"{' & '.join(map(latex_text, row))} \\\\"
+            if row is self.head:
+                yield r"\midrule"
+        yield from (r"\bottomrule", r"\end{tabular}")
 
 
 @dataclass(frozen=True)
@@ -53,7 +83,30 @@ class TableSection:
         if self.after:
             yield from (self.after, "")
 
+    def latex_lines(self) -> Iterator[str]:
+        """Yield a captioned table of LaTeX for each table; the sentences behind them are a comment."""
+        title = f"{self.title}." if self.title else ""
+        caption = " ".join(latex_text(text) for text in (title, self.before) if text)
+        for table in self.tables:
+            yield from (r"\begin{table}", r"\centering")
+            if caption:
+                yield f"\\caption{{{caption}}}"
+            yield from (*table.latex_lines(), r"\end{table}", "")
+        if self.after:
+            yield from (f"% {' '.join(self.after.split())}", "")
+
 
 def markdown_text(text: str) -> str:
     """Return words for Markdown, which is HTML, too, also in a table's cell."""
     return html.escape(text, quote=False).replace("|", "\\|")
+
+
+def latex_text(text: str) -> str:
+    """Return words for LaTeX's text mode, also in a table's cell; letters beyond ASCII are left to its UTF-8."""
+    return "".join(_LATEX.get(letter, letter) for letter in text).replace("--", "-{}-")
+
+
+def latex_page(sections: Iterable[TableSection]) -> str:
+    """Return tables for a document of LaTeX, to be read by its \\input."""
+    lines = [r"% Needs \usepackage{booktabs}.", *(line for section in sections for line in section.latex_lines())]
+    return "\n".join(lines)

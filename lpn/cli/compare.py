@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 # What a page's name may end in.
-PAGES = (".html", ".htm", ".md")
+PAGES = (".html", ".htm", ".md", ".tex")
 
 
 @dataclass(kw_only=True)
@@ -39,6 +39,8 @@ class ComparisonOptions:
     """Number of bootstrap resamples."""
     markdown: Path | None = None
     """File to write the tables to, as Markdown."""
+    latex: Path | None = None
+    """File to write the tables to, as LaTeX, ending in .tex; they need its package booktabs."""
     csv: Path | None = None
     """File to write one line a model to."""
     json: Path | None = None
@@ -53,15 +55,20 @@ class ComparisonOfSources(ABC):
 
     def run(self) -> None:
         from lpn.analysis.model_table import compare
+        from lpn.analysis.text_tables import latex_page
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
 
         options = self.comparison
-        check_outputs((options.markdown, ".md"), (options.csv, ".csv"), (options.json, ".json"))
+        check_outputs(
+            (options.markdown, ".md"), (options.latex, ".tex"), (options.csv, ".csv"), (options.json, ".json")
+        )
         table = compare(list(self._ranked()), options.seed, options.resamples)
         _print(table, wide_console())
         if options.markdown is not None:
             write_atomic(options.markdown, table.to_markdown().encode())
+        if options.latex is not None:
+            write_atomic(options.latex, latex_page([table.section]).encode())
         if options.csv is not None:
             write_atomic(options.csv, table.to_csv())
         if options.json is not None:
@@ -199,8 +206,8 @@ class ComparisonOfFlights(ComparisonOfSources):
     flight: Path
     """Flight over the map: a folder of lpn flight, or one of photos."""
     page: Path | None = None
-    """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML or Markdown, as the name
-    ends in .html or .md."""
+    """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML, Markdown,
+    or LaTeX, as the name ends in .html, .md, or .tex."""
 
     def run(self) -> None:
         if self.page is None:
@@ -253,8 +260,8 @@ class CompareCommand(ComparisonOfSources):
     """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
     (docs/evaluation.md); a row of its own. 0 for none."""
     page: Path | None = None
-    """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML
-    or Markdown, as the name ends in .html or .md."""
+    """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
+    Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -351,8 +358,10 @@ def _networks(
     from lpn.core.files import check_ending, check_outputs, check_writable
     from lpn.models.shipped import model_file
 
-    if options.markdown is not None or options.csv is not None:
-        raise InputError("A page is written by --page, and its figures by --json; leave --markdown and --csv out.")
+    if options.markdown is not None or options.latex is not None or options.csv is not None:
+        raise InputError(
+            "A page is written by --page, and its figures by --json; leave --markdown, --latex, and --csv out."
+        )
     models = compared.options()
     saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
     if saved:
@@ -367,12 +376,19 @@ def _networks(
 
 
 def _write_page(board: Leaderboard, page: Path, json: Path | None) -> None:
-    """Write a page as HTML or Markdown, and its figures as JSON."""
+    """Write a page as HTML, LaTeX, or Markdown, and its figures as JSON."""
+    from lpn.analysis.text_tables import latex_page
     from lpn.core.files import write_atomic, write_json
     from lpn.report import build_leaderboard
 
-    of_html = page.suffix.lower() in (".html", ".htm")
-    write_atomic(page, build_leaderboard(board) if of_html else board.to_markdown().encode())
+    match page.suffix.lower():
+        case ".html" | ".htm":
+            written = build_leaderboard(board)
+        case ".tex":
+            written = latex_page(board.sections()).encode()
+        case _:
+            written = board.to_markdown().encode()
+    write_atomic(page, written)
     if json is not None:
         write_json(json, board.to_dict())
     tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"

@@ -25,6 +25,7 @@ from lpn.sources.opened import open_task
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from lpn.analysis.text_tables import TextTable
     from lpn.datasets import Dataset
     from lpn.flights import Flight
     from lpn.locate.pose_benchmark import PoseSummary
@@ -115,15 +116,26 @@ class EvaluationOfSource(ABC):
 
     json: Path | None = None
     """File to write the measures to, as JSON."""
+    latex: Path | None = None
+    """File to write the table to, as LaTeX, ending in .tex; it needs LaTeX's package booktabs."""
 
     def run(self) -> None:
         from lpn.core.files import check_outputs, write_json
 
-        check_outputs((self.json, ".json"))
+        check_outputs((self.json, ".json"), (self.latex, ".tex"))
         title, result = self._evaluate()
         _print_result(title, result)
+        self._write_latex(title, _table(result), result.sentence)
         if self.json is not None:
             write_json(self.json, result.to_dict())
+
+    def _write_latex(self, title: str, table: TextTable, sentence: str) -> None:
+        """Write a table with its protocol, if it is asked for."""
+        from lpn.analysis.text_tables import TableSection, latex_page
+        from lpn.core.files import write_atomic
+
+        if self.latex is not None:
+            write_atomic(self.latex, latex_page([TableSection(title, (table,), after=sentence)]).encode())
 
     @abstractmethod
     def _evaluate(self) -> tuple[str, Result]:
@@ -145,10 +157,10 @@ class EvaluationWithAnswers(EvaluationOfSource):
         if self.answers is None:
             super().run()
             return
-        if self.json is not None or self._changed():
+        if self.json is not None or self.latex is not None or self._changed():
             raise InputError(
-                "Answers are those of whole descriptors of queries as they are, and nothing is measured; leave --json, changes "
-                "of queries, and other rankings out."
+                "Answers are those of whole descriptors of queries as they are, and nothing is measured; leave --json, --latex, "
+                "changes of queries, and other rankings out."
             )
         check_outputs((self.answers, ".txt"))
         _check_no_query_lacks(self._data())
@@ -455,7 +467,7 @@ class EvaluateCommand(EvaluationWithAnswers):
         from lpn.core.files import check_outputs, write_json
         from lpn.retrieval.weathers import evaluate_weathers
 
-        check_outputs((self.json, ".json"))
+        check_outputs((self.json, ".json"), (self.latex, ".tex"))
         model, dataset, tasks, title = self._opened()
         result = evaluate_weathers(
             model,
@@ -466,6 +478,7 @@ class EvaluateCommand(EvaluationWithAnswers):
             self.changes.weather_seed,
         )
         _print_weathers(title, result)
+        self._write_latex(title, _weather_table(result), result.sentence)
         if self.json is not None:
             write_json(self.json, result.to_dict())
 
@@ -505,6 +518,24 @@ class EvaluateCommand(EvaluationWithAnswers):
         return self.compile or (self.changes, self.ranking) != (ChangeOptions(), RankingOptions())
 
 
+def _table(result: Result) -> TextTable:
+    """Return the table of recall and AP."""
+    from lpn.analysis.text_tables import TextTable
+
+    grouped = bool(result.groups)
+    names = [f"recall@{k}" for k in result.recall]
+    head = ("task", *([result.group_name] if grouped else []), "queries", "gallery", *names, "ap")
+    rows = [
+        (
+            *(result.task, *([group] if grouped else []), str(figures.queries), figures.name),
+            *map(_figure, (*figures.recall.values(), figures.ap)),
+        )
+        for group, galleries in [("all", result.galleries), *result.groups.items()]
+        for figures in galleries
+    ]
+    return TextTable(head, rows, texts=2 if grouped else 1)
+
+
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
     from rich.table import Table
@@ -512,15 +543,11 @@ def _print_result(title: str, result: Result) -> None:
     from lpn.core.consoles import wide_console
     from lpn.retrieval.evaluate import WITHOUT
 
-    rows = [("all", result.galleries), *result.groups.items()]
-    table = Table(title=title)
-    names = [f"recall@{k}" for k in result.recall]
-    for name in ("task", *([result.group_name] if result.groups else []), "queries", "gallery", *names, "ap"):
+    measured, table = _table(result), Table(title=title)
+    for name in measured.head:
         table.add_column(name, justify="right", no_wrap=True)
-    for group, galleries in rows:
-        for figures in galleries:
-            facts = (result.task, *([group] if result.groups else []), str(figures.queries), figures.name)
-            table.add_row(*facts, *map(_figure, (*figures.recall.values(), figures.ap)))
+    for row in measured.rows:
+        table.add_row(*row)
     console = wide_console()
     console.print(table)
     console.print(result.sentence)
@@ -541,6 +568,16 @@ def _print_result(title: str, result: Result) -> None:
         console.print(
             f"By the positions, the median error of the top match is {median}; the shares of queries are {shares}."
         )
+
+
+def _weather_table(result: WeatherResult) -> TextTable:
+    """Return University-WX's table: a row for each weather, and their mean."""
+    from lpn.analysis.text_tables import TextTable
+
+    head = ("weather", *(f"{task} {name}" for task in result.tasks for name in ("R@1", "AP")))
+    return TextTable(
+        head, [(name, *(_figure(value) for pair in pairs for value in pair)) for name, pairs in result.rows()]
+    )
 
 
 def _print_weathers(title: str, result: WeatherResult) -> None:

@@ -1,4 +1,4 @@
-"""A measured table as Markdown, CSV, and a chart: measured values beside the paper's, and verdicts on the paper's claims."""
+"""A measured table as Markdown, LaTeX, CSV, and a chart: measured values beside the paper's, and verdicts on its claims."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from lpn.analysis.text_tables import TableSection, TextTable, latex_page
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.files import write_atomic
 from lpn.drawing.plots import png, pyplot
@@ -16,16 +17,31 @@ _COLOURS = ("#1f5fbf", "#7fb2e5", "#c2571a", "#eba968")
 
 
 def write(record: TableRecord, out: Path) -> list[Path]:
-    """Write `<key>.md`, `<key>.csv`, and `<key>.png` into a folder and return their paths."""
-    files = [out / f"{record.key}.{suffix}" for suffix in ("md", "csv", "png")]
+    """Write `<key>.md`, `<key>.csv`, `<key>.png`, and `<key>.tex` into a folder and return their paths."""
+    files = [out / f"{record.key}.{suffix}" for suffix in ("md", "csv", "png", "tex")]
     write_atomic(files[0], markdown(record).encode())
     write_atomic(files[1], _csv(record))
     write_atomic(files[2], figure(record))
+    section = TableSection(record.title, (text_table(record),), after=" ".join((*record.notes, *verdicts(record))))
+    write_atomic(files[3], latex_page([section]).encode())
     return files
 
 
 def markdown(record: TableRecord) -> str:
     """Format the table, its notes, and the verdicts on the paper's claims."""
+    table = text_table(record)
+    titles = table.head[1:]
+    lines = [f"### {record.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
+    lines += [f"| {' | '.join(row)} |" for row in table.rows]
+    lines += ["", *(f"{sentence}  " for sentence in record.notes)]
+    claims = verdicts(record)
+    if claims:
+        lines += ["", *(f"- {claim}" for claim in claims)]
+    return "\n".join(lines) + "\n"
+
+
+def text_table(record: TableRecord) -> TextTable:
+    """Return the measured values, and the paper's beside them."""
     titles: list[str] = []
     # (True, i) is measured column i, (False, i) the paper's; the paper's without a neighbour come last.
     cells: list[tuple[bool, int]] = []
@@ -39,7 +55,7 @@ def markdown(record: TableRecord) -> str:
     for index, title in record.alone.items():
         titles.append(f"paper, {title}")
         cells.append((False, index))
-    lines = [f"### {record.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
+    rows = []
     for row in record.rows:
         texts = []
         # The reason stands once, in the first cell.
@@ -52,12 +68,8 @@ def markdown(record: TableRecord) -> str:
                 printed = row.paper[index] if index < len(row.paper) else None
                 # The paper prints a dash for what it does not know of a row.
                 texts.append(f"{printed:.2f}" if printed is not None else "-" if row.paper else "")
-        lines.append(f"| {row.title} | " + " | ".join(texts) + " |")
-    lines += ["", *(f"{sentence}  " for sentence in record.notes)]
-    claims = verdicts(record)
-    if claims:
-        lines += ["", *(f"- {claim}" for claim in claims)]
-    return "\n".join(lines) + "\n"
+        rows.append((row.title, *texts))
+    return TextTable(("", *titles), rows)
 
 
 def _format(mean: float, interval: float) -> str:

@@ -11,6 +11,7 @@ import pytest
 
 import lpn
 from lpn.analysis.leaderboard import Leaderboard, ModelFacts, task_leaderboard
+from lpn.analysis.text_tables import latex_page
 from lpn.cli.main import main
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
@@ -89,6 +90,8 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
     assert '<td class="r">50.00 / 62.50</td>' in page
     assert "| &lt;b&gt;.onnx | 50.00 / 62.50 |" in board.to_markdown()
     assert not re.search(r"<script|https?:|<b>", page)
+    _, _, latex = latex_page(board.sections()).partition("Turned queries")
+    assert r"\textless{}b\textgreater{}.onnx & 50.00 / 62.50 \\" in latex
 
 
 @pytest.mark.parametrize(
@@ -97,7 +100,7 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
         (["--turns", "90"], "belong to a page"),
         (["--page", "{}/page.md", "--calibrate"], "ranked plainly"),
         (["--page", "{}/page.md"], "takes two models or more; found 1."),
-        (["--page", "{}/page.md", "--csv", "{}/page.csv"], "leave --markdown and --csv out"),
+        (["--page", "{}/page.md", "--csv", "{}/page.csv"], "leave --markdown, --latex, and --csv out"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

@@ -475,7 +475,7 @@ def test_the_command_locates_what_a_vehicle_sends(
 ) -> None:
     pytest.importorskip("pymavlink")
     monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
-    photos, out, port = tmp_path / "photos", tmp_path / "lines.json", free_port()
+    photos, out, port = tmp_path / "photos", tmp_path / "lines.jsonl", free_port()
     photos.mkdir()
     vehicle, started, start = SimulatedVehicle(flight, photos, port), threading.Event(), LiveSource.start
     monkeypatch.setattr(LiveSource, "start", lambda source: (start(source), started.set()))

@@ -180,7 +180,8 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
     made = reproduction(places, tmp_path, seeds=(0, 1))
     files = made.run(["table4", "table5", "figure8"])
     assert [file.name for file in files] == [
-        "table4.md", "table4.csv", "table4.png", "table5.md", "table5.csv", "table5.png", "figure8.png",
+        "table4.md", "table4.csv", "table4.png", "table4.tex",
+        "table5.md", "table5.csv", "table5.png", "table5.tex", "figure8.png",
     ]  # fmt: skip
     text = (tmp_path / "table4.md").read_text()
     assert "| 75.93 |" in text
@@ -694,7 +695,7 @@ def test_figures_are_drawn_with_the_networks_there_are(
 
     monkeypatch.setattr(Trainer, "_epoch", explode)
     made = reproduction(places, tmp_path / "one", models={"lpn": model_file})
-    files = ["figure7.md", "figure7.csv", "figure7.png", "figure7a.png", "figure8.png"]
+    files = ["figure7.md", "figure7.csv", "figure7.png", "figure7.tex", "figure7a.png", "figure8.png"]
     assert [file.name for file in made.run(["figure7", "figure8"])] == files
     assert "figure7a drawn with the others: there is no network instance" in said(made)
     assert "figure7b, figure8-panoramas not drawn: no panoramas are given with --data." in said(made)
