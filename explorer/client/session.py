@@ -93,6 +93,7 @@ class ClientSession:
                 self.change,
                 lambda search: self._built_address.show(search),
                 self._on_select,
+                lambda scoring: self._receive(messages.ShowScoring(scoring)),
                 {PageMessage: self._receive},
             )
             self.views.panels.query.take_over(own)

@@ -41,6 +41,7 @@ from lpn.core.errors import LPNError
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import theme
 from lpn.drawing.words import speaking
+from lpn.tasks.task import Scoring
 
 
 class ClientViews:
@@ -51,6 +52,7 @@ class ClientViews:
         change: updates the state with a function.
         go: shows the state of a query string; returns a sentence about each value that is invalid.
         on_select: compares with the tile at a gallery position, which was clicked while a state was drawn.
+        show_scoring: ranks by a scoring, which is prepared first where it is not ready.
         receivers: of the messages that no view receives, see `Receivers`.
 
     Attributes:
@@ -66,6 +68,7 @@ class ClientViews:
         change: Callable[[StateChange], None],
         go: Callable[[str], list[str]],
         on_select: Callable[[SessionState, int], None],
+        show_scoring: Callable[[Scoring], None],
         receivers: Mapping[type[Any], Callable[[Any], None]],
     ) -> None:
         self._client, self._change = client, change
@@ -150,7 +153,9 @@ class ClientViews:
                 )
             )
         commands.append(("First screen", None, lambda: self.first_screen.act("start")))
-        shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close)
+        shortcuts.add(
+            client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close, show_scoring
+        )
         self._make_stage = partial(Stage, client, workspace, on_select, model, viewport, self.bridge.set_photo)
         self._stage: Stage | None = None
         self._building = Lock()

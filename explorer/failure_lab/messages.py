@@ -200,6 +200,10 @@ class SaveCsv(LabMessage, tag="lab-csv"): ...
 class SaveReport(LabMessage, tag="lab-report"): ...
 
 
+class ScoreSecond(LabMessage, tag="lab-second-scoring"):
+    """Rank by the second model as by the workspace's own: calibrate it, too."""
+
+
 class OpenSecond(LabMessage, tag="lab-second"): ...
 
 

@@ -43,11 +43,13 @@ class SecondRanks:
         names: of the table's own model, which is A, and of the second one, which is B.
         hits: the queries whose true match B ranks first, (Q,).
         scorings: of A and of B.
+        preparable: B can be ranked as A is, once it is prepared by `FailureLab.score_second`.
     """
 
     names: tuple[str, str]
     hits: BoolArray
     scorings: tuple[Scoring, Scoring] = ("plain", "plain")
+    preparable: bool = False
 
     @property
     def alike(self) -> bool:
@@ -131,6 +133,8 @@ class FailureLab:
         self._findings: dict[str, Findings] = {}
         # The same with the ranks of one of the models beside, and the findings that they were added to.
         self._compared: dict[tuple[str, int], tuple[Findings, Findings]] = {}
+        # The preparations of the further scorings of models beside the workspace's own.
+        self._scoring: dict[int, BackgroundJob[None]] = {}
 
     @property
     def notes(self) -> Path:
@@ -164,12 +168,20 @@ class FailureLab:
             if findings is None:
                 return None
             before = self._compared.get((task, beside))
-            if before is None or before[0] is not findings:
+            if before is None or before[0] is not findings or self._ranked_anew(before[1], beside):
                 compared = self._with_second(findings, self._second(beside))
                 if compared is findings:
                     return findings
                 before = self._compared[task, beside] = findings, compared
             return before[1]
+
+    def _ranked_anew(self, compared: Findings, beside: int) -> bool:
+        """Return True if the second model ranks by another scoring than its ranks in the findings."""
+        second = self._second(beside)
+        ranking = None if second is None or second.workspace is None else second.workspace.ranked_as(compared.task)
+        return (
+            compared.second is not None and ranking is not None and ranking.task.scoring != compared.second.scorings[1]
+        )
 
     def _second(self, beside: int) -> LazyWorkspace | None:
         return self._workspace.beside[beside] if beside < len(self._workspace.beside) else None
@@ -184,6 +196,13 @@ class FailureLab:
                 return SecondProgress(f"rank B: opening {second.label}", True)
             failed = f"rank B: {second.label} is not open. {second.error}" if second.error else ""
             return SecondProgress(failed, offered=second.label)
+        preparation, name = self._scoring.get(beside), second.workspace.model_name
+        if preparation is not None and not preparation.wait(0) and preparation.join(client):
+            done, total = preparation.done, preparation.total
+            pictures = f"{done:,} of {total:,} pictures" if total else "its pictures"
+            return SecondProgress(f"rank B: calibrating {name}, {pictures}", True)
+        if preparation is not None and preparation.error is not None and not preparation.cancelled:
+            return SecondProgress(f"rank B: {name} is not calibrated. {preparation.error}")
         ranking = second.workspace.ranked_as(self._workspace.rankings[task].task)
         if ranking is None:
             return SecondProgress(f"rank B: {second.workspace.model_name} does not know the views of {task}")
@@ -205,8 +224,23 @@ class FailureLab:
         if second is not None and second.workspace is None and (again or not second.error):
             second.open()
 
+    def score_second(self, client: object, beside: int = 0) -> None:
+        """Prepare the further scorings of the second model, so that it is ranked as the workspace's own; see `join_second`."""
+        second = self._second(beside)
+        if second is not None and second.workspace is not None:
+            job = second.workspace.scorings.prepare(client)
+            if job is not None:
+                self._scoring[beside] = job
+
+    def scores_second(self, beside: int = 0) -> bool:
+        """Return True while further scorings of the second model are prepared, and after that has failed."""
+        job = self._scoring.get(beside)
+        return job is not None and not job.cancelled and (not job.wait(0) or job.error is not None)
+
     def leave_second(self, client: object) -> None:
         """Stop waiting for the ranks of all models beside the workspace's own."""
+        for job in self._scoring.values():
+            job.leave(client)
         for second in self._workspace.beside:
             for ranking in () if second.workspace is None else second.workspace.rankings.values():
                 ranking.leave(client)
@@ -222,7 +256,8 @@ class FailureLab:
         columns = query_outcomes.compared_ranks(findings.table, ranked.first, ranked.depth)
         names = self._workspace.model_name, second.model_name
         scorings = findings.task.scoring, ranking.task.scoring
-        ranks = SecondRanks(names, findings.outcomes.known & (ranked.first == 0), scorings)
+        hits = findings.outcomes.known & (ranked.first == 0)
+        ranks = SecondRanks(names, hits, scorings, scorings[0] != scorings[1] and not second.scorings.why_not)
         return replace(findings, table=findings.table.with_columns(columns), second=ranks)
 
     def build(self, task: str, client: object) -> BackgroundJob[None]:

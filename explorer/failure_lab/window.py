@@ -197,6 +197,9 @@ class FailureLabWindow:
                 self._update(message)
                 self._service.open_second(self._beside)
                 self._second_worker.wake()
+            case messages.ScoreSecond():
+                self._service.score_second(self, self._beside)
+                self._second_worker.wake()
             case messages.CloseLab():
                 self._change(lambda session: replace(session, lab=False))
             case messages.ResumeWork(work):
@@ -322,7 +325,7 @@ class FailureLabWindow:
         if findings is None:
             self._wait_for_table(lab)
             return
-        if findings.second is not None:
+        if findings.second is not None and not self._service.scores_second(self._beside):
             self._second.show("")
         elif self._workspace.beside:
             self._second_worker.wake()
@@ -362,7 +365,7 @@ class FailureLabWindow:
         progress = self._service.join_second(task, self, self._beside)
         self._second.show(table.second_progress(progress))
         findings = self._findings(task)
-        if findings is not None and findings.second is not None:
+        if findings is not None and findings.second is not None and not progress.pending:
             self._worker.wake()
         if self._left:
             self._service.leave_second(self)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -16,7 +16,13 @@ from explorer.server.viser_compat import uuid_of
 from explorer.session_state import MAX_ZOOM, POSITIVE, SessionState, StateChange
 from explorer.web.bridge import PageBridge
 from explorer.workspace import Workspace
+from lpn.tasks.task import Scoring
 
+_SCORINGS: Mapping[Scoring, str] = {
+    "plain": "Ranking: plain",
+    "calibrated": "Ranking: calibrated",
+    "csls": "Ranking: by CSLS",
+}
 _SHIFT_STEP = 8
 _ZOOM_STEP = 1.1
 
@@ -29,10 +35,12 @@ def add(
     bridge: PageBridge,
     window_commands: Sequence[tuple[str, str | None, Callable[[], None]]],
     close_stories: Callable[[], bool],
+    show_scoring: Callable[[Scoring], None],
 ) -> None:
     """Register all commands for one browser.
 
     Args:
+        show_scoring: ranks by a scoring, which is prepared first where it is not ready.
         close_stories: closes the window of stories; returns whether it was open.
     """
     for label, key, state_change in _changes(workspace, panels, close_stories):
@@ -45,6 +53,8 @@ def add(
     ]
     if workspace.model is not None:
         calls.append(("Use my own picture", "U", lambda: bridge.call("upload")))
+    if not workspace.scorings.why_not:
+        calls += [(label, None, partial(show_scoring, scoring)) for scoring, label in _SCORINGS.items()]
     calls += window_commands
     for label, key, call in calls:
         _register(gui, label, key, _without_event(call))

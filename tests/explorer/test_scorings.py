@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import MagicMock, Mock
 
 import numpy as np
 import pytest
@@ -12,12 +13,14 @@ import pytest
 import lpn
 from explorer import reports
 from explorer.compute import scorings
+from explorer.failure_lab import table
 from explorer.failure_lab.service import FailureLab
+from explorer.failure_lab.state import LabState
 from explorer.opening import open_model
-from explorer.panels import pages
+from explorer.panels import pages, shortcuts
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.datasets import open_dataset
@@ -27,6 +30,7 @@ from lpn.retrieval.protocol import Protocol
 from lpn.tasks.opening import calibrated
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
+from tests.explorer.explain_window.test_window import wait_until
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -171,6 +175,59 @@ def test_the_switch_names_what_each_scoring_brings_and_the_best_is_the_default(w
         header = pages.header(workspace, workspace.rankings[state_of(workspace, scoring).ranking_key].task)
         assert all(f"{recall:.1f} %" in header for recall in recalls.values())
         assert header.count('<a class="chosen" ') >= 1
+
+
+def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace: Workspace) -> None:
+    gui, panels, shown = Mock(), MagicMock(), list[Scoring]()
+
+    def labels() -> dict[str, Mock]:
+        commands: dict[str, Mock] = {}
+        gui.add_command.side_effect = lambda label, **_: commands.setdefault(label, Mock())
+        shortcuts.add(gui, workspace, panels, Mock(), Mock(), [], Mock(), shown.append)
+        return {label: one for label, one in commands.items() if label.startswith("Ranking: ")}
+
+    found = labels()
+    assert list(found) == ["Ranking: plain", "Ranking: calibrated", "Ranking: by CSLS"]
+    for command in found.values():
+        command.on_trigger.call_args.args[0](None)
+    assert shown == list(SCORINGS)
+    offered, workspace.scorings = workspace.scorings, scorings.Scorings("It is ranked as it is.")
+    try:
+        assert labels() == {}
+    finally:
+        workspace.scorings = offered
+
+
+def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
+    workspace: Workspace, wide: Path, one_part_model_file: Path
+) -> None:
+    second = LazyWorkspace("the other", lambda _: open_model(wide, one_part_model_file))
+    workspace.beside = [second]
+    try:
+        assert second.open().wait(PATIENCE)
+        lab, key = FailureLab(workspace), state_of(workspace, "calibrated").ranking_key
+        assert lab.build(key, lab).wait(PATIENCE)
+        wait_until(lambda: lab.join_second(key, lab).text == "")
+        plain = lab.findings(key)
+        assert plain is not None
+        assert plain.second is not None
+        assert (plain.second.scorings, plain.second.preparable) == (("calibrated", "plain"), True)
+        shown = table.summary(plain, LabState(task=key), plain.table.rows())
+        assert "lab-second-scoring" in shown
+        lab.score_second(lab)
+        wait_until(lambda: lab.join_second(key, lab).text == "" and not lab.scores_second())
+        both = lab.findings(key)
+        assert both is not None
+        assert both.second is not None
+        assert both.second.scorings == ("calibrated", "calibrated")
+        assert both.second.alike
+        assert "lab-second-scoring" not in table.summary(both, LabState(task=key), both.table.rows())
+        assert second.workspace is not None
+        ranked = second.workspace.rankings[key].result
+        assert ranked is not None
+        assert both.table.columns["rank B"].values.tolist() == (ranked.ranking.first + 1).tolist()
+    finally:
+        workspace.beside = []
 
 
 def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
