@@ -51,7 +51,10 @@ class ExplainCommand:
     json: Path | None = None
     """File to write score, parts, and every cell to, as JSON."""
     png: Path | None = None
-    """Picture to write."""
+    """Figure to write, as PNG of 1200 pixels in width and, for square pictures and four parts, 1026 in height: both pictures with
+    their parts and the evidence of each cell, and bars of the parts."""
+    light: bool = False
+    """Draw the figure dark on white, for print."""
 
     def run(self) -> None:
 
@@ -59,12 +62,14 @@ class ExplainCommand:
         from lpn.core import images
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
-        from lpn.drawing import pair_figure, verdicts
+        from lpn.drawing import pair_figure, theme, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
+        if self.light and self.png is None:
+            raise InputError("--light belongs to a figure; give its file with --png.")
         model, views = lpn.load(self.model, kind=self.kind, pooling=self.pooling), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
@@ -99,8 +104,9 @@ class ExplainCommand:
             areas = [
                 PartAreas.of(model.contract, view, trace.size, trace) for view, trace in zip(views, traces, strict=True)
             ]
+            palette = theme.LIGHT if self.light else theme.DARK
             figure = pair_figure.draw(
-                evidence, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses
+                evidence, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses, palette
             )
             write_atomic(self.png, pair_figure.encode(figure))
 

@@ -13,12 +13,14 @@ from lpn.core.views import View
 from lpn.drawing import captions, charts, overlays, theme, verdicts
 from lpn.drawing.captions import fitted, font
 from lpn.drawing.part_areas import PartAreas
-from lpn.drawing.theme import AGAINST, BACKGROUND, DIM, FOR, TEXT
+from lpn.drawing.theme import AGAINST, DARK, FOR, UNKNOWN_COLOUR, Palette
 from lpn.explain import Evidence
 from lpn.models.contract import Contract
 
-_WIDTH, _MARGIN, _ROW = 1200, 24, 46
-_COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": DIM}
+# Pixels.
+WIDTH = 1200
+_MARGIN, _ROW = 24, 46
+_COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": UNKNOWN_COLOUR}
 _ACCOUNT = ": it accounts for the score; it does not say what the score would be were a cell not there."
 OCCLUSION_NOTE = (
     "Approximate: what the score loses where a square of the query is blurred, measured; the bars are exact."
@@ -33,6 +35,7 @@ def draw(
     contract: Contract,
     areas: tuple[PartAreas | None, PartAreas | None],
     losses: Float32Array | None = None,
+    palette: Palette = DARK,
 ) -> UInt8Array:
     """Draw the whole figure, (H, 1200, 3) uint8.
 
@@ -42,38 +45,39 @@ def draw(
         views: the branches that described query and tile.
         areas: of the parts of query and tile.
         losses: of `lpn.explain.occlusion.occlude`; they are drawn on the query in place of the evidence, and the tile has none.
+        palette: of the figure, `lpn.drawing.theme.LIGHT` for print.
     """
-    width = (_WIDTH - 3 * _MARGIN) // 2
+    width = (WIDTH - 3 * _MARGIN) // 2
     height = round(width * contract.input_size[0] / contract.input_size[1])
     names = contract.names(views[0])
     bars_top = 96 + height + 40
     distance_top = bars_top + _ROW * len(names)
-    image = Image.new("RGB", (_WIDTH, distance_top + _ROW + 96), BACKGROUND)
+    image = Image.new("RGB", (WIDTH, distance_top + _ROW + 96), palette.background)
     pen = ImageDraw.Draw(image)
     # Pillow's typeface has no minus sign.
     sentence = verdicts.describe_evidence(evidence, names, *views).replace("−", "-")
-    pen.text((_MARGIN, 32), fitted(pen, sentence, 22, _WIDTH - 2 * _MARGIN), TEXT, font(22), anchor="lm")
+    pen.text((_MARGIN, 32), fitted(pen, sentence, 22, WIDTH - 2 * _MARGIN), palette.text, font(22), anchor="lm")
     maps = evidence.cell_maps()
     if losses is not None:
         maps = np.tensordot(evidence.weights.astype(np.float64), losses, 1), np.zeros((1, 1))
     limit = overlays.evidence_limit(*maps)
     for column, cells in enumerate(maps):
         left = _MARGIN + column * (width + _MARGIN)
-        pen.text((left, 76), fitted(pen, titles[column], 20, width), DIM, font(20), anchor="lm")
+        pen.text((left, 76), fitted(pen, titles[column], 20, width), palette.dim, font(20), anchor="lm")
         drawn = overlays.with_evidence(images.resize(pictures[column], height, width), cells, limit)
         drawn = overlays.with_parts(drawn, areas[column])
         image.paste(Image.fromarray(drawn), (left, 96))
-    _draw_bars(pen, evidence, names, bars_top)
-    _draw_distance(pen, evidence, distance_top)
-    _draw_legend(image, pen, limit, distance_top + _ROW + 30)
+    _draw_bars(pen, evidence, names, bars_top, palette)
+    _draw_distance(pen, evidence, distance_top, palette)
+    _draw_legend(image, pen, limit, distance_top + _ROW + 30, palette)
     note = f"{contract.claim[0].upper()}{contract.claim[1:]}{_ACCOUNT}" if losses is None else OCCLUSION_NOTE
-    pen.text((_MARGIN, image.height - 18), note, DIM, font(16), anchor="lm")
+    pen.text((_MARGIN, image.height - 18), note, palette.dim, font(16), anchor="lm")
     return np.asarray(image)
 
 
-def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], top: int) -> None:
+def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], top: int, palette: Palette) -> None:
     """Draw for each part its evidence in the query's cells, its constant, and a mark at their sum."""
-    left, right = 420, _WIDTH - 190
+    left, right = 420, WIDTH - 190
     low, high = charts.evidence_span([evidence])
     scale = (right - left) / (high - low)
     zero = left - low * scale
@@ -83,36 +87,36 @@ def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], t
         pen.text(
             (_MARGIN, y + 9),
             f"part {name}" if len(names) > 1 else "whole",
-            theme.part_colour(part),
+            palette.ink(theme.part_colour(part)),
             font(20),
             anchor="lm",
         )
         numbers = f"cos {evidence.cosines[part]:+.3f}"
         if len(names) > 1:
             numbers += f", weight {100 * evidence.weights[part]:.0f} %"
-        pen.text((_MARGIN + 170, y + 9), numbers, DIM, font(18), anchor="lm")
+        pen.text((_MARGIN + 170, y + 9), numbers, palette.dim, font(18), anchor="lm")
         for kind, begin, end in charts.evidence_segments(evidence, part):
             first, last = sorted((zero + begin * scale, zero + end * scale))
             if last - first >= 0.5:
-                pen.rectangle((first, y, last, y + 18), fill=_COLOURS[kind])
+                pen.rectangle((first, y, last, y + 18), fill=palette.mark(_COLOURS[kind]))
         mark = zero + total * scale
-        pen.rectangle((mark - 2, y - 5, mark + 1, y + 23), fill=TEXT)
-        pen.text((_WIDTH - _MARGIN, y + 9), f"{total:+.3f}", TEXT, font(20), anchor="rm")
-    pen.line((zero, top, zero, top + _ROW * len(names) - 8), fill=DIM)
+        pen.rectangle((mark - 2, y - 5, mark + 1, y + 23), fill=palette.text)
+        pen.text((WIDTH - _MARGIN, y + 9), f"{total:+.3f}", palette.text, font(20), anchor="rm")
+    pen.line((zero, top, zero, top + _ROW * len(names) - 8), fill=palette.dim)
 
 
-def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> None:
+def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int, palette: Palette) -> None:
     """Draw the squared distance as the parts' contributions to it, side by side, each with its number where it fits."""
     contributions = evidence.contributions.astype(np.float32)
-    left, right, y, total = 420, _WIDTH - 190, top + 8, float(contributions.sum())
+    left, right, y, total = 420, WIDTH - 190, top + 8, float(contributions.sum())
     pen.text(
         (_MARGIN, y + 9),
         "contributions to the squared distance" if len(contributions) > 1 else "squared distance",
-        TEXT,
+        palette.text,
         font(20),
         anchor="lm",
     )
-    captions.draw_shares(pen, (left, y, right, y + 18), contributions, total)
+    captions.draw_shares(pen, (left, y, right, y + 18), contributions, total, palette)
     for part, (end, number) in enumerate(
         zip(np.cumsum(np.maximum(contributions, 0)), rounded_to_sum(contributions.tolist()), strict=True)
     ):
@@ -121,21 +125,21 @@ def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> No
         pen.text(
             (left + (right - left) * float(end) / max(total, 1e-9) - width / 2, y + 9),
             text,
-            BACKGROUND,
+            theme.BACKGROUND,
             font(15),
             anchor="mm",
         )
-    captions.draw_squared(pen, _WIDTH - _MARGIN, y + 9, f"{total:.3f}", 20, TEXT)
+    captions.draw_squared(pen, WIDTH - _MARGIN, y + 9, f"{total:.3f}", 20, palette.text)
 
 
-def _draw_legend(image: Image.Image, pen: ImageDraw.ImageDraw, limit: float, y: int) -> None:
+def _draw_legend(image: Image.Image, pen: ImageDraw.ImageDraw, limit: float, y: int, palette: Palette) -> None:
     image.paste(Image.fromarray(overlays.evidence_scale(240, 16)), (_MARGIN + 78, y - 8))
-    pen.text((_MARGIN, y), f"{-limit:+.4f}", DIM, font(17), anchor="lm")
-    pen.text((_MARGIN + 326, y), f"{limit:+.4f} of the score, each cell", DIM, font(17), anchor="lm")
+    pen.text((_MARGIN, y), f"{-limit:+.4f}", palette.dim, font(17), anchor="lm")
+    pen.text((_MARGIN + 326, y), f"{limit:+.4f} of the score, each cell", palette.dim, font(17), anchor="lm")
     x = _MARGIN + 600
-    for label, colour in (*_COLOURS.items(), ("sum", TEXT)):
-        pen.rectangle((x, y - 8, x + 16, y + 8), fill=colour)
-        pen.text((x + 24, y), label, DIM, font(17), anchor="lm")
+    for label, colour in (*_COLOURS.items(), ("sum", palette.text)):
+        pen.rectangle((x, y - 8, x + 16, y + 8), fill=palette.mark(colour))
+        pen.text((x + 24, y), label, palette.dim, font(17), anchor="lm")
         x += 62 + round(pen.textlength(label, font=font(17)))
 
 

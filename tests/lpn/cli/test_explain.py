@@ -47,6 +47,27 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 1000
 
 
+def test_a_light_figure_is_dark_on_white_and_has_the_same_pictures(
+    model_file: Path, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [tmp_path / name for name in ("dark.png", "light.png")]
+    given = ["explain", "--model", str(model_file), *pair]
+    assert main.main([*given, "--png", str(files[0])]) == 0
+    assert main.main([*given, "--png", str(files[1]), "--light"]) == 0
+    dark, light = (cv2.imread(str(file)) for file in files)
+    assert dark is not None
+    assert light is not None
+    assert dark.shape == light.shape
+    assert (dark[0, 0].tolist(), light[0, 0].tolist()) == ([20, 20, 20], [255, 255, 255])
+    row = light.shape[0] - 18  # the note's, which is text alone
+    assert light[row - 8 : row + 8].min() < 128
+    middle = 96 + 200
+    assert np.array_equal(dark[middle, 30:500], light[middle, 30:500])
+    capsys.readouterr()
+    assert main.main([*given, "--light"]) == 2
+    assert "give its file with --png" in capsys.readouterr().err
+
+
 def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], tmp_path: Path) -> None:
     file, picture = tmp_path / "why.json", tmp_path / "why.png"
     given = ["explain", "--model", str(model_file), *pair, "--covering", "--json", str(file), "--png", str(picture)]
