@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
+import lpn
 from lpn.cli import main
-from lpn.drawing import verdicts
+from lpn.drawing import ranking_figure, verdicts
+from lpn.drawing.theme import verdict_colour
 from lpn.explain import Evidence, SideEvidence
 from lpn.retrieval.scoring import part_weights
 from tests.lpn.cli.test_main import without_torch
@@ -66,6 +69,61 @@ def test_a_light_figure_is_dark_on_white_and_has_the_same_pictures(
     capsys.readouterr()
     assert main.main([*given, "--light"]) == 2
     assert "give its file with --png" in capsys.readouterr().err
+
+
+def test_a_figure_of_a_ranking_has_the_nearest_tiles_and_marks_the_true_one(
+    data: Path, model_file: Path, pair: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[tuple[str, int, float, bool]] = []
+    draw = ranking_figure.draw
+
+    def keep(*arguments: Any) -> Any:
+        shown[:] = [(tile.name, tile.rank, tile.distance2, tile.true) for tile in arguments[3]]
+        return draw(*arguments)
+
+    monkeypatch.setattr(ranking_figure, "draw", keep)
+    folder, file = data / "test" / "gallery_satellite", tmp_path / "ranked.png"
+    answer = lpn.Gallery.of_folder(folder, model_file).search(lpn.load_picture(pair[1]))
+    true = Path(pair[3]).relative_to(folder).as_posix()
+    ranks = {match.name: match.rank for match in answer.top(100)}
+    given = ["explain", "--model", str(model_file), *pair, "--among", str(folder), "--png", str(file), "--light"]
+    for top in (1, ranks[true]):
+        assert main.main([*given, "--top", str(top)]) == 0
+        expected = [one for one in answer.top(100) if one.rank <= top or one.name == true]
+        assert [one[:2] for one in shown] == [(one.name, one.rank) for one in expected]
+        assert [one[2] for one in shown] == pytest.approx([one.distance2 for one in expected], abs=1e-5)
+        assert [one[0] for one in shown if one[3]] == [true]
+        drawn = cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)
+        assert drawn.shape[1] == 1200
+        width = (1200 - 48 - 12 * len(shown)) // (len(shown) + 1)
+        frames = [drawn[100, 24 + column * (width + 12) + 2].tolist() for column in range(1, len(shown) + 1)]
+        assert frames == [list(verdict_colour(one[3])) for one in shown]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--among", "FOLDER"], "give its file with --png"),
+        (["--among", "FOLDER", "--top", "0", "--png", "f.png"], "expected 1 to 10"),
+        (["--among", "FOLDER", "--covering", "--png", "f.png"], "leave one of them out"),
+        (["--among", "elsewhere", "--png", "f.png"], "does not lie in elsewhere"),
+    ],
+)
+def test_options_of_a_figure_that_do_not_fit_are_refused(
+    options: list[str],
+    said: str,
+    data: Path,
+    model_file: Path,
+    pair: list[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    filled = [option.replace("FOLDER", str(data / "test" / "gallery_satellite")) for option in options]
+    assert main.main(["explain", "--model", str(model_file), *pair, *filled]) == 2
+    assert said in " ".join(capsys.readouterr().err.split())
+    assert not list(tmp_path.glob("*.png"))
 
 
 def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], tmp_path: Path) -> None:
