@@ -738,7 +738,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         in of_wrong
     )
     assert (
-        "✓ By its details: placed. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m" in of_wrong
+        "✓ By its details: placed. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m"
+        in of_wrong
     )
     assert "±" not in of_wrong
     # The page of wrong answers, the first screen, its reasons, and the flight window say the same of each photo.
