@@ -58,7 +58,7 @@ def test_a_caption_stands_as_long_as_it_takes_to_read(letters: int, seconds: flo
 @pytest.mark.parametrize(
     ("name", "story", "size", "message"),
     [
-        ("film.gif", STORY, (1280, 800), "'film.gif'"),
+        ("film.gif", STORY, (1280, 800), r"film\.gif; expected a name that ends in \.mp4 or \.webp"),
         ("film.mp4", Story("Empty"), (1280, 800), "no step"),
         ("film.mp4", STORY, (1281, 800), "1281 x 800"),
         ("film.mp4", STORY, (1280, 80), "1280 x 80"),

@@ -211,7 +211,7 @@ def test_answers_of_university160k_are_names_in_the_order_of_its_list(
         "\t".join(np.array(["a7", "b7", "c7", "d7", "e7"])[np.argsort(-row)]) + "\n" for row in scores
     )
     assert main([*command, "--answers", str(out), "--rotate", "90"]) == 2
-    assert "leave --json, changes of queries, and other rankings out" in capsys.readouterr().err
+    assert "leave --json, --latex, changes of queries, and other rankings out" in capsys.readouterr().err
     next(file for file in root.rglob("*") if file.parent.name.startswith("query_drone") and file.is_file()).unlink()
     before = out.read_text()
     assert main([*command, "--answers", str(out)]) == 2
