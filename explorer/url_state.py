@@ -111,7 +111,9 @@ class UrlState:
             parameters.choice("same_scale", {"own": False, "same": True}, "scale"),
             parameters.number("opacity", 0, 1),
             parameters.choice("dark", {"light": False, "dark": True}, "theme"),
-            Parameter("words", words.write, lambda s, text: _with_words(words.read(s, text))),
+            Parameter(
+                "words", lambda s: _write_words(s) or words.write(s), lambda s, text: _with_words(words.read(s, text))
+            ),
             parameters.choice("first_screen", {"all": False, "first": True}, "screen"),
             Parameter("fails", lambda s: "1" if s.fails and s.first_screen else None, parameters.switch("fails").read),
         )
@@ -348,6 +350,11 @@ def _parameters_of(text: str) -> dict[str, str]:
     if len(text) > _MAX_LENGTH:
         raise ValueError
     return dict(parse_qsl(text.removeprefix("?"), True, max_num_fields=_MOST_PARAMETERS))
+
+
+def _write_words(state: SessionState) -> str | None:
+    """Return the first screen's words, which are no default of the browser's where a link brought them."""
+    return ("plain" if state.plain else "expert") if state.first_screen else None
 
 
 def _with_words(state: SessionState) -> SessionState:

@@ -174,7 +174,7 @@ def test_a_folded_option_is_named_without_its_explanation_and_works(capsys: pyte
         with pytest.raises(SystemExit):
             main(["evaluate", *words, "--help"])
         shown = " ".join(capsys.readouterr().out.split())
-        assert "Rarely used, and explained in docs/evaluation.md: --answers" in shown
+        assert "Rarely used, and explained in docs/evaluation.md: --latex" in shown
         assert option in shown
         assert "University160k's server" not in shown
     parsed = by_source.parse(EvaluateCommand, ["--data", "d", "--model", "m", "--branch", "drone"], "lpn evaluate")

@@ -112,7 +112,9 @@ class PageAddress:
         state, problems = self._url_state.read(search, replace(self._plain, **kept), self._views.panels.query.find_own)
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
-        plain = before.start_plain if state.first_screen else before.plain
+        # The first screen's words are not those of the workbench that lies before or behind it in the history.
+        of_workbench = state.plain if before.first_screen else before.plain
+        plain = before.start_plain if state.first_screen else of_workbench
         self._views.show_state(replace(state, dark=before.dark, plain=plain, start_plain=before.start_plain))
         return problems
 

@@ -201,14 +201,12 @@ class FailureLab:
             done, total = preparation.done, preparation.total
             pictures = f"{done:,} of {total:,} pictures" if total else "its pictures"
             return SecondProgress(f"rank B: calibrating {name}, {pictures}", True)
-        if preparation is not None and preparation.error is not None and not preparation.cancelled:
-            return SecondProgress(f"rank B: {name} is not calibrated. {preparation.error}")
         ranking = second.workspace.ranked_as(self._workspace.rankings[task].task)
         if ranking is None:
             return SecondProgress(f"rank B: {second.workspace.model_name} does not know the views of {task}")
         if ranking.result is not None:
             same = _same_queries(self._workspace.rankings[task].task, ranking.task)
-            return SecondProgress("" if same else _CHANGED)
+            return SecondProgress(self.second_failure(beside) if same else _CHANGED)
         job = ranking.join(client)
         if ranking.error:
             return SecondProgress(f"rank B: none. {ranking.error}")
@@ -233,13 +231,20 @@ class FailureLab:
                 self._scoring[beside] = job
 
     def scores_second(self, beside: int = 0) -> bool:
-        """Return True while further scorings of the second model are prepared, and after that has failed."""
+        """Return True while further scorings of the second model are prepared."""
         job = self._scoring.get(beside)
-        return job is not None and not job.cancelled and (not job.wait(0) or job.error is not None)
+        return job is not None and not job.cancelled and not job.wait(0)
+
+    def second_failure(self, beside: int = 0) -> str:
+        """Say that the second model could not be prepared for further scorings, and why; "" otherwise."""
+        job, second = self._scoring.get(beside), self._second(beside)
+        if job is None or job.error is None or job.cancelled or second is None or second.workspace is None:
+            return ""
+        return f"rank B: {second.workspace.model_name} is not calibrated. {job.error}"
 
     def leave_second(self, client: object) -> None:
         """Stop waiting for the ranks of all models beside the workspace's own."""
-        for job in self._scoring.values():
+        for job in list(self._scoring.values()):
             job.leave(client)
         for second in self._workspace.beside:
             for ranking in () if second.workspace is None else second.workspace.rankings.values():

@@ -17,7 +17,7 @@ from explorer.failure_lab import breakdown_page, map_layout, messages, state, ta
 from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.note_form import NoteForm
-from explorer.failure_lab.service import FailureLab, Findings
+from explorer.failure_lab.service import FailureLab, Findings, SecondProgress
 from explorer.failure_lab.state import LabState
 from explorer.lab_choices import CHOICES, LabChoices
 from explorer.reports import Reporter
@@ -326,7 +326,7 @@ class FailureLabWindow:
             self._wait_for_table(lab)
             return
         if findings.second is not None and not self._service.scores_second(self._beside):
-            self._second.show("")
+            self._second.show(table.second_progress(SecondProgress(self._service.second_failure(self._beside))))
         elif self._workspace.beside:
             self._second_worker.wake()
         rows = self._rows(findings, lab)

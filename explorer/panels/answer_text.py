@@ -32,7 +32,10 @@ _ELSEWHERE_M = 10_000.0
 # The shapes of an own picture and of the network's input differ visibly from here on.
 _PRESSED = 1.05
 # The page puts the name of the computer that answers it in place of the braces, as only the page knows its address.
-OWN_KEPT = "Your picture stays in the memory of {computer}, which runs this page, until you close this page, and goes no further."
+OWN_KEPT = (
+    "Your picture stays in the memory of the computer that runs this page ({computer}) until you close this page, and goes "
+    "no further."
+)
 NO_LINK = "A link cannot carry your own picture."
 _ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
@@ -197,8 +200,8 @@ def flight_verdict(
 ) -> tuple[tuple[bool | None, str, str], tuple[bool | None, str, str] | None]:
     """Return two verdicts on a photo of a flight: on its look, and by all methods, see `lpn.locate.belief`.
 
-    Each begins with its method, as both stand on one screen. The second is what the program concludes. It is None for a photo of
-    no flight, and before the photo is registered.
+    Each begins with its method, as both stand on one screen, where there is a grade and a registration. The second is what the
+    program concludes. It is None for a photo of no flight, and before the photo is registered.
     """
     right, _, sentence = look
     if workspace.flight is None or analysis.state.upload is not None:

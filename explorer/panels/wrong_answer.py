@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explorer.panels import place_text
+from explorer.panels import answer_text, place_text
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers
@@ -83,7 +83,7 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
         _overall(listed, int(outcomes.known.sum()), _verdicts(workspace)),
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
-        _sentence(analysis),
+        _sentence(analysis, _right(analysis, workspace)),
         _reasons(analysis, workspace, disputed, kinds or ()) or [_UNEXPLAINED],
     )
 
@@ -111,17 +111,18 @@ def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] 
     return f"By their look alone, t{wrong} Laid over the map by their details, {all_of_them} are placed all the same{doubt}."
 
 
-def _sentence(analysis: StateAnalysis) -> str:
+def _right(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Return what the right piece is called, which a doubtful judge does not know."""
+    return answer_text.judged_piece(analysis, workspace) or "the right one"
+
+
+def _sentence(analysis: StateAnalysis, right: str) -> str:
     compared = f"The model compared {analysis.task.tiles:,} {verdicts.pictures_of(analysis.task)} and chose"
     positive = analysis.positive
     if positive is None:
         came = "none of them shows the place"
     else:
-        came = (
-            "the right one is not near the top"
-            if positive.beyond
-            else f"the right one came {verdicts.ordinal(positive.rank)}"
-        )
+        came = f"{right} is not near the top" if positive.beyond else f"{right} came {verdicts.ordinal(positive.rank)}"
     return f"{compared} {_away(analysis)}; {came}."
 
 
@@ -160,7 +161,7 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kind
         beyond = max(map(abs, offset)) - window.size / 2
         if 0 <= beyond < _NEAR * window.size:
             reasons.append(f"A near miss: the photo's middle lies {distance(beyond)} beyond the edge of this answer.")
-    reasons += _scale(analysis, workspace) + _look_alike(analysis)
+    reasons += _scale(analysis, workspace) + _look_alike(analysis, _right(analysis, workspace))
     reasons += [
         f"It is of a kind that fails more often: {_name(kind)}."
         for kind in kinds[:_MOST_KINDS]
@@ -181,11 +182,11 @@ def _scale(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
     side, size = query.share * registered.width, tile.window.size
     if max(side / size, size / side) < _SCALE or round(size) == round(right.window.size):
         return []
-    others = f"this answer {size:.0f} m and the right one {right.window.size:.0f} m"
+    others = f"this answer {size:.0f} m and {_right(analysis, workspace)} {right.window.size:.0f} m"
     return [f"The scales differ: the photo's square shows {side:.0f} m of ground from side to side, {others}."]
 
 
-def _look_alike(analysis: StateAnalysis) -> list[str]:
+def _look_alike(analysis: StateAnalysis, right: str) -> list[str]:
     """Say if no other place looks more like the right one to the model than the answer's."""
     task, positive = analysis.task, analysis.positive
     if positive is None or positive.beyond or not shows_places(task):
@@ -193,7 +194,7 @@ def _look_alike(analysis: StateAnalysis) -> list[str]:
     alike = wrong_answers.most_alike(task.sides()[1], task.gallery_labels, positive.index, task.weights)
     if alike != task.gallery_labels[analysis.matches[0].index]:
         return []
-    return ["To the model, no other place looks more like the right one than this answer does."]
+    return [f"To the model, no other place looks more like {right} than this answer does."]
 
 
 def _close(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
@@ -206,5 +207,6 @@ def _close(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
     if larger is None or larger < _CLOSE:
         return []
     return [
-        f"It was close: the right one is {behind:.3f} behind, and {100 * larger:.0f} % of right answers lead by more."
+        f"It was close: {_right(analysis, workspace)} is {behind:.3f} behind, and {100 * larger:.0f} % of right answers lead by "
+        "more."
     ]

@@ -206,7 +206,9 @@ class ModelTable:
             tests.append((test.first, test.second, *map(str, counts), p))
         head = ("A", "B", "only A", "only B", "both", "neither", "p")
         return TableSection(
-            f"{self.task}, {self.gallery_name}", (figures, TextTable(head, tests, texts=2)), after=self.sentence
+            f"{self.task}, {self.gallery_name}",
+            (figures, TextTable(head, tests, texts=2, title="Paired tests")),
+            after=self.sentence,
         )
 
     def to_markdown(self) -> str:

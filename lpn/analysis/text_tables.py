@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,6 +12,8 @@ _LATEX: Mapping[str, str] = {
     "\\": r"\textbackslash{}",
     # A line that begins with a bracket would be an argument of the command that ends the line above it.
     "[": "{[}",
+    # So would a star.
+    "*": "{*}",
     "\n": " ",
     "`": r"\textasciigrave{}",
     "~": r"\textasciitilde{}",
@@ -35,11 +38,13 @@ class TextTable:
         head: names of the columns.
         rows: cells, one for each column.
         texts: number of columns from the left that hold words; the others hold numbers.
+        title: tells it apart from the other tables of its section, in a caption.
     """
 
     head: Sequence[str]
     rows: Sequence[Sequence[str]]
     texts: int = 1
+    title: str = ""
 
     def markdown_lines(self) -> Iterator[str]:
         """Yield the lines in Markdown, and an empty one."""
@@ -85,9 +90,9 @@ class TableSection:
 
     def latex_lines(self) -> Iterator[str]:
         """Yield a captioned table of LaTeX for each table; the sentences behind them are a comment."""
-        title = f"{self.title}." if self.title else ""
-        caption = " ".join(latex_text(text) for text in (title, self.before) if text)
         for table in self.tables:
+            titles = [f"{title}." for title in (self.title, table.title) if title]
+            caption = latex_text(" ".join(filter(None, (*titles, self.before))))
             yield from (r"\begin{table}", r"\centering")
             if caption:
                 yield f"\\caption{{{caption}}}"
@@ -103,7 +108,7 @@ def markdown_text(text: str) -> str:
 
 def latex_text(text: str) -> str:
     """Return words for LaTeX's text mode, also in a table's cell; letters beyond ASCII are left to its UTF-8."""
-    return "".join(_LATEX.get(letter, letter) for letter in text).replace("--", "-{}-")
+    return re.sub("-(?=-)", "-{}", "".join(_LATEX.get(letter, letter) for letter in text))
 
 
 def latex_page(sections: Iterable[TableSection]) -> str:

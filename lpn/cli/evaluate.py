@@ -116,7 +116,7 @@ class EvaluationOfSource(ABC):
 
     json: Path | None = None
     """File to write the measures to, as JSON."""
-    latex: Path | None = None
+    latex: Annotated[Path | None, FOLDED] = None
     """File to write the table to, as LaTeX, ending in .tex; it needs LaTeX's package booktabs."""
 
     def run(self) -> None:

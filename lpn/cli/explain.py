@@ -59,8 +59,8 @@ class ExplainCommand:
     among: Path | None = None
     """Folder of tiles that --match lies in: the figure is then the query beside the nearest of them, with their parts, ranks, and
     squared distances, and --match, which counts as the true one, is marked, and added where it is not among them."""
-    top: int = 5
-    """Number of nearest tiles of --among in the figure, 1 to 10."""
+    top: int | None = None
+    """Number of nearest tiles of --among in the figure, 1 to 10; by default 5."""
 
     def run(self) -> None:
 
@@ -122,7 +122,9 @@ class ExplainCommand:
 
     def _check_among(self) -> None:
         """Raise InputError if options of the figure of a ranking do not go together."""
-        if not 1 <= self.top <= 10:
+        if self.top is not None and self.among is None:
+            raise InputError("--top belongs to a ranking; give the folder of its tiles with --among.")
+        if self.top is not None and not 1 <= self.top <= 10:
             raise InputError(f"The number of tiles is {self.top}; expected 1 to 10.")
         if self.among is not None and self.covering:
             raise InputError("--covering is drawn on a pair, and --among draws a ranking; leave one of them out.")
@@ -142,7 +144,9 @@ class ExplainCommand:
         ranking = retrieval.rank(scoring.part_cosines(query.descriptor, gallery.descriptors), weights)
         matches = ranking.top(len(gallery))
         true = self.match.resolve()
-        shown = [one for one in matches if one.rank <= self.top or gallery.pictures[one.index].path.resolve() == true]
+        shown = [
+            one for one in matches if one.rank <= (self.top or 5) or gallery.pictures[one.index].path.resolve() == true
+        ]
         tiles = []
         for match in shown:
             picture = gallery.pictures[match.index]

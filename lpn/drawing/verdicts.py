@@ -84,8 +84,9 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
         text = f"The {what} is {signed(similarity)}"
         text += "." if constants > similarity / 2 > 0 else f", {mainly}."
     else:
-        share = f"{signed(weighted[best])} of {similarity:.3f}"
-        text = f"{capitalised(say('part'))} {names[best]} adds most to the {what} ({share}), {places}."
+        share = f"{signed(weighted[best])} of {signed(similarity)}"
+        verb = "adds most to" if weighted[best] > 0 else "takes least from"
+        text = f"{capitalised(say('part'))} {names[best]} {verb} the {what} ({share}), {places}."
     if constants > similarity / 2 > 0:
         text += (
             f" Of the whole {what}, {signed(constants)} is constants: what the network takes both pictures for, rather than "

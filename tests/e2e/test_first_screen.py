@@ -264,7 +264,7 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
         first.get_by_role("button", name="Save this answer").click()
     assert "mine.png" in download.value.path().read_text("utf-8")
     expect(first.locator(".overall")).to_contain_text(
-        "stays in the memory of this computer, which runs this page, until"
+        "stays in the memory of the computer that runs this page (this one, unless its port is forwarded) until"
     )
 
     # Several at once are stepped through.
@@ -327,7 +327,9 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     # The page says what suits, and where it goes, before the chooser opens.
     first.locator("[data-act=upload]").tap()
     offer = first.locator(".offer")
-    expect(offer).to_contain_text("memory of this computer, which runs this page, until you close this page, and goes")
+    expect(offer).to_contain_text(
+        "memory of the computer that runs this page (this one, unless its port is forwarded) until you close this page, and goes"
+    )
     page.evaluate("lpn.firstAgain()")  # as when all pictures are ranked
     assert page.evaluate("window.chooser === undefined")
     first.get_by_role("button", name="Choose pictures").tap()
@@ -458,4 +460,4 @@ def test_own_pictures_go_to_the_host_of_the_address(data: Path, model_file: Path
         fresh.goto(app.url.replace("127.0.0.1", "lab.localhost"))
         fresh.locator("#lpn-first [data-act=upload]").click()
         offer = fresh.locator("#lpn-first .offer")
-        expect(offer).to_contain_text("the memory of the computer lab.localhost, which runs this page, until")
+        expect(offer).to_contain_text("the memory of the computer that runs this page (lab.localhost) until")

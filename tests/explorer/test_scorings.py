@@ -214,6 +214,17 @@ def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
         assert (plain.second.scorings, plain.second.preparable) == (("calibrated", "plain"), True)
         shown = table.summary(plain, LabState(task=key), plain.table.rows())
         assert "lab-second-scoring" in shown
+        # A failure is told, and the other ranks stay.
+        assert second.workspace is not None
+        failed = Mock(error="The disk is full.", cancelled=False, wait=lambda _: True)
+        lab._scoring[0] = failed
+        told = lab.join_second(key, lab)
+        assert (told.text, told.pending) == (
+            f"rank B: {second.workspace.model_name} is not calibrated. The disk is full.",
+            False,
+        )
+        assert not lab.scores_second()
+        assert lab.findings(key) is not None
         lab.score_second(lab)
         wait_until(lambda: lab.join_second(key, lab).text == "" and not lab.scores_second())
         both = lab.findings(key)

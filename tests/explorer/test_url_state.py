@@ -65,6 +65,7 @@ def any_state(workspace: Workspace, rng: Random) -> SessionState:
         city=rng.choice(chance),
         dark=rng.choice(chance),
         first_screen=(first := rng.choice(chance)),
+        start_plain=not first,  # as the first screen speaks
         fails=first and rng.choice(chance),
     )
 

@@ -175,10 +175,12 @@ def test_what_a_message_shows_of_a_file_of_positions_is_short_and_one_line(data:
 
 
 def test_positions_from_a_spreadsheet() -> None:
-    """A byte order mark and line ends of Windows are read; a comma in a number is told."""
+    """A byte order mark, line ends of Windows, and semicolons are read, which allow a comma in a number; any other comma is told."""
     found = read_positions(b"\xef\xbb\xbfpath,latitude,longitude\r\na.jpg,30.5,120.25\r\n")
     assert (found["a.jpg"].latitude, found["a.jpg"].longitude) == (30.5, 120.25)
-    for data in (b"path;latitude;longitude\na;1;2\n", b'path,latitude,longitude\na,"30,5",2\n', b"\xff\xfep\0"):
+    found = read_positions(b"path;latitude;longitude\na;1,5;2\n")
+    assert (found["a"].latitude, found["a"].longitude) == (1.5, 2)
+    for data in (b"path;latitude;longitude\na;1.500,5;2\n", b'path,latitude,longitude\na,"30,5",2\n', b"\xff\xfep\0"):
         with pytest.raises(DataError, match=r"expected|UTF-8"):
             read_positions(data)
 

@@ -221,7 +221,7 @@ def test_tables_and_reports_of_such_names(
     assert "script" not in page.tags
     assert not page.handlers
     assert TEXTS[6] in page.text
-    files = {kind: tmp_path / f"a.{kind}" for kind in ("json", "markdown", "csv")}
+    files = {kind: tmp_path / f"a.{kind.replace('markdown', 'md')}" for kind in ("json", "markdown", "csv")}
     options = [part for kind, file in files.items() for part in (f"--{kind}", str(file))]
     capsys.readouterr()
     assert main.main(["compare", str(model), str(model_file), "--data", str(places), *options]) == 0, (

@@ -7,9 +7,10 @@
 
   lpn.clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 
-  // The page is that of a server on this computer. Texts name the computer that runs the server by "{computer}".
+  // The page's address is this computer's own, where another one may answer by a forwarded port. Texts name the computer that runs the
+  // server by "{computer}".
   lpn.isHere = /^(localhost|127(\.\d+){3}|\[::1\])$/.test(location.hostname);
-  lpn.named = (text) => text.replaceAll("{computer}", lpn.isHere ? "this computer" : "the computer " + location.hostname);
+  lpn.named = (text) => text.replaceAll("{computer}", lpn.isHere ? "this one, unless its port is forwarded" : location.hostname);
 
   // The canvas of the stage; null while there is none.
   lpn.canvas = () => document.querySelector(lpn.viser.SELECTORS.canvas);

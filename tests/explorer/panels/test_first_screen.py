@@ -489,7 +489,7 @@ def test_an_address_that_names_nothing_opens_the_first_screen_and_any_other_what
     for named in ("?query=0003", "?lab=1", "?screen=all", "?show=data"):
         assert address.names_a_state(named) is (named not in ("?screen=all", "?show=data"))
         assert opened_alone(address, workspace, named, plain) == plain
-    first = replace(plain, first_screen=True, why=True)
+    first = replace(plain, first_screen=True, start_plain=False, why=True)
     assert address.read(address.write(first), plain) == (first, [])
     assert "screen" not in address.write(plain)
 
@@ -732,10 +732,12 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
     assert "By their look alone, the first answer is wrong for 5 of 30 pictures (17 %)." in of_wrong
     assert "✗ By its look: wrong, judged by its details." in of_wrong
-    assert "and chose one that lies 50 m to the south-west; the right one came 2nd." in of_wrong
     assert (
-        "the photo's square shows 45 m of ground from side to side, this answer 26 m and the right one 100 m."
-        in of_wrong
+        "and chose one that lies 50 m to the south-west; the piece where details place the photo came 2nd." in of_wrong
+    )
+    assert (
+        "the photo's square shows 45 m of ground from side to side, this answer 26 m and the piece where details place the photo "
+        "100 m." in of_wrong
     )
     assert (
         "✓ By its details: placed. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m"

@@ -164,7 +164,7 @@ def test_ones_own_picture_is_not_recorded(page: Page) -> None:
     page.state = replace(page.state, upload=MagicMock())
     page.send("record")
     assert not page.draft.steps
-    assert "stays in the memory of {computer}, which runs this page" in str(page.calls)
+    assert "stays in the memory of the computer that runs this page ({computer})" in str(page.calls)
 
 
 def test_a_story_is_edited_saved_and_told(page: Page) -> None:

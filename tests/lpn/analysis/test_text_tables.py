@@ -26,6 +26,7 @@ def test_every_special_character_is_escaped() -> None:
         r"50 \% \& \$1 \#2 a\_b \{c\} \textbackslash{}d \textasciitilde{} \textasciicircum{} {[}x]"
     )
     assert latex_text("a → b ± 1\n--csls") == r"a $\rightarrow$ b $\pm$ 1 -{}-csls"
+    assert latex_text("*a --- b") == "{*}a -{}-{}- b"
 
 
 def test_rows_have_the_columns_of_the_head_and_sentences_after_them_are_a_comment() -> None:
@@ -58,6 +59,8 @@ def test_evaluate_and_compare_write_latex(
     counts = [columns(file.read_text("utf-8")) for file in files]
     assert [len(tables) for tables in counts[:3]] == [1, 1, 2]
     assert len(counts[3]) > 3
+    captions = re.findall(r"\\caption\{(.*)\}", files[2].read_text("utf-8"))
+    assert captions[1] == f"{captions[0]} Paired tests."
     for tables in counts:
         for table in tables:
             assert len(set(table)) == 1

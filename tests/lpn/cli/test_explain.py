@@ -95,8 +95,11 @@ def test_a_figure_of_a_ranking_has_the_nearest_tiles_and_marks_the_true_one(
         assert [one[0] for one in shown if one[3]] == [true]
         drawn = cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)
         assert drawn.shape[1] == 1200
-        width = (1200 - 48 - 12 * len(shown)) // (len(shown) + 1)
-        frames = [drawn[100, 24 + column * (width + 12) + 2].tolist() for column in range(1, len(shown) + 1)]
+        columns = min(len(shown), 5)
+        width = (1200 - 48 - 12 * columns) // (columns + 1)
+        rows = (drawn.shape[0] - 48) // -(-len(shown) // columns)
+        lefts = [24 + (place % columns + 1) * (width + 12) + 2 for place in range(len(shown))]
+        frames = [drawn[74 + place // columns * rows, left].tolist() for place, left in enumerate(lefts)]
         assert frames == [list(verdict_colour(one[3])) for one in shown]
 
 
@@ -104,6 +107,7 @@ def test_a_figure_of_a_ranking_has_the_nearest_tiles_and_marks_the_true_one(
     ("options", "said"),
     [
         (["--among", "FOLDER"], "give its file with --png"),
+        (["--top", "3", "--png", "f.png"], "give the folder of its tiles with --among"),
         (["--among", "FOLDER", "--top", "0", "--png", "f.png"], "expected 1 to 10"),
         (["--among", "FOLDER", "--covering", "--png", "f.png"], "leave one of them out"),
         (["--among", "elsewhere", "--png", "f.png"], "does not lie in elsewhere"),
@@ -193,7 +197,7 @@ def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against(
     found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
     said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert said == (
-        "Part 2 outer adds most to the score (+0.400 of 0.300), where the query's upper right agrees with the tile's "
+        "Part 2 outer adds most to the score (+0.400 of +0.300), where the query's upper right agrees with the tile's "
         "north-east. Part 1 centre speaks against the pair (−0.100)."
     )
 

@@ -107,7 +107,7 @@ def test_a_doubt_stands_in_state_and_column_and_degrees_have_seven_decimals(tmp_
 
 
 def test_another_suffix_is_refused_and_nothing_is_left_behind(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"suffix '\.shp'"):
+    with pytest.raises(InputError, match=r"track\.shp; expected a name that ends in \.geojson, \.gpx, \.kml, or \.csv"):
         write_track(tmp_path / "track.shp", "monday", POINTS)
     (tmp_path / "file").touch()
     with pytest.raises(OutputError):
