@@ -322,8 +322,8 @@ def _ground(details: str, laid: LaidPhoto | None, linked: bool) -> str:
         details: how many of them agree with the map; "" if that is said elsewhere.
         linked: the coordinate has a link to OpenStreetMap.
     """
-    name = term("details", "By its details")
-    sentences = [Markup("<b>{}:</b> {}.").format(name, details) if details else "", laid.sentence if laid else ""]
+    before, name, after = details.partition("details")
+    sentences = [Markup("{}{}{}.").format(before, term(name), after) if name else "", laid.sentence if laid else ""]
     if laid and laid.coordinate:
         whose = "The drone was above" if laid.camera else "The photo's middle lies at"
         by_tags = ", on earth no better than the GPS tags by which the map was made" if laid.by_tags else ""

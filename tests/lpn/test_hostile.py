@@ -175,7 +175,7 @@ def test_what_a_message_shows_of_a_file_of_positions_is_short_and_one_line(data:
 
 
 def test_positions_from_a_spreadsheet() -> None:
-    """A byte order mark, line ends of Windows, and semicolons are read, with which numbers may have commas; other commas are told."""
+    """A byte order mark and line ends of Windows are read, and semicolons, beside which a number may have a comma."""
     found = read_positions(b"\xef\xbb\xbfpath,latitude,longitude\r\na.jpg,30.5,120.25\r\n")
     assert (found["a.jpg"].latitude, found["a.jpg"].longitude) == (30.5, 120.25)
     found = read_positions(b"path;latitude;longitude\na;1,5;2\n")

@@ -65,7 +65,7 @@ class Shot:
 # Pictures of both models in the tab Two models.
 _BOTH = "#lpn-model-comparison .models > :nth-child(2) img"
 SHOTS = (
-    Shot("first-screen.webp", "", address="?screen=first"),
+    Shot("first-screen.webp", "", address="?screen=first&words=plain"),
     Shot("success.webp", DEMO_QUERY, "m"),
     Shot("twin-n1.webp", "0447/07", baseline=True),
     Shot("twin-n4.webp", "0447/07"),
