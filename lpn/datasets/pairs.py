@@ -89,7 +89,7 @@ def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
         if {"latitude", "longitude", "lat", "lon"} & unknown:
             more = f" Positions go into a {geo.NAME} beside it, with the columns path,latitude,longitude."
         elif ";" in found:
-            more = " Where semicolons separate values, put the line sep=; above it."
+            more = " Semicolons stand beside commas or tabs in it; separate all values by the same character."
         raise DataError(
             f"The first line of {NAME} is {found}; expected two or three of {', '.join(VIEWS)} and, if wanted, split and "
             f"place.{more}"

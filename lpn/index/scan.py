@@ -33,6 +33,8 @@ PRECISIONS: tuple[Precision, ...] = ("float32", "float16", "int8")
 _STEPS = 127
 _UNIT = 2.0**-24
 _ROUNDING = 1e-12
+# Queries whose numbers reach 2 to this power are scaled down by a power of two, which changes no digit.
+_EXPONENT = 10
 # Maximum length of a vector for which sums of 8-bit products, shifted to unsigned as on some processors, fit 32 bits.
 _INTEGERS = 1 << 16
 # Numbers in a block of rows for numkong: 4096 rows of 4 parts of 512.
@@ -116,6 +118,14 @@ class Scan:
             finely: do not round the query to the precision of the rows; for a few rows, as it takes longer.
         """
         longest = LONGEST * self._kind.n_parts**-0.5
+        exponent = int(np.frexp(np.abs(wanted).max())[1])
+        if exponent > _EXPONENT:  # numbers of the rows' precision end at 65,504, or at 3e38
+
+            def rescaled(block: slice, upper: Float64Array, slack: Float64Array) -> None:
+                take(block, np.ldexp(upper, exponent), np.ldexp(slack, exponent))
+
+            self.run(np.ldexp(wanted, -exponent), rows, scales, errors, rescaled, finely)
+            return
         used = wanted.astype(np.float32)
         if scales is None or errors is None:
             missed = self._missed(wanted - used, longest) + self._rounding(wanted, longest) + _ROUNDING

@@ -107,7 +107,10 @@ def _tags_agree(
         return False
     if prior is None:
         return True
-    views = new_views(frames, map_error, _SAME_THINGS)
+    tagged = [i for i in registered if frames[i].tag is not None]
+    views = [tagged[view] for view in new_views([frames[i] for i in tagged], map_error, _SAME_THINGS)]
+    if not views:
+        return False
     chances = [
         _share_near(frames[i], tag, tag_allowance(frames[i]), bounds, prior)
         for i in views

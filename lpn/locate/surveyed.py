@@ -421,7 +421,11 @@ def _header(names: Sequence[str], file: str) -> dict[str, int]:
         )
     if "photo" not in header or not pairs:
         found = printable(",".join(names))[:200] or "empty"
-        semicolons = " Where semicolons separate values, put the line sep=; above it." if ";" in found else ""
+        semicolons = (
+            " Semicolons stand beside commas or tabs in it; separate all values by the same character."
+            if ";" in found
+            else ""
+        )
         raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{semicolons}")
     other = _METRES if pairs[0] is _DEGREES else _DEGREES
     return {key: column for key, column in header.items() if key not in other}

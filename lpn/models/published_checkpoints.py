@@ -57,7 +57,8 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
 
     - one network for all three views, with University-1652's rings, if they are equal;
     - else satellite and street with the layout "cvusa" of the released CVUSA and CVACT models, since the released code trains
-      no other LPN of two views. So they are, even if equal, where the options `data_dir` or `name` mention these data sets.
+      no other LPN of two views. So they are, even if equal, where the options `data_dir` or `name` mention these data sets, or
+      `model_2` says street.
 
     How they are read is logged where no option confirms it, and so is the input size where none states it.
 
@@ -96,7 +97,8 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
     _check_options(options, name, views, n_parts, backbone)
     shared, panoramas = _branches_equal(state, views), False
     if views == ("satellite", "street"):
-        panoramas = not shared or any(data in _trained_on(options) for data in _PANORAMAS)
+        stated = "model_2" in options or any(data in _trained_on(options) for data in _PANORAMAS)
+        panoramas = not shared or stated
         _tell_views(options, name, panoramas)
         views = views if panoramas else VIEWS
     head = f"classifier{expected[0]}"
@@ -116,21 +118,22 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
         embedding=linear.shape[0],
         classes=1 if classes is None or classes.ndim != 2 else classes.shape[0],
         dropout=float(options.get("droprate", 0.5)),
-        input_size=stated_size(options, (256, 256), name),
+        input_size=_input_size(options, name),
     )
 
 
-def stated_size(options: Mapping[str, Any], default: tuple[int, int], name: str) -> tuple[int, int]:
-    """Return the input size (height, width) of the options; if they lack it, that of the released script, which is logged."""
+def _input_size(options: Mapping[str, Any], name: str) -> tuple[int, int]:
+    """Return the input size (height, width) of the options; what they lack is that of the released script, which is logged."""
+    height, width = int(options.get("h", 256)), int(options.get("w", 256))
     if not {"h", "w"} <= options.keys():
         log.warning(
-            "%s does not tell the size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, write "
-            "h: and w: into an opts.yaml beside it.",
+            "%s does not tell the whole size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, "
+            "write h: and w: into an opts.yaml beside it.",
             printable(name),
-            options.get("h", default[0]),
-            options.get("w", default[1]),
+            height,
+            width,
         )
-    return int(options.get("h", default[0])), int(options.get("w", default[1]))
+    return height, width
 
 
 def with_named_branch(state: StateDict, options: Mapping[str, Any], name: str) -> StateDict:
@@ -227,7 +230,10 @@ def _tell_views(options: dict[str, Any], name: str, panoramas: bool) -> None:
             "pictures, write model_2: drone into an opts.yaml beside the file"
         )
     else:
-        read = "they are equal, so they are read as one network for satellite, street, and drone, with University-1652's rings"
+        read = (
+            "they are equal, so they are read as one network for satellite, street, and drone, with University-1652's rings. "
+            "If model_2 saw panoramas, write model_2: street into an opts.yaml beside the file"
+        )
     log.warning("%s has the branches model_1 and model_2; %s.", printable(name), read)
 
 

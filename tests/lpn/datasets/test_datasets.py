@@ -182,7 +182,10 @@ def test_pairs_without_satellites_go_by_their_first_view(tmp_path: Path) -> None
             "satellite,drone,latitude,longitude\n",
             r"split and place\. Positions go into a geo\.csv beside it, with the columns path,latitude,longitude\.",
         ),
-        ("satellite;drone,place\n", r"Where semicolons separate values, put the line sep=; above it\."),
+        (
+            "satellite;drone,place\n",
+            r"Semicolons stand beside commas or tabs in it; separate all values by the same character\.",
+        ),
         ("satellite,street,colour\n", "first line"),
         ("satellite,satellite,street\n", "first line"),
         ("satellite,street\n", "no line after the first"),

@@ -147,6 +147,15 @@ def test_neighbours_whose_tags_overlap_prove_nothing_with_a_prior() -> None:
     assert accepted(frames) == 0
 
 
+def test_a_photo_without_a_tag_hides_none_with_one_of_its_view() -> None:
+    places = {2 * i + more: (x + more, y) for i, (x, y) in NEAR.items() for more in (0, 1)}
+    frames = flight(places)
+    for i, tag in FORGED.items():
+        frames[2 * i + 1].tag = np.array(tag)
+    assert not refuse_unproven(frames, BOUNDS, prior=100.0)
+    assert accepted(frames) == len(places)
+
+
 @pytest.mark.parametrize(("apart", "kept"), [(24.0, 0), (40.0, 2)])
 def test_photos_of_the_same_things_agree_once_with_tags_that_the_search_used(apart: float, kept: int) -> None:
     frames = flight({3: (0.0, 0.0), 8: (apart, 0.0)})

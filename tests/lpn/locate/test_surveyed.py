@@ -99,7 +99,7 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
     ("lines", "sentence"),
     [
         (("photo,height", "a,1"), r"first line of survey.csv is photo,height; expected photo and latitude"),
-        (("photo;lat;lon,height", "a;1;2,3"), r"put the line sep=; above it"),
+        (("photo;lat;lon,height", "a;1;2,3"), r"separate all values by the same character"),
         (("photo,lat,lon",), r"no position below its first line"),
         (("photo,lat,lon", "a,95,2"), r"Line 2 of survey.csv has the latitude '95'; expected degrees from -90 to 90"),
         (("photo,lat,lon", "a,5"), r"Line 2 of survey.csv has 2 values, and its columns need 3"),

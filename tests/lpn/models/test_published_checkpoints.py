@@ -195,8 +195,9 @@ def test_two_equal_branches_are_one_network_of_every_view(tmp_path: Path, caplog
     np.testing.assert_array_equal(of_drone, of_street)
     caplog.clear()
     assert infer_spec(state, {"data_dir": "University-1652/train", **SIZE}).shared
-    told = infer_spec(state, {"data_dir": "data/CVUSA", **SIZE})
-    assert (told.views, told.layout, told.shared) == (("satellite", "street"), "cvusa", True)
+    for options in ({"data_dir": "data/CVUSA"}, {"model_2": "street"}):
+        told = infer_spec(state, {**options, **SIZE})
+        assert (told.views, told.layout, told.shared) == (("satellite", "street"), "cvusa", True)
     assert not caplog.records
 
 
@@ -220,7 +221,7 @@ def test_the_log_says_that_a_size_is_assumed_where_no_option_states_it(caplog: p
     assert infer_spec(state, {"h": 128}, "net.pth").input_size == (128, 256)
     (record,) = caplog.records
     assert record.getMessage().startswith(
-        "net.pth does not tell the size of its pictures, so 128 x 256 pixels are assumed;"
+        "net.pth does not tell the whole size of its pictures, so 128 x 256 pixels are assumed;"
     )
     caplog.clear()
     infer_spec(state, {"h": 128, "w": 128})
