@@ -766,10 +766,12 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         for why in (False, True):
             html = first_screen.page(analyse(workspace, replace(state, query=index, why=why)), workspace)
             said = text(html)
-            if why and index == doubted:  # the answer is behind, and the frames have the colours of what speaks for them
+            if why and index == doubted:
                 behind, ahead = (theme.css(colour) for colour in (theme.AGAINST, theme.FOR))
                 assert re.findall(r'class="frame" style="outline-color:(#\w+)', html) == [behind, ahead]
-                assert re.search(rf"background:{ahead}.{{,80}}places speak for the piece where details place", html, re.DOTALL)
+                assert re.search(
+                    rf"background:{ahead}.{{,80}}places speak for the piece where details", html, re.DOTALL
+                )
             assert f"{by_look} The model compared 224 pieces" in said
             limit = re.search(
                 r"The chosen piece is \d+ m wide; by its details, the photo's middle lies beyond its edge\.", said
