@@ -149,7 +149,9 @@ class ClientSession:
 
     def _refit(self) -> None:
         """Draw the stage for its new size; the worker does it, as it does all drawing."""
-        if self._shown is not None and self.views.outgrown(self._shown):
+        if (
+            self._shown is not None or not self._worker.failed
+        ):  # the first answer may be drawn just now, for the size before
             self._worker.wake("size")
 
     def _follow_own_photo(self) -> None:

@@ -51,6 +51,7 @@ from lpn.models.base import Model
 from lpn.models.contract import ForwardPass
 from lpn.retrieval import scoring
 from lpn.sources import Published
+from tests.explorer.explain_window.test_window import wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 from tools.fixtures.websocket_client import CHUNK, WebSocketClient
@@ -282,6 +283,30 @@ def test_nothing_is_drawn_before_a_page_sends_its_address(app: App, monkeypatch:
         browser.tell("hello", {"search": "?angle=30", "small": False, "viewport": [12000, 0]})
         browser.wait(lambda: browser.status("angle") == "30")
         assert {angle for _, angle in browser.shown} == {30.0}
+
+
+def test_a_size_that_arrives_while_the_first_answer_is_drawn_is_drawn_for(
+    app: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn, resized, show = threading.Event(), threading.Event(), Stage.show
+
+    def slow(stage: Stage, analysis: StateAnalysis) -> None:
+        show(stage, analysis)
+        drawn.set()
+        assert resized.wait(TIMEOUT)
+
+    monkeypatch.setattr(Stage, "show", slow)
+    with Browser(url(app)) as browser:
+        browser.camera()
+        browser.wait(lambda: browser.find("page") is not None)
+        browser.tell("hello", {"search": "?screen=all", "small": False, "viewport": [1200, 800]})
+        assert drawn.wait(TIMEOUT)
+        shown = session_of(app, browser).views
+        browser.tell("viewport", [390, 500])
+        wait_until(lambda: shown.viewport.width == 390)
+        assert shown.stage.outgrown
+        resized.set()
+        wait_until(lambda: not shown.stage.outgrown)
 
 
 def test_a_page_that_loads_slowly_keeps_the_state_of_its_address(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
