@@ -149,9 +149,7 @@ class ClientSession:
 
     def _refit(self) -> None:
         """Draw the stage for its new size; the worker does it, as it does all drawing."""
-        if (
-            self._shown is not None or not self._worker.failed
-        ):  # the first answer may be drawn just now, for the size before
+        if self._shown is not None and self.views.outgrown(self._shown):
             self._worker.wake("size")
 
     def _follow_own_photo(self) -> None:
@@ -333,6 +331,7 @@ class ClientSession:
             if self._shown is None:
                 self._on_shown()
             self._shown = analysis
+            self._refit()  # the size may have changed while it was drawn
         except BusyError:
             slow.cancel()
             self.views.panels.answer.show_overloaded()
