@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
 
 
-# What a page's name may end in.
+# The name of a page ends in one of these.
 PAGES = (".html", ".htm", ".md", ".tex")
 
 

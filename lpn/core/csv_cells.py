@@ -68,6 +68,15 @@ def decode_text(data: bytes, errors: str = "strict") -> str:
     return data.decode("utf-8-sig", errors)
 
 
+def mixed_separators(first: str) -> str:
+    """Return what to say after a sentence on a first line that cannot be read, if semicolons are in it; "" without them."""
+    return (
+        " Semicolons stand beside commas or tabs in it; separate all values by the same character."
+        if ";" in first
+        else ""
+    )
+
+
 class Delimited(NamedTuple):
     """A text of separated values.
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from lpn.core.csv_cells import mixed_separators
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
@@ -85,11 +86,9 @@ def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
     unknown = set(header) - {*VIEWS, "split", "place"}
     if len(views) < 2 or unknown or len(set(header)) < len(header):
         found = printable(",".join(header)) or "empty"
-        more = ""
+        more = mixed_separators(found)
         if {"latitude", "longitude", "lat", "lon"} & unknown:
             more = f" Positions go into a {geo.NAME} beside it, with the columns path,latitude,longitude."
-        elif ";" in found:
-            more = " Semicolons stand beside commas or tabs in it; separate all values by the same character."
         raise DataError(
             f"The first line of {NAME} is {found}; expected two or three of {', '.join(VIEWS)} and, if wanted, split and "
             f"place.{more}"

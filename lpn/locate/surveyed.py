@@ -19,7 +19,7 @@ from typing import Any, Literal
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array
-from lpn.core.csv_cells import csv_bytes, decode_text, delimited, unescape
+from lpn.core.csv_cells import csv_bytes, decode_text, delimited, mixed_separators, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
 from lpn.core.numbers import distance
@@ -421,12 +421,7 @@ def _header(names: Sequence[str], file: str) -> dict[str, int]:
         )
     if "photo" not in header or not pairs:
         found = printable(",".join(names))[:200] or "empty"
-        semicolons = (
-            " Semicolons stand beside commas or tabs in it; separate all values by the same character."
-            if ";" in found
-            else ""
-        )
-        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{semicolons}")
+        raise DataError(f"The first line of {file} is {found}; {_EXPECTED}.{mixed_separators(found)}")
     other = _METRES if pairs[0] is _DEGREES else _DEGREES
     return {key: column for key, column in header.items() if key not in other}
 

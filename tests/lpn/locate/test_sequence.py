@@ -415,7 +415,7 @@ def test_steps_of_like_seconds_and_headings_are_computed_once(monkeypatch: pytes
     smoothed = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
     monkeypatch.setattr("lpn.locate.sequence._Step", Counted)
     assert fitted(lambda t: scores[t], turns, PLACES, times, 20.0) == plain
-    # Of each motion the steps of 2 and of 5 seconds; six temperatures add none.
+    # Each motion has steps of 2 and of 5 seconds, and six temperatures add none.
     motions = 2 * len(SPEEDS) + 5
     assert len(made) <= 2 * (motions + 1)
     made.clear()
