@@ -315,6 +315,7 @@ class ClientSession:
         if shown is not None and shown.state == self._state and reasons <= {"size", "own photo"}:
             if "size" in reasons and self.views.outgrown(shown):
                 self.views.refit(shown)
+                self._refit()
             if "own photo" in reasons:
                 self.views.show_own_photo(shown)
             return None

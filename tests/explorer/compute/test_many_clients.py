@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import itertools
 import re
 import sys
 import threading
@@ -33,12 +34,14 @@ from explorer.compute.request_context import RequestContext
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.window import FailureLabWindow
+from explorer.layout import ScreenLayout
 from explorer.opening import open_model, open_source
 from explorer.panels.panels import Panels
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import MessageFilter
 from explorer.server.viser_compat import SendBuffer
 from explorer.session_state import SessionState
+from explorer.stage import scene
 from explorer.stage.scene import Stage
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import retrieval
@@ -306,6 +309,32 @@ def test_a_size_that_arrives_while_the_first_answer_is_drawn_is_drawn_for(
         wait_until(lambda: shown.viewport.width == 390)
         assert shown.stage.outgrown
         resized.set()
+        wait_until(lambda: not shown.stage.outgrown)
+
+
+def test_a_size_that_comes_back_while_the_stage_is_drawn_for_another_is_drawn_for(
+    app: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    looks, back, computed = itertools.count(1), threading.Event(), scene.layout_for
+
+    def slow(input_size: tuple[int, int], n_parts: int, stage: tuple[int, int]) -> ScreenLayout:
+        layout = computed(input_size, n_parts, stage)
+        # The worker looks first at the size alone, then draws for it.
+        if stage == (390, 500) and threading.current_thread().name == "explorer-worker" and next(looks) == 2:
+            browser.tell("viewport", [1200, 800])
+            wait_until(lambda: shown.viewport.width == 1200)
+            back.set()
+        return layout
+
+    with Browser(url(app)) as browser:
+        browser.camera()
+        browser.wait(lambda: browser.find("page") is not None)
+        browser.tell("hello", {"search": "?screen=all", "small": False, "viewport": [1200, 800]})
+        browser.wait(lambda: browser.link is not None)
+        shown = session_of(app, browser).views
+        monkeypatch.setattr(scene, "layout_for", slow)
+        browser.tell("viewport", [390, 500])
+        assert back.wait(TIMEOUT)
         wait_until(lambda: not shown.stage.outgrown)
 
 
