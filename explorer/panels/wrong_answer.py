@@ -76,6 +76,7 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
     if not len(at):
         return None
     kinds = answer_context.failing_kinds(outcomes, table, task.query_labels)
+    right = answer_text.judged_piece(analysis, workspace) or "the right one"
     by_chance = answer_context.by_chance(len(listed))
     return WrongAnswer(
         int(at[0]) + 1,
@@ -83,8 +84,8 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
         _overall(listed, int(outcomes.known.sum()), _verdicts(workspace)),
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
-        _sentence(analysis, _right(analysis, workspace)),
-        _reasons(analysis, workspace, disputed, kinds or ()) or [_UNEXPLAINED],
+        _sentence(analysis, right),
+        _reasons(analysis, workspace, right, disputed, kinds or ()) or [_UNEXPLAINED],
     )
 
 
@@ -109,11 +110,6 @@ def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] 
     doubted = sum(one.sign is None for one in placed)
     doubt = f", {doubted:,} of them in doubt" if doubted else ""
     return f"By their look alone, t{wrong} Laid over the map by their details, {all_of_them} are placed all the same{doubt}."
-
-
-def _right(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Return what the right piece is called, which a doubtful judge does not know."""
-    return answer_text.judged_piece(analysis, workspace) or "the right one"
 
 
 def _sentence(analysis: StateAnalysis, right: str) -> str:
@@ -144,8 +140,14 @@ def _offset(analysis: StateAnalysis) -> tuple[float, float] | None:
     return (east, north) if math.isfinite(east) and math.isfinite(north) else None
 
 
-def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kinds: Sequence[FailingKind]) -> list[str]:
-    """Say what was measured of a wrong answer that may be why."""
+def _reasons(
+    analysis: StateAnalysis, workspace: Workspace, right: str, disputed: bool, kinds: Sequence[FailingKind]
+) -> list[str]:
+    """Say what was measured of a wrong answer that may be why.
+
+    Args:
+        right: what the right piece is called, also below.
+    """
     task, answer = analysis.task, analysis.matches[0].index
     tile = task.gallery[answer]
     reasons = []
@@ -161,28 +163,28 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, disputed: bool, kind
         beyond = max(map(abs, offset)) - window.size / 2
         if 0 <= beyond < _NEAR * window.size:
             reasons.append(f"A near miss: the photo's middle lies {distance(beyond)} beyond the edge of this answer.")
-    reasons += _scale(analysis, workspace) + _look_alike(analysis, _right(analysis, workspace))
+    reasons += _scale(analysis, workspace, right) + _look_alike(analysis, right)
     reasons += [
         f"It is of a kind that fails more often: {_name(kind)}."
         for kind in kinds[:_MOST_KINDS]
         if kind.rate.holds(kind.column)[analysis.state.query]
     ]
-    return reasons + _close(analysis, workspace)
+    return reasons + _close(analysis, workspace, right)
 
 
-def _scale(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
+def _scale(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[str]:
     """Say if a photo that is laid over the map shows ground of another width than the answer, and that than the right one."""
     task, registered, positive = analysis.task, workspace.details(analysis), analysis.positive
     query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
-    right = None if positive is None or positive.beyond else task.gallery[positive.index].cut
+    true = None if positive is None or positive.beyond else task.gallery[positive.index].cut
     if registered is None or not registered.accepted or registered.width is None:
         return []
-    if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(right, WindowCut):
+    if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(true, WindowCut):
         return []
     side, size = query.share * registered.width, tile.window.size
-    if max(side / size, size / side) < _SCALE or round(size) == round(right.window.size):
+    if max(side / size, size / side) < _SCALE or round(size) == round(true.window.size):
         return []
-    others = f"this answer {size:.0f} m and {_right(analysis, workspace)} {right.window.size:.0f} m"
+    others = f"this answer {size:.0f} m and {right} {true.window.size:.0f} m"
     return [f"The scales differ: the photo's square shows {side:.0f} m of ground from side to side, {others}."]
 
 
@@ -197,7 +199,7 @@ def _look_alike(analysis: StateAnalysis, right: str) -> list[str]:
     return [f"To the model, no other place looks more like {right} than this answer does."]
 
 
-def _close(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
+def _close(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[str]:
     """Say if the answer was a close one: by how much the right one is behind, among the leads of right answers."""
     known, positive = workspace.outcomes(analysis.task), analysis.positive
     if known is None or positive is None or positive.beyond:
@@ -206,7 +208,4 @@ def _close(analysis: StateAnalysis, workspace: Workspace) -> list[str]:
     larger = wrong_answers.share_of_larger_leads(known[0], behind)
     if larger is None or larger < _CLOSE:
         return []
-    return [
-        f"It was close: {_right(analysis, workspace)} is {behind:.3f} behind, and {100 * larger:.0f} % of right answers lead by "
-        "more."
-    ]
+    return [f"It was close: {right} is {behind:.3f} behind, and {100 * larger:.0f} % of right answers lead by more."]
