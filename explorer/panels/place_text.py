@@ -11,9 +11,9 @@ from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import Workspace
 from lpn.core.numbers import distance
+from lpn.core.texts import listed
 from lpn.datasets import Picture
 from lpn.datasets.rendered import shows_rendered
-from lpn.drawing.verdicts import listed
 from lpn.locate.located import LocatedFlight
 from lpn.maps import MapPlace
 from lpn.maps.named_window import WindowCut, describe_offset

@@ -9,7 +9,7 @@ from markupsafe import Markup
 from explorer.web.terms import explained
 from explorer.workspace import Workspace
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
-from lpn.drawing.verdicts import listed
+from lpn.core.texts import listed
 from lpn.drawing.words import plain
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord

@@ -15,6 +15,7 @@ import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.texts import listed
 from lpn.sources import TaskSource
 
 # Marks a rarely used option, Annotated[type, FOLDED]: the help of its command names it without explaining it.
@@ -127,9 +128,7 @@ def _check_options(command: type[Any], sources: dict[str, type[Any]], arguments:
             continue
         words = [word for word, other in sources.items() if names & set(options(other))]
         if words:
-            *others, last = [f"{program} {word}" for word in words]
-            listed = f"{', '.join(others)} and {last}" if others else last
             raise InputError(
                 f"{program} has no {written} for a data set, which is the source if none is named (see {program} --help); "
-                f"{listed} {'has' if len(words) == 1 else 'have'} it."
+                f"{listed([f'{program} {word}' for word in words])} {'has' if len(words) == 1 else 'have'} it."
             )

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 
 from lpn.core.errors import InputError, OutputError, StoreError
 from lpn.core.shutdown import uninterrupted
+from lpn.core.texts import listed
 
 if TYPE_CHECKING:
     from lpn.core.arrays import AnyArray
@@ -225,9 +226,7 @@ def check_ending(path: Path, *endings: str) -> None:
         InputError: if the name ends in none of them.
     """
     if path.suffix.lower() not in endings:
-        expected = (
-            f"{', '.join(endings[:-1])}{',' * (len(endings) > 2)} or {endings[-1]}" if endings[1:] else endings[0]
-        )
+        expected = listed(endings, "or")
         raise InputError(f"The file to write is named {printable(path.name)}; expected a name that ends in {expected}.")
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.numbers import distance, rounded_to_sum, signed, wrap_degrees
+from lpn.core.texts import listed
 from lpn.core.views import View
 from lpn.drawing.words import capitalised, plain, say, unit
 from lpn.explain import Evidence
@@ -355,14 +356,6 @@ def leading_parts(differences: FloatingArray) -> list[int]:
     order: list[int] = np.argsort(-differences, kind="stable").tolist()
     least = _ALIKE * float(differences[order[0]])
     return [part for part in order if part == order[0] or differences[part] >= least > 0]
-
-
-def listed(words: Sequence[str]) -> str:
-    """Join words as a sentence lists them: "a", "a and b", "a, b, and c"."""
-    *before, last = words
-    if not before:
-        return last
-    return f"{before[0]} and {last}" if len(before) == 1 else f"{', '.join(before)}, and {last}"
 
 
 def _decisive(margin: FloatingArray, part_names: Sequence[str], costs: bool = False) -> str:

@@ -10,7 +10,7 @@ from statistics import median
 
 from lpn.core.files import printable
 from lpn.core.numbers import upper_bound
-from lpn.drawing.verdicts import listed
+from lpn.core.texts import listed
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame

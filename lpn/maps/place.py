@@ -9,6 +9,7 @@ import msgspec
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.texts import listed
 
 SEASONS = ("spring", "summer", "autumn", "winter")
 _DAY = re.compile(r"\d{4}-\d{2}-\d{2}")
@@ -69,6 +70,6 @@ def checked_place(place: MapPlace) -> MapPlace:
         if known is None:
             raise InputError(
                 f"The map's pictures are said to be of {place.photographed!r}; expected a day such as 2014-10-19, or "
-                f"{', '.join(SEASONS[:-1])}, or {SEASONS[-1]}."
+                f"{listed(SEASONS, 'or')}."
             )
     return place

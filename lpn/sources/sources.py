@@ -14,6 +14,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import distinct_names, printable
 from lpn.core.progress import CountProgress, Progress
 from lpn.core.resources import ProviderName
+from lpn.core.texts import listed
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources.opened import OpenedSource, query_positions, weighted
@@ -92,8 +93,7 @@ class ModelOptions:
 
 
 def _file_names(*files: Path) -> str:
-    *first, last = (printable(file.resolve().name) for file in files)
-    return f"{', '.join(first)} and {last}" if first else last
+    return listed([printable(file.resolve().name) for file in files])
 
 
 class TaskSource(ABC):

@@ -20,6 +20,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import UPGRADE, WORLD, is_newer, newer_version
+from lpn.core.texts import listed
 from lpn.datasets.city_model import NAME as CITY_NAME
 from lpn.datasets.ground_use import NAME as GROUND_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
@@ -87,7 +88,7 @@ class Tally:
         made = [step for step in steps if step[0]]
         if not made:
             return "Every picture was there already."
-        counts = " and ".join(", ".join(f"{count} {name}" for count, name, _, _ in made).rsplit(", ", 1))
+        counts = listed([f"{count} {name}" for count, name, _, _ in made])
         costs = ", ".join(
             f"{seconds / count:.{0 if seconds > 9 * count else 2}f} {per}" for count, _, seconds, per in made
         )

@@ -25,6 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import is_newer, newer_version
+from lpn.core.texts import listed
 from lpn.datasets.rendered import FLIGHT_PLAN, PLAN, TRUTH, UNFINISHED
 from lpn.world import flight_files, photo
 from lpn.world.atlas import EDITION
@@ -90,7 +91,7 @@ class FlightTally:
         if not made:
             return "Every file was there already."
         each = f", {self.photo_seconds / self.photos:.1f} s a photo" if self.photos else ""
-        return f"Made {' and '.join(', '.join(made).rsplit(', ', 1))}{each}."
+        return f"Made {listed(made)}{each}."
 
 
 def build_flight(settings: FlightSettings, out: Path, threads: int = 0) -> FlightTally:

@@ -1,0 +1,13 @@
+"""Texts as readers see them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+
+def listed(words: Sequence[str], conjunction: str = "and") -> str:
+    """Join one word or more as a sentence lists them: "a", "a and b", "a, b, and c"."""
+    *before, last = words
+    if len(before) < 2:
+        return f" {conjunction} ".join(words)
+    return f"{', '.join(before)}, {conjunction} {last}"
