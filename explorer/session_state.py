@@ -387,7 +387,7 @@ def to_first_screen(state: SessionState) -> SessionState:
 
 def _only_first_screen(state: SessionState) -> SessionState:
     closed = replace(state, why=False, lab=False, flight=False, map=False, exploded=False, selected=None)
-    return replace(closed, first_screen=True, from_first_screen=False, plain=state.start_plain)
+    return in_words(replace(closed, first_screen=True, from_first_screen=False), state.plain, state.start_plain)
 
 
 def leave_stage_view(state: SessionState) -> SessionState:
@@ -499,7 +499,17 @@ def show_everything(state: SessionState) -> SessionState:
 
 def flip_words(state: SessionState) -> SessionState:
     """Switch between plain words and the field's terms, on the first screen, too."""
-    return replace(state, plain=not state.plain, start_plain=not state.plain)
+    return in_words(state, not state.plain, not state.plain)
+
+
+def in_words(state: SessionState, plain: bool, start_plain: bool) -> SessionState:
+    """Return a state in the words of its screen: the first screen has its own, and all others share theirs.
+
+    Args:
+        plain: the others speak plain words.
+        start_plain: the first screen does.
+    """
+    return replace(state, plain=start_plain if state.first_screen else plain, start_plain=start_plain)
 
 
 def matching_names(names: Sequence[str], text: str) -> list[int]:

@@ -22,7 +22,7 @@ from explorer.parameters import (
     parse_number,
     ranges,
 )
-from explorer.session_state import POSITIVE, SessionState, WhyTab, with_field
+from explorer.session_state import POSITIVE, SessionState, WhyTab, in_words, with_field
 from explorer.workspace import Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import LPNError
@@ -359,7 +359,7 @@ def _write_words(state: SessionState) -> str | None:
 
 def _with_words(state: SessionState) -> SessionState:
     """Return a state whose first screen speaks the same words."""
-    return replace(state, start_plain=state.plain)
+    return in_words(state, state.plain, state.plain)
 
 
 def _first_positions(names: Iterable[str]) -> dict[str, int]:

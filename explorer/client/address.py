@@ -10,7 +10,7 @@ from explorer import lab_choices, session_state
 from explorer.client.messages import Greeting
 from explorer.client.views import ClientViews
 from explorer.compute.worker import DelayedCall
-from explorer.session_state import SessionState
+from explorer.session_state import SessionState, in_words
 from explorer.stage.viewport import MAX_SIDE
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
@@ -71,7 +71,7 @@ class PageAddress:
                 return
             before = self._state()
         start = self._plain if self._url_state.names_a_state(search) else before
-        start = replace(start, dark=not greeting.light, plain=greeting.plain, start_plain=greeting.start_plain)
+        start = in_words(replace(start, dark=not greeting.light), greeting.plain, greeting.start_plain)
         # A page that comes back from another workspace holds its own pictures still.
         try:
             state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
@@ -81,10 +81,8 @@ class PageAddress:
         if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
             state = replace(state, dark=greeting.theme == "dark")
         state = opened_alone(self._url_state, self._workspace, search, state)
-        if state.first_screen:
-            state = replace(state, plain=state.start_plain)
-        else:  # the words that a link asks for are those of what it opens
-            state = replace(state, start_plain=greeting.start_plain)
+        # The words that a link asks for are those of what it opens.
+        state = in_words(state, state.plain, state.start_plain if state.first_screen else greeting.start_plain)
         with self._lock:
             now = self._state()
             self.waiting = False  # the worker may have been woken meanwhile, and would have drawn another state first
@@ -114,8 +112,7 @@ class PageAddress:
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
         # The first screen's words are not those of the workbench that lies before or behind it in the history.
         of_workbench = state.plain if before.first_screen else before.plain
-        plain = before.start_plain if state.first_screen else of_workbench
-        self._views.show_state(replace(state, dark=before.dark, plain=plain, start_plain=before.start_plain))
+        self._views.show_state(in_words(replace(state, dark=before.dark), of_workbench, before.start_plain))
         return problems
 
     def show_other(self, key: str) -> None:

@@ -187,9 +187,8 @@ class ClientSession:
         Building that session takes the page seconds. None if either of the two is not on its first screen.
         """
         workspace, shown = services.workspace, self._state
-        start = replace(
-            self._opening_state(workspace), dark=shown.dark, plain=shown.plain, start_plain=shown.start_plain
-        )
+        start = replace(self._opening_state(workspace), dark=shown.dark)
+        start = session_state.in_words(start, shown.plain, shown.start_plain)
         state = opened_alone(services.url_state, workspace, search, services.url_state.read(search, start)[0])
         if not (shown.first_screen and state.first_screen):
             return None
