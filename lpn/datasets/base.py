@@ -402,7 +402,7 @@ def read_text(path: Path, name: str, errors: str = "strict") -> str:
 def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
     """Yield the rows of a CSV file that are not blank, each with its line number from 1.
 
-    Values are separated by commas or tabs; see `lpn.core.csv_cells.delimited`.
+    Values are separated as `lpn.core.csv_cells.delimited` finds out.
 
     Args:
         errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.csv_cells import decode_text, delimited
+from lpn.core.csv_cells import decode_text, delimited, mixed_separators
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
@@ -208,7 +208,7 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
         if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
             raise DataError(
                 f"The first line of {file} is {_short(','.join(header)) or 'empty'}; expected path,latitude,longitude and, if "
-                "known, altitude,heading,tilt,fov,width."
+                f"known, altitude,heading,tilt,fov,width.{mixed_separators(','.join(header))}"
             )
         positions: dict[str, Position] = {}
         for number, values in rows:
