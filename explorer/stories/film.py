@@ -18,7 +18,7 @@ import numpy as np
 from explorer.stories.story import Story
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, LPNError
-from lpn.core.files import check_ending, check_writable, printable, write_atomic
+from lpn.core.files import check_outputs, printable, write_atomic
 from lpn.core.progress import CountProgress
 
 if TYPE_CHECKING:
@@ -66,12 +66,11 @@ def check_film(out: Path, story: Story, size: tuple[int, int]) -> None:
         InputError: if the file's name ends in neither .mp4 nor .webp, the story has no step, or the size is not possible.
         OutputError: if the file cannot be written.
     """
-    check_ending(out, ".mp4", ".webp")
     if not story.steps:
         raise InputError(f"The story {printable(story.name)!r} has no step; there is nothing to record.")
     if any(side % 2 or not 320 <= side <= 3840 for side in size):
         raise InputError(f"The size is {size[0]} x {size[1]}; expected even numbers of pixels from 320 to 3840.")
-    check_writable(out)
+    check_outputs((out, ".mp4", ".webp"))
 
 
 def record(

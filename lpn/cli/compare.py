@@ -355,7 +355,7 @@ def _networks(
             name has the ending of no kind that is written.
         OutputError: if a file cannot be written.
     """
-    from lpn.core.files import check_ending, check_outputs, check_writable
+    from lpn.core.files import check_outputs
     from lpn.models.shipped import model_file
 
     if options.markdown is not None or options.latex is not None or options.csv is not None:
@@ -367,9 +367,7 @@ def _networks(
     if saved:
         raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
     _check_several(len(models))
-    check_ending(page, *PAGES)
-    check_outputs((options.json, ".json"))
-    check_writable(page)
+    check_outputs((page, *PAGES), (options.json, ".json"))
     files = {name: model_file(model.model) for name, model in models.items()}
     sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
     return {name: model.load() for name, model in models.items()}, sizes

@@ -62,7 +62,7 @@ class ReportOfSource(ABC):
 
         from lpn import report
         from lpn.cli.explain import part_values
-        from lpn.core.files import check_ending, check_writable, write_atomic
+        from lpn.core.files import check_outputs, write_atomic
 
         options = self.report
         if options.query and (options.failures is not None or options.where):
@@ -70,8 +70,7 @@ class ReportOfSource(ABC):
         if options.failures is not None and options.failures < 1:
             raise InputError(f"The number of failures is {options.failures}; expected 1 or more.")
         contents = self._contents()
-        check_ending(options.out, ".html", ".htm")
-        check_writable(options.out)
+        check_outputs((options.out, ".html", ".htm"))
         task = open_with_notes(self.source, options.notes, options.query, part_values(options.weights))
         if options.query:
             chosen, selection = query_positions(options.query, task.queries, task.data_name), "chosen by name"

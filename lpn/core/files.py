@@ -230,21 +230,21 @@ def check_ending(path: Path, *endings: str) -> None:
         raise InputError(f"The file to write is named {printable(path.name)}; expected a name that ends in {expected}.")
 
 
-def check_outputs(*outputs: tuple[Path | None, str]) -> None:
+def check_outputs(*outputs: tuple[Path | None, *tuple[str, ...]]) -> None:
     """Check the names of files that options ask for, and then, before long work, that each can be written.
 
     Args:
-        outputs: file and its ending; None for an option that is not given.
+        outputs: file and its possible endings; None for an option that is not given.
 
     Raises:
         InputError: if a name has another ending, see `check_ending`; no folder was created then.
         OutputError: if a file cannot be written.
     """
-    given = [(path, ending) for path, ending in outputs if path is not None]
-    for path, ending in given:
+    files = [(path, endings) for path, *endings in outputs if path is not None]
+    for path, endings in files:
         if not path.is_dir():
-            check_ending(path, ending)
-    for path, _ in given:
+            check_ending(path, *endings)
+    for path, _ in files:
         check_writable(path)
 
 
