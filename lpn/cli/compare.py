@@ -163,7 +163,7 @@ class ComparisonOfArrays(ComparisonOfSources):
     def _ranked(self) -> Iterator[RankedModel]:
         if len(self.queries) != len(self.gallery):
             raise InputError(
-                f"There are {len(self.queries)} files of queries and {len(self.gallery)} of galleries; give both for each model."
+                f"--queries and --gallery name {len(self.queries)} and {len(self.gallery)} files; give both for each model."
             )
         sources = [
             Arrays(

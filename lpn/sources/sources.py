@@ -59,10 +59,8 @@ def of_each(option: str, values: Sequence[str], count: int, models: str) -> list
         InputError: if there are more or fewer values than models.
     """
     if values and len(values) != count:
-        noun = option.rpartition("-")[2]
-        raise InputError(
-            f"There are {len(values)} {noun}s for {count} {models}; give one for each in their order, or auto."
-        )
+        found = f"{len(values)} {option.rpartition('-')[2]}{'s' * (len(values) > 1)}"
+        raise InputError(f"Found {found} for {count} {models}; give one for each in their order, or auto.")
     return [None if value == "auto" else value for value in values] or [None] * count
 
 

@@ -195,7 +195,7 @@ def test_the_kinds_of_both_models_may_be_named(
         StoryCommand(pooling="mean").run()
     source = Data(data=data, model=ModelOptions(model=model_file))
     with pytest.raises(
-        InputError, match="There are 1 kinds for 2 models of --beside; give one for each in their order, or auto"
+        InputError, match="Found 1 kind for 2 models of --beside; give one for each in their order, or auto"
     ):
         Explore(data=tmp_path, model=model_file, beside=(weights, model_file), beside_kind=("dac",)).run()
     for command in (Explore(data=tmp_path, beside_kind=("dac",)), FailuresCommand(source=source, beside_kind="dac")):
@@ -220,7 +220,7 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
     assert opened[1].contract.method == "DINOv2 ViT/4, gem"
     source = Data(data=data, model=ModelOptions(model=model_file))
     refused: dict[str, Explore | FailuresCommand] = {
-        "There are 1 poolings for 2 models of --beside": Explore(
+        "Found 1 pooling for 2 models of --beside": Explore(
             data=tmp_path, model=model_file, beside=(weights, weights), beside_pooling=("mean",)
         ),
         "--pooling needs --model": Explore(data=tmp_path, pooling="mean"),

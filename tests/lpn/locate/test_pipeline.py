@@ -938,7 +938,7 @@ def test_a_kind_reaches_each_model(
         assert "It is not opened" in capsys.readouterr().err
     assert kinds == ["dac"] * 4
     for arguments, message in (
-        (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "There are 1 kinds for 2 models"),
+        (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "Found 1 kind for 2 models"),
         (["doctor", "--kind", "dac"], "--kind needs --model"),
         (["evaluate", "flight", *where, "--kind", "dac"], "--kind needs --model"),
     ):
