@@ -22,10 +22,19 @@ from lpn.cli.locate import MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Flown, Indexed, Published, TaskSource, of_each
+from lpn.sources import (
+    Arrays,
+    Flown,
+    Indexed,
+    KindOption,
+    PoolingOption,
+    ProviderOption,
+    Published,
+    TaskSource,
+    of_each,
+)
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
@@ -198,13 +207,9 @@ class Explore(ExploreSource):
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
     """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default the demo's."""
-    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
+    provider: ProviderOption = "auto"
     calibrate: bool = False
     """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean, without labels; see
     docs/evaluation.md."""
@@ -350,8 +355,7 @@ class StoryCommand:
     """Data set in any layout of docs/data.md that the story lies beside; by default the demo."""
     model: Path | None = None
     """Trained LPN, as of lpn explore; by default the demo's."""
-    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
+    kind: KindOption = None
     pooling: str | None = None
     """Pooling of the model's tokens, as of lpn explore."""
     calibrate: bool = False

@@ -12,10 +12,19 @@ import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import distinct_names
-from lpn.core.resources import ProviderName
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Flown, Indexed, ModelOptions, Published, TaskSource, model_names, of_each
+from lpn.sources import (
+    Arrays,
+    Flown,
+    Indexed,
+    ModelOptions,
+    ProviderOption,
+    Published,
+    TaskSource,
+    model_names,
+    of_each,
+)
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -100,8 +109,7 @@ class ComparedModels:
     pooling: tuple[str, ...] = ()
     """Pooling of the tokens of each model in their order, such as rings:4, or auto for a model that has parts of its own; by
     default auto for all (docs/models.md)."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    provider: ProviderOption = "auto"
 
     def options(self) -> dict[str, ModelOptions]:
         """The options of each model by a name that tells it from the others.

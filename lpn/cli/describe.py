@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Literal
 import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.resources import ProviderName
 from lpn.core.views import View
-from lpn.models.adapters import Kind
+from lpn.sources import KindOption, PoolingOption, ProviderOption
 
 if TYPE_CHECKING:
     from lpn.descriptors import Store
@@ -29,11 +28,8 @@ class DescribeCommand:
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
-    kind: Kind | None = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
@@ -49,8 +45,7 @@ class DescribeCommand:
     """With --map: share of a window's side that its neighbour covers, too; 0.5 by default."""
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    provider: ProviderOption = "auto"
     compile: bool = False
     """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     engine: Literal["local", "ray"] = "local"

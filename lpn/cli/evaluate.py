@@ -10,16 +10,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-import tyro
-
 from lpn.cli.by_source import FOLDED
 from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
-from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.descriptors.weather import WeatherName
-from lpn.models.adapters import Kind
-from lpn.sources import Arrays, Data, Flown, Indexed, Published
+from lpn.sources import Arrays, Data, Flown, Indexed, KindOption, PoolingOption, ProviderOption, Published
 from lpn.sources.opened import open_task
 
 if TYPE_CHECKING:
@@ -276,13 +272,9 @@ class EvaluationOfFlight:
     """Flight to locate: a folder of lpn flight, or one of photos."""
     model: Path | None = None
     """Trained model for retrieval and sequence, as for lpn evaluate; without one, registration alone."""
-    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
+    provider: ProviderOption = "auto"
     prior: float | None = None
     """Metres around each photo's own GPS tag that it is registered in without --model; by default the whole map."""
     map_error: MapError = None

@@ -13,7 +13,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import signed
 from lpn.core.views import View
-from lpn.models.adapters import Kind
+from lpn.sources import KindOption, PoolingOption
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -34,11 +34,8 @@ class ExplainCommand:
     """Picture file of the query."""
     match: Path
     """Picture file of the tile to compare with."""
-    kind: Kind | None = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
     view_query: View = "drone"
     """View of the query: the branch that describes it."""
     view_match: View = "satellite"

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from lpn.core.resources import ProviderName
-from lpn.models.adapters import Kind
+from lpn.sources import KindOption, PoolingOption
 
 
 @dataclass
@@ -19,11 +19,8 @@ class ExportCommand:
     """Trained LPN: .safetensors or .pth; with --pooling also an .onnx that returns tokens."""
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
-    kind: Kind | None = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
     storage: Literal["float32", "float16", "int8"] = "float32"
     """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
 

@@ -13,7 +13,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
-from lpn.models.adapters import Kind
+from lpn.sources import KindOption, PoolingOption, ProviderOption
 
 if TYPE_CHECKING:
     from lpn.index import SearchResult
@@ -142,11 +142,8 @@ class SearchCommand:
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""
-    kind: Kind | None = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0
@@ -155,8 +152,7 @@ class SearchCommand:
     """Weight of each part, such as 1,1,0,1; equal by default."""
     top: int = 10
     """Number of listed tiles."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    provider: ProviderOption = "auto"
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     effort: int | None = None

@@ -12,9 +12,8 @@ from typing import IO, TYPE_CHECKING, Literal
 import lpn
 from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
-from lpn.core.files import check_ending, check_writable, printable
-from lpn.core.resources import ProviderName
-from lpn.models.adapters import Kind
+from lpn.core.files import check_outputs, printable
+from lpn.sources import KindOption, ProviderOption
 
 if TYPE_CHECKING:
     from lpn.core.progress import CountProgress, Progress
@@ -37,10 +36,8 @@ class LiveInput:
     """Map: a folder of lpn map, or a georeferenced picture."""
     model: Path
     """Trained LPN (.onnx, .safetensors, .pth); an .onnx of lpn quantize is the quickest on a CPU."""
-    kind: Kind | None = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    kind: KindOption = None
+    provider: ProviderOption = "auto"
     telemetry: str | None = None
     """Heading and height: a MAVLink address such as udp:127.0.0.1:14550, or a log or track; by default the photos' own."""
     system: int | None = None
@@ -142,8 +139,7 @@ class LiveCommand(LiveInput):
             if self.out is None:
                 lines: IO[str] = sys.stdout
             else:
-                check_ending(self.out, ".jsonl", ".geojsonl", ".ndjson")
-                check_writable(self.out)
+                check_outputs((self.out, ".jsonl", ".geojsonl", ".ndjson"))
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
                 self.belief = self.belief or self.out.with_name(self.out.name + ".belief")
             from lpn.live.outputs import LineOutput

@@ -16,6 +16,7 @@ from lpn.core.files import check_writable, printable
 from lpn.core.numbers import upper_bound
 from lpn.core.resources import ProviderName
 from lpn.models.adapters import Kind
+from lpn.sources import KindOption, PoolingOption, ProviderOption
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -54,15 +55,11 @@ class LocateCommand:
     """Track to write: .geojson, .gpx, .kml, or .csv."""
     model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth) for retrieval and sequence; without one, registration alone."""
-    kind: Kind | None = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
     index: str | None = None
     """Index of the map's windows by this model, which are not described again then: a folder, or milvus://host:port/collection."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    provider: ProviderOption = "auto"
     sequence: bool = True
     """Let neighbouring photos correct each other by a hidden Markov model."""
     register: bool = True

@@ -25,6 +25,28 @@ if TYPE_CHECKING:
     from lpn.retrieval.plain_arrays import PlainArrays
     from lpn.tasks.task import Task
 
+# Options of a model, which many commands have.
+KindOption = Annotated[
+    Kind | None,
+    tyro.conf.arg(
+        metavar="KIND",
+        help="Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md.",
+    ),
+]
+PoolingOption = Annotated[
+    str | None,
+    tyro.conf.arg(
+        help="Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or "
+        "rings:N; see docs/models.md."
+    ),
+]
+ProviderOption = Annotated[
+    ProviderName,
+    tyro.conf.arg(
+        help="Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."
+    ),
+]
+
 
 def no_progress(stage: str, done: int, total: int) -> None:
     """Report nothing."""
@@ -70,13 +92,9 @@ class ModelOptions:
 
     model: Path
     """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models."""
-    kind: Annotated[Kind | None, tyro.conf.arg(metavar="KIND")] = None
-    """Method of a published .pth, such as dac, if its entries do not identify it; see docs/models.md."""
-    pooling: str | None = None
-    """Pooling of tokens, of a vision transformer, timm:NAME:FILE, or an .onnx of tokens: mean, gem, cls, cls+mean, or rings:N;
-    see docs/models.md."""
-    provider: ProviderName = "auto"
-    """Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    kind: KindOption = None
+    pooling: PoolingOption = None
+    provider: ProviderOption = "auto"
 
     @property
     def name(self) -> str:
