@@ -311,7 +311,7 @@ def rank_task(task: Task, name: str, weights: Sequence[float] | None = None) -> 
     return RankedModel(
         name,
         task.name,
-        f"index of {task.tiles:,} tiles",
+        f"index, {task.tiles:,}",
         tuple(queries[kept].tolist()),
         frozenset(task.tile_name(i) for lists in task.truth or () for i in lists.good.tolist()),
         task.query_labels[kept],
