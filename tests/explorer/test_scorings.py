@@ -30,8 +30,8 @@ from lpn.retrieval.protocol import Protocol
 from lpn.tasks.opening import calibrated
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
-from tests.explorer.explain_window.test_window import wait_until
 from tools.fixtures import small_worlds
+from tools.fixtures.waiting import wait_until
 
 TASK = "drone-to-satellite"
 PATIENCE = 120.0

@@ -28,11 +28,12 @@ from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 from lpn.sources import Data, ModelOptions
 from lpn.tasks.task import Task
-from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
+from tests.explorer.explain_window.test_window import WindowGui, make_window
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
 from tools.fixtures.small_contracts import RegionModel
 from tools.fixtures.small_vits import SMALL_VITS
+from tools.fixtures.waiting import wait_until
 
 PATIENCE = 120.0
 

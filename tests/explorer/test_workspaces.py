@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,9 +13,8 @@ from explorer.client.session import ClientSession
 from explorer.opening import open_model
 from explorer.workspace import LazyWorkspace
 from tools.fixtures import small_worlds
+from tools.fixtures.waiting import wait_until
 from tools.fixtures.websocket_client import WebSocketClient
-
-TIMEOUT = 60.0  # seconds for something that must happen
 
 
 @pytest.fixture
@@ -34,10 +32,8 @@ def replaced(app: App, browser: WebSocketClient, before: ClientSession, kind: st
     """Send a message that changes the workspace, and greet the new session as the page does."""
     page = browser.find("page")
     browser.tell(kind, value)
-    deadline = time.monotonic() + TIMEOUT
-    while (session := next(iter(app._sessions.values()))) is before:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    wait_until(lambda: next(iter(app._sessions.values())) is not before)
+    session = next(iter(app._sessions.values()))
     # The old session's element may still be in the page: what is told to it is lost.
     browser.wait(lambda: browser.find("page") not in (None, page))
     browser.tell("hello", {"search": "", "small": False})

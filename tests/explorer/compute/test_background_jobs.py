@@ -22,15 +22,7 @@ from explorer.compute.background_jobs import (
 from explorer.failure_lab import table
 from lpn.core.errors import InputError, LPNError
 from lpn.tasks import notes
-
-TIMEOUT = 120.0  # seconds for something that must happen
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
+from tools.fixtures.waiting import TIMEOUT, wait_until
 
 
 def test_a_job_is_cancelled_when_its_last_client_leaves_and_can_start_again() -> None:
@@ -51,7 +43,7 @@ def test_a_job_is_cancelled_when_its_last_client_leaves_and_can_start_again() ->
     job = jobs.join("k", one, work)
     assert jobs.join("k", other, work) is job
     jobs.leave(one)
-    until(lambda: (job.done, job.total) == (3, 10))
+    wait_until(lambda: (job.done, job.total) == (3, 10))
     assert not job.cancelled
     assert not ended.is_set()
     jobs.leave(other)
@@ -109,7 +101,7 @@ def test_the_page_shows_a_jobs_progress_and_a_button_to_cancel() -> None:
         release.wait(TIMEOUT)
 
     job = BackgroundJob(work, "me")
-    until(lambda: job.total > 0)
+    wait_until(lambda: job.total > 0)
     html = table.waiting(job, "Ranking", False, "table")
     assert "25 % (1,000 of 4,000 queries)" in html
     assert "lab-stop" in html

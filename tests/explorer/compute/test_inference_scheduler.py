@@ -31,8 +31,8 @@ from lpn.core.views import View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.spec import ModelSpec
+from tools.fixtures.waiting import TIMEOUT, wait_until
 
-TIMEOUT = 120.0  # seconds for something that must happen
 SPEC = ModelSpec(views=("satellite", "drone"), n_parts=2, embedding=3, input_size=(4, 4))
 
 
@@ -113,13 +113,6 @@ class Client(threading.Thread):
         return self
 
 
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.002)
-
-
 @pytest.fixture
 def network() -> Iterator[ManualModel]:
     """A network that computes what it still holds when the test ends, so that no thread waits for ever."""
@@ -145,7 +138,7 @@ def queue_up(queue: InferenceScheduler, *clients: Callable[[], Client]) -> list[
     for one in clients:
         before = queue.queue_length
         begun.append(one())
-        until(lambda before=before: queue.queue_length > before)  # type: ignore[misc]
+        wait_until(lambda before=before: queue.queue_length > before)  # type: ignore[misc]
     return begun
 
 
@@ -272,7 +265,7 @@ class RoundRobin:
         for _ in range(passes):
             going = self._network.passes[-1]
             others = self.count if going == [99] else self.count - len(going)
-            until(lambda others=others: self._all_wait(others))  # type: ignore[misc]
+            wait_until(lambda others=others: self._all_wait(others))  # type: ignore[misc]
             self._network.release()
             self._network.began()
         self._going = False
@@ -430,7 +423,7 @@ def test_an_idle_thread_ends_and_the_next_request_starts_another(
     queue = InferenceScheduler()
     for mark in (1, 2):
         assert Client(queued(network, queue), mark).finished().result is not None
-        until(lambda: queue._thread is None)
+        wait_until(lambda: queue._thread is None)
     assert network.passes == [[1], [2]]
 
 
@@ -471,7 +464,7 @@ def drag(network: ManualModel, queue: InferenceScheduler, *marks: int) -> list[D
     begun: list[DraggingBrowser] = []
     for mark in marks:
         begun.append(DraggingBrowser(network, queue, mark))
-        until(lambda: queue.queue_length == len(begun))
+        wait_until(lambda: queue.queue_length == len(begun))
     return begun
 
 
@@ -485,11 +478,11 @@ def test_a_superseded_request_is_replaced_by_the_newest_in_the_same_place(networ
     other.move(22)
     network.release()
     network.began()  # computes `one`, while `other` prepares its next request
-    until(lambda: other.begun == 2 and queue.queue_length == 2)
+    wait_until(lambda: other.begun == 2 and queue.queue_length == 2)
     third.move(33)
     network.release()
     network.began()
-    until(lambda: third.begun == 2 and queue.queue_length == 2)
+    wait_until(lambda: third.begun == 2 and queue.queue_length == 2)
     clock.now += MIN_WAIT
     for browser in clients:  # no second cancellation: they would never see an answer
         browser.move(7)

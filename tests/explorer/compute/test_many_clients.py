@@ -10,7 +10,7 @@ import threading
 import time
 import weakref
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -54,13 +54,12 @@ from lpn.models.base import Model
 from lpn.models.contract import ForwardPass
 from lpn.retrieval import scoring
 from lpn.sources import Published
-from tests.explorer.explain_window.test_window import wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
+from tools.fixtures.waiting import TIMEOUT, wait_until
 from tools.fixtures.websocket_client import CHUNK, WebSocketClient
 
 TASK = "drone-to-satellite"
-TIMEOUT = 120.0  # seconds for something that must happen
 # Classes of which each browser has its own instances.
 PER_BROWSER = (
     ClientSession, StateAnalyser, Stage, Panels, ExplainWindow, FailureLabWindow, RequestContext,
@@ -129,13 +128,6 @@ def gate(module_gate: Gate) -> Iterator[Gate]:
 
 def url(app: App) -> str:
     return f"http://127.0.0.1:{app.server.get_port()}"
-
-
-def until(condition: Callable[[], bool], message: Callable[[], object] = lambda: "") -> None:
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline, message()
-        time.sleep(0.02)
 
 
 class Browser(WebSocketClient):
@@ -237,13 +229,13 @@ def test_a_full_queue_shows_busy_and_later_the_newest_answer(
         one.set("Rotate", 31)
         assert gate.began.wait(TIMEOUT)
         two.set("Rotate", 32)
-        until(lambda: workspace.inference.queue_length == 1)
+        wait_until(lambda: workspace.inference.queue_length == 1)
         three.set("Rotate", 33)
         three.wait(lambda: "Busy: too many people" in three.html())
         assert three.status("angle") == "0", "what it showed stays"
         assert "lpn-verdict" in three.html()
         three.set("Rotate", 34)
-        until(lambda: session_of(app, three)._state.angle == 34)
+        wait_until(lambda: session_of(app, three)._state.angle == 34)
         assert "Busy: too many people" in three.html()
         assert "No answer" not in str(three.controls)
         gate.open.set()
@@ -388,7 +380,7 @@ def test_a_ranking_that_ends_while_an_own_picture_is_registered_is_shown(app: Ap
         session._ranking_progress._on_done()
         session._follow_own_photo()
         may_draw.set()
-        until(lambda: session.views.sequence > before)
+        wait_until(lambda: session.views.sequence > before)
 
 
 def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -400,7 +392,7 @@ def test_an_upload_that_waits_to_be_decoded_does_not_block_controls(app: App, mo
         monkeypatch.setattr(session_of(app, browser).client.gui, "_thread_executor", pool)
         with reading:
             browser.upload("mine.png", picture(90))
-            until(lambda: any(thread.name == "explorer-upload" for thread in threading.enumerate()))
+            wait_until(lambda: any(thread.name == "explorer-upload" for thread in threading.enumerate()))
             browser.turn(7)
             assert browser.status("name") != "mine.png"
         browser.wait(lambda: browser.status("name") == "mine.png")
@@ -462,10 +454,10 @@ def test_a_superseded_request_is_computed_once(
         one.set("Rotate", 31)
         assert gate.began.wait(TIMEOUT)
         other.set("Rotate", 32)
-        until(lambda: workspace.inference.queue_length == 1)
+        wait_until(lambda: workspace.inference.queue_length == 1)
         one.set("Rotate", 41)
         other.set("Rotate", 42)
-        until(lambda: [session_of(app, one)._state.angle, session_of(app, other)._state.angle] == [41, 42])
+        wait_until(lambda: [session_of(app, one)._state.angle, session_of(app, other)._state.angle] == [41, 42])
         gate.open.set()
         for browser, angle in ((one, "41"), (other, "42")):
             browser.wait(lambda browser=browser, angle=angle: browser.status("angle") == angle)
@@ -503,7 +495,7 @@ def held() -> Counter[str]:
 
     `gc.get_objects` may return a tuple that another thread is creating, which raises an error in that thread.
     """
-    until(lambda: not at_work())
+    wait_until(lambda: not at_work())
     gc.collect()
     counts = Counter(type(one).__name__ for one in gc.get_objects() if type(one) in PER_BROWSER)
     # viser's thread pool grows to 32 threads and stays.
@@ -515,7 +507,7 @@ def held() -> Counter[str]:
 
 def settled() -> Counter[str]:
     """Count the same after all browsers have left."""
-    until(lambda: not held()["ClientSession"], held)
+    wait_until(lambda: not held()["ClientSession"], held)
     return held()
 
 
@@ -566,9 +558,9 @@ def leave_during_a_sweep_and_a_report(app: App) -> None:
         session.change(lambda state: replace(state, why=True, lab=True))
         browser.wait(lambda: 'id="lpn-why"' in browser.html())
         browser.tell("sweep", "rotation")
-        until(lambda: (sweep := session.views.explain_window._content.sweep) is not None and sweep.total)
+        wait_until(lambda: (sweep := session.views.explain_window._content.sweep) is not None and sweep.total)
         browser.tell("report", None)
-        until(lambda: session.views.reporter._job is not None)
+        wait_until(lambda: session.views.reporter._job is not None)
 
 
 def leave_before_the_first_message(app: App) -> None:
@@ -601,7 +593,7 @@ def test_browsers_that_leave_at_any_time_leave_nothing_behind(app: App) -> None:
             thread.start()
         for thread in threads:
             thread.join(TIMEOUT)
-    until(lambda: not (held() - before), lambda: held() - before)
+    wait_until(lambda: not (held() - before), lambda: held() - before)
     assert not app._sessions
     assert not app.server.get_clients()
     assert not app.server.gui._current_file_upload_states
@@ -618,11 +610,11 @@ def test_nothing_is_computed_for_a_browser_that_left(app: App, workspace: Worksp
             stays.set("Rotate", 61)
             assert gate.began.wait(TIMEOUT)
             goes.set("Rotate", 62)
-            until(lambda: workspace.inference.queue_length == 1)
+            wait_until(lambda: workspace.inference.queue_length == 1)
             session = weakref.ref(session_of(app, goes))
             passes = gate.passes
-        until(lambda: workspace.inference.queue_length == 0)
-        until(lambda: (gc.collect(), session() is None)[1])
+        wait_until(lambda: workspace.inference.queue_length == 0)
+        wait_until(lambda: (gc.collect(), session() is None)[1])
         gate.open.set()
         stays.wait(lambda: stays.status("angle") == "61")
         assert gate.passes <= passes + 1, "the tile's, at most"
@@ -646,9 +638,9 @@ def test_a_page_built_after_its_browser_left_is_removed(app: App, monkeypatch: p
             browser.wait(lambda: browser.find("page") is not None)
             browser.tell("hello", {"search": "?screen=all", "small": False})
             assert building.wait(TIMEOUT)
-        until(lambda: not app.server.get_clients())
+        wait_until(lambda: not app.server.get_clients())
         go.set()
-        until(lambda: not (held() - before), lambda: held() - before)
+        wait_until(lambda: not (held() - before), lambda: held() - before)
     assert not app._sessions
 
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,9 +21,9 @@ from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.tasks import ranking_cache
 from tools.fixtures import small_worlds
+from tools.fixtures.waiting import TIMEOUT, wait_until
 
 TASK = "drone-to-satellite"
-TIMEOUT = 120.0  # seconds for something that must happen
 
 
 @pytest.fixture
@@ -45,13 +43,6 @@ def workspace(data: Path, model_file: Path) -> Workspace:
 def at_once(data: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> RankingJob:
     monkeypatch.setattr(ranking_job, "QUICK_COST", 10**12)
     return open_model(data, model_file).rankings[TASK]
-
-
-def until(condition: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + TIMEOUT
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_ranking_in_the_background_equals_one_at_the_start(
@@ -124,7 +115,7 @@ def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
     assert other.result is not None
     assert set(told) == {one.task.name}
     progress.follow(other)
-    until(lambda: progress._thread is None)
+    wait_until(lambda: progress._thread is None)
 
 
 def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:
@@ -133,14 +124,14 @@ def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:
     progress = RankingProgress(lambda _: None, lambda: ended.append(1))
     with ranking._rank_lock:
         progress.follow(ranking)
-        until(lambda: ranking._job is not None)
+        wait_until(lambda: ranking._job is not None)
         job = ranking.join("me")
         ranking.leave("me")
         progress.close()
     assert job.wait(TIMEOUT)
     assert job.cancelled
     assert not ended
-    until(lambda: progress._thread is None)
+    wait_until(lambda: progress._thread is None)
     progress.follow(ranking)  # by an answer that was being computed when the page closed
     assert progress._thread is None
     assert ranking._job is job
@@ -179,6 +170,6 @@ def test_a_page_whose_progress_report_fails_can_follow_again(
     ended = threading.Event()
     progress = RankingProgress(tell, ended.set)
     progress.follow(ranking)
-    until(lambda: progress._thread is None)
+    wait_until(lambda: progress._thread is None)
     progress.follow(ranking)
     assert ranking.result is not None or ended.wait(TIMEOUT)

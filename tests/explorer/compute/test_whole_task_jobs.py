@@ -17,9 +17,9 @@ from explorer.workspace import Workspace
 from lpn.analysis.part_weights import WeightedTask
 from lpn.tasks.turned import TurnedFigures, turned
 from tools.fixtures import small_worlds
+from tools.fixtures.waiting import TIMEOUT
 
 TASK, REVERSE = "drone-to-satellite", "satellite-to-drone"
-TIMEOUT = 120.0  # seconds for something that must happen
 
 
 @pytest.fixture(scope="module")

@@ -41,6 +41,7 @@ from lpn.explain import counterfactual, sweeps
 from lpn.explain.counterfactual import Effect
 from tools.fixtures import small_worlds
 from tools.fixtures.rankings import ranked_in
+from tools.fixtures.waiting import wait_until
 
 
 @pytest.fixture(scope="module")
@@ -387,13 +388,6 @@ def two_answers_with_a_change(workspace: Workspace) -> tuple[StateAnalysis, Stat
         if all((pair := compared(analysis)) is not None and pair.change is not None for analysis in analyses):
             return analyses[0], analyses[1]
     raise AssertionError("no query whose positive another choice of weights puts first")
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_failed_analysis_is_said_in_the_open_window_which_can_be_closed(

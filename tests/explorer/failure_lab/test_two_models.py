@@ -30,9 +30,10 @@ from lpn.core.arrays import Int64Array
 from lpn.datasets import open_dataset
 from lpn.tasks import ranking_cache
 from lpn.tasks.opening import open_task
-from tests.explorer.explain_window.test_window import WindowGui, wait_until
+from tests.explorer.explain_window.test_window import WindowGui
 from tests.explorer.failure_lab.conftest import TASK
 from tools.fixtures.small_contracts import GateModel, RegionModel
+from tools.fixtures.waiting import wait_until
 
 
 @pytest.fixture(scope="module")

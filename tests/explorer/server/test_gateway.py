@@ -11,7 +11,6 @@ import logging
 import os
 import socket
 import threading
-import time
 import urllib.error
 import urllib.request
 import weakref
@@ -45,6 +44,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError, MissingPackageError
 from tools.fixtures import small_worlds
 from tools.fixtures.small_proxy import SmallProxy
+from tools.fixtures.waiting import wait_until
 from tools.fixtures.websocket_client import WebSocketClient
 
 T = TypeVar("T")
@@ -134,7 +134,7 @@ def test_pages_are_answered_while_pictures_are_computed_and_too_many_pictures_ar
     for client in clients:
         client.start()
     # Two are computed, one waits, and the fourth is refused at once.
-    assert until(lambda: statuses == [503])
+    wait_until(lambda: statuses == [503])
     assert get(app)[0] == 200
     may_end.set()
     for client in clients:
@@ -331,16 +331,6 @@ def answers(app: App) -> bool:
         return get(app)[0] == 200
     except OSError:
         return False
-
-
-def until(condition: Callable[[], bool], seconds: float = 60.0) -> bool:
-    """Wait for a condition; return whether it became true in time."""
-    end = time.monotonic() + seconds
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.02)
-    return True
 
 
 def test_malformed_requests_are_refused_without_a_traceback(
@@ -706,11 +696,11 @@ def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
         assert len(alive(OwnPicture)) == 1
         contents = [control._button.value.content for control in alive(UploadControl)]
         assert set(contents) == {b""}, "viser's own copy of the bytes"
-    assert until(lambda: not alive(OwnPicture) and session() is None and handle() is None), (
-        alive(OwnPicture),
-        session(),
+    wait_until(
+        lambda: not alive(OwnPicture) and session() is None and handle() is None,
+        lambda: (alive(OwnPicture), session()),
     )
-    assert until(lambda: threads_of("explorer-worker") <= workers_before)
+    wait_until(lambda: threads_of("explorer-worker") <= workers_before)
 
 
 def alive(kind: type[T]) -> list[T]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,6 +24,7 @@ from lpn.drawing.part_areas import PartAreas
 from lpn.models.contract import ForwardPass
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import RegionModel
+from tools.fixtures.waiting import wait_until
 
 TASK = "drone-to-satellite"
 # Width of the frame around a card, which borders of parts may lie under.
@@ -79,13 +79,6 @@ def shown(workspace: Workspace) -> Iterator[tuple[Cards, Scene]]:
 def analysed(workspace: Workspace, **changes: Any) -> StateAnalysis:
     state = SessionState(TASK, workspace.contract.n_parts)
     return StateAnalyser(workspace).analyse(replace(state, **changes), 10)
-
-
-def wait_until(holds: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + 120
-    while not holds():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def photo(workspace: Workspace, scene: Scene, slot: int) -> UInt8Array:

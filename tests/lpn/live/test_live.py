@@ -9,7 +9,7 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -47,6 +47,7 @@ from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of,
 from tools.fixtures.photos import write_photo
 from tools.fixtures.simulated_vehicle import SimulatedVehicle
 from tools.fixtures.videos import write_video
+from tools.fixtures.waiting import wait_until
 
 SIZE, HEIGHT, FOV = (360, 270), 60.0, 60.0
 WIDTH = 2 * HEIGHT * math.tan(math.radians(FOV / 2))
@@ -86,15 +87,6 @@ def free_port(kind: int = socket.SOCK_DGRAM) -> int:
         return int(probe.getsockname()[1])
 
 
-def until(condition: Callable[[], Any]) -> Any:
-    """Wait for another thread; ten seconds only bound a failure."""
-    end = time.monotonic() + 10
-    while not (value := condition()) and time.monotonic() < end:
-        time.sleep(0.005)
-    assert value
-    return value
-
-
 class StepByStep(LiveSource):
     """Gives each frame once the one before was taken."""
 
@@ -104,7 +96,7 @@ class StepByStep(LiveSource):
 
     def _read(self) -> None:
         for frame in self._frames:
-            until(lambda: self._stop.is_set() or not self.newest.waiting)
+            wait_until(lambda: self._stop.is_set() or not self.newest.waiting)
             self.newest.put(ArrivedPicture(frame, time.monotonic()))
 
 
@@ -361,8 +353,8 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
     try:
         assert link.value(arrived(frame)).age is None
         vehicle.tell(frame)
-        until(lambda: link.system)
-        value = until(lambda: link.value(arrived(frame)).frame.latitude and link.value(arrived(frame)))
+        wait_until(lambda: link.system)
+        value = wait_until(lambda: link.value(arrived(frame)).frame.latitude and link.value(arrived(frame)))
         assert value.frame.latitude == pytest.approx(frame.latitude, abs=1e-6)
         assert (value.frame.heading, value.frame.heading_source) == (pytest.approx(90), "gimbal")
         assert value.frame.flying_height == HEIGHT
@@ -370,13 +362,13 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
         assert (late.heading, late.flying_height) == (None, HEIGHT)
         assert link.value(arrived(frame, 50.0)).frame.flying_height is None
         other.tell(frame)
-        until(lambda: any("System 9" in sentence for sentence in said))
+        wait_until(lambda: any("System 9" in sentence for sentence in said))
         vehicle.boot += 300
         time.sleep(0.11)  # entries closer together count as one
         vehicle.tell(frame)
-        until(lambda: any("clock has jumped" in sentence for sentence in said))
+        wait_until(lambda: any("clock has jumped" in sentence for sentence in said))
         vehicle.tell_origin(47.0, 8.0)
-        until(lambda: link.origin == (47.0, 8.0))
+        wait_until(lambda: link.origin == (47.0, 8.0))
     finally:
         for one in (link, vehicle, other):
             one.close()
@@ -454,7 +446,7 @@ def test_a_websocket_sends_lines_and_refuses_pages_of_other_sites(flight: Flight
     address = f"ws://127.0.0.1:{output.port}"
     try:
         with websockets.connect(address) as reader:
-            until(lambda: output._readers)
+            wait_until(lambda: output._readers)
             output.send(fix(flight))
             feature = json.loads(reader.recv(timeout=10))
         assert feature["geometry"] == {"type": "Point", "coordinates": [8.0, 47.001]}
@@ -486,7 +478,7 @@ def test_the_command_locates_what_a_vehicle_sends(
             vehicle.tell(frame)
             time.sleep(0.15)  # the telemetry of this frame is the nearest one
             vehicle.photograph(frame)
-            until(lambda i=i: out.read_text().count("\n") > i)
+            wait_until(lambda i=i: out.read_text().count("\n") > i)
 
     thread = threading.Thread(target=fly)
     thread.start()
@@ -537,14 +529,14 @@ def test_a_vehicle_without_positions_gives_heading_height_and_origin(flight: Fli
     lost = replace(flight.frames[0], latitude=None, longitude=None, heading=90.0, heading_source="aircraft")
     try:
         vehicle.tell_origin(47.0, 8.0)  # before any position
-        until(lambda: link.origin)
+        wait_until(lambda: link.origin)
 
         def known() -> bool:
             vehicle.tell(lost)
             frame = link.value(arrived(replace(lost, heading=None))).frame
             return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
 
-        until(known)
+        wait_until(known)
         assert link.origin == (47.0, 8.0)
         assert link.system == 7
         assert link.value(arrived(lost)).frame.latitude is None
