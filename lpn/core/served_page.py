@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import atexit
-import html
 import threading
 from collections.abc import Callable
 from typing import Self
 
+from markupsafe import Markup
+
 # Height of the page in a notebook's cell, in CSS pixels.
 HEIGHT = 760
+_LINK = Markup('<a href="{0}" target="_blank" rel="noopener">{0}</a>')
+_FRAME = Markup('<iframe src="{}" title="LPN Explorer" style="width: 100%; height: {}px; border: 0"></iframe>')
 
 
 class ServedPage:
@@ -59,14 +62,13 @@ class ServedPage:
         return f"<LPN Explorer {'closed' if self.closed else f'at {self.url}'}>"
 
     def _repr_html_(self) -> str:
-        url = html.escape(self.url)
         if self.closed:
             return "<p>This LPN Explorer is closed.</p>"
-        link = f'<a href="{url}" target="_blank" rel="noopener">{url}</a>'
+        link = _LINK.format(self.url)
         if not self._framed:
-            return f"<p>LPN Explorer: {link}</p>"
-        frame = f'<iframe src="{url}" title="LPN Explorer" style="width: 100%; height: {HEIGHT}px; border: 0"></iframe>'
-        return f"{frame}<p>LPN Explorer in a tab of its own: {link}</p>"
+            return str(Markup("<p>LPN Explorer: {}</p>").format(link))
+        frame = _FRAME.format(self.url, HEIGHT)
+        return str(Markup("{}<p>LPN Explorer in a tab of its own: {}</p>").format(frame, link))
 
     def _repr_mimebundle_(self, **_: object) -> dict[str, str]:
         return {"text/html": self._repr_html_(), "text/plain": repr(self)}
