@@ -24,7 +24,7 @@ from lpn.datasets import geo
 
 log = logging.getLogger(__name__)
 
-# All tasks, the most common first.
+# Tasks between two views, the most common first.
 TASKS = (
     "drone-to-satellite",
     "satellite-to-drone",
