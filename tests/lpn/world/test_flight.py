@@ -256,7 +256,7 @@ def test_the_map_shows_another_day_than_the_photos() -> None:
 def test_the_files_of_a_flight_are_read_as_one(city: City, tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
     tally = build_flight(SETTINGS, tmp_path / "made")
-    assert tally.describe().startswith("Made 10 photos, the video, the map and its elevation")
+    assert tally.describe().startswith("Made 10 photos, the video, the map, and its elevation")
     plan = plan_flight(city, Site(), 10)
     flight = make_flight([tmp_path / "made/photos"], tmp_path / "photos")
     assert [frame.name for frame in flight.frames] == [picture.name for picture in plan.pictures]

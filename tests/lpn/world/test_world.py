@@ -675,7 +675,7 @@ def test_a_world_can_be_added_to_but_not_taken_from(tmp_path: Path, atlas: Atlas
 def test_the_sentence_at_the_end_counts_every_kind_of_picture() -> None:
     tally = Tally(2, 10.0, 1, 30.0, 0, 0.0, 4, 8.0, 2, 3.0)
     assert tally.describe() == (
-        "Made 4 street pictures, 2 panoramas and 1 satellite sectors: 2.00 s a street picture, 1.50 s a panorama, "
+        "Made 4 street pictures, 2 panoramas, and 1 satellite sectors: 2.00 s a street picture, 1.50 s a panorama, "
         "30 s a satellite sector, 5 s a scene."
     )
     assert Tally().describe() == "Every picture was there already."
