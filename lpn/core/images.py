@@ -10,7 +10,7 @@ from typing import BinaryIO, cast
 
 import cv2
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageOps
 
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import PictureError
@@ -35,6 +35,9 @@ OTHER_SUFFIXES = (
 MAX_PIXELS = 64_000_000
 PNG = b"\x89PNG\r\n\x1a\n"
 _JPEG = b"\xff\xd8"
+_TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+# Pillow reads these where OpenCV does not: GIF before OpenCV 4.11, and TIFF with further compressions.
+_BY_PILLOW = (b"GIF8", *_TIFF)
 # OpenCV's flags by the factor that they divide width and height by.
 _REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
 
@@ -95,8 +98,8 @@ def decode_picture(data: bytes, name: str, kinds: str = KINDS, side: int | None 
         decoded = None if _overruns(data) else _decode(data, factor)
     except (cv2.error, MemoryError):
         decoded = None
-    if decoded is None and data.startswith(b"GIF8"):  # OpenCV reads these since 4.11
-        return _first_frame(data, name, kinds)
+    if decoded is None and data.startswith(_BY_PILLOW):
+        return _first_frame(data, name, kinds, upright=True)
     if decoded is None or decoded.ndim != 3 or decoded[..., 0].size > MAX_PIXELS:
         raise PictureError(f"{name} is cut short or damaged; expected a whole {kinds} file, so copy it again.")
     return cast(UInt8Array, cv2.cvtColor(decoded, cv2.COLOR_BGR2RGB, dst=decoded))
@@ -116,20 +119,40 @@ def _decode(data: bytes, factor: int) -> UInt8Array | None:
     # Only libjpeg decodes less than every pixel; OpenCV would shrink the others without anti-aliasing.
     scaled = factor > 1 and data.startswith(_JPEG)
     flags = _REDUCED[factor] if scaled else cv2.IMREAD_COLOR
-    decoded = cast("UInt8Array | None", cv2.imdecode(np.frombuffer(data, np.uint8), flags))
+    flags |= 0 if data.startswith(_JPEG) else cv2.IMREAD_ANYDEPTH
+    whole = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    decoded = None if whole is None else _eight_bits(whole)
     if decoded is None or factor == 1 or scaled:
         return decoded
     height, width = (max(length // factor, 1) for length in decoded.shape[:2])
     return cast(UInt8Array, cv2.resize(decoded, (width, height), interpolation=cv2.INTER_AREA))
 
 
-def _first_frame(data: bytes, name: str, kinds: str) -> UInt8Array:
+def _eight_bits(numbers: AnyArray) -> UInt8Array | None:
+    """Return whole numbers of 8 or 16 bits as 8 bits; None for other numbers.
+
+    Cameras and sensors keep 10, 12, or 14 bits in numbers of 16, which would be a black picture: the fewest of these bits that
+    hold all numbers are the range.
+    """
+    if numbers.dtype != np.uint16:
+        return cast(UInt8Array, numbers) if numbers.dtype == np.uint8 else None
+    bits = next(bits for bits in (8, 10, 12, 14, 16) if not (numbers >> bits).any() or bits == 16)
+    return (numbers >> (bits - 8)).astype(np.uint8)
+
+
+def _first_frame(data: bytes, name: str, kinds: str, upright: bool = False) -> UInt8Array:
+    """Decode the first frame by Pillow; `upright` applies the EXIF orientation."""
     try:
         with Image.open(io.BytesIO(data)) as animation:
-            return np.asarray(animation.convert("RGB"))
+            frame = ImageOps.exif_transpose(animation) if upright else animation
+            if frame.mode.startswith("I;16") and (grey := _eight_bits(np.asarray(frame).astype(np.uint16))) is not None:
+                return np.repeat(grey[..., None], 3, axis=2)
+            return np.asarray(frame.convert("RGB"))
     except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
+        tiff = ", or compressed in a way that is not read here" if data.startswith(_TIFF) else ""
         raise PictureError(
-            f"{name} is cut short or damaged; expected a whole {kinds} file, so copy it again."
+            f"{name} is cut short or damaged{tiff}; expected a whole {kinds} file, so "
+            + ("save it with deflate or LZW, or copy it again." if tiff else "copy it again.")
         ) from error
 
 
@@ -143,6 +166,7 @@ def header_error(file: BinaryIO) -> str | None:
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)
             with Image.open(file) as header:
                 width, height = header.size
+                heights = header.format == "TIFF" and header.mode in ("I", "F")
     except Image.DecompressionBombError:
         return "has far too many pixels to be read"
     except (
@@ -160,6 +184,8 @@ def header_error(file: BinaryIO) -> str | None:
         return other_kind(file.read(512)) or "is not a picture that can be read"
     if width * height > MAX_PIXELS:
         return f"has {width} x {height} pixels, too many to be read"
+    if heights:
+        return "has numbers with signs or decimals in place of colours, as heights of the ground have, so save it with 8 bits"
     return None
 
 

@@ -83,6 +83,32 @@ def test_further_kinds_are_read_by_every_version_of_opencv(suffix: str, monkeypa
             images.decode_picture(whole.getvalue()[:800], "a")
 
 
+@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+@pytest.mark.parametrize("suffix", [".tif", ".png"])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_few_bits_in_numbers_of_sixteen_are_no_black_picture(bits: int, suffix: str, channels: int) -> None:
+    picture = small_worlds.place(3)[..., :channels]
+    picture[0, 0] = 255
+    data = cv2.imencode(suffix, picture.astype(np.uint16)[..., ::-1] << (bits - 8))[1].tobytes()
+    np.testing.assert_array_equal(images.decode_picture(data, "a"), np.broadcast_to(picture, (*picture.shape[:2], 3)))
+
+
+def test_a_tiff_that_opencv_does_not_decompress_is_read_upright(tmp_path: Path) -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(small_worlds.place(3)[:40]).save(tmp_path / "a.tif", compression="zstd", exif=exif)
+    shown = images.load_picture(tmp_path / "a.tif")
+    np.testing.assert_array_equal(shown, np.rot90(small_worlds.place(3)[:40], -1))
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int32])
+def test_heights_are_no_picture_and_called_so(kind: type, tmp_path: Path) -> None:
+    Image.fromarray(np.full((20, 20), 312, kind)).save(tmp_path / "dsm.tif")
+    for load in (images.load_picture, images.load_without_orientation):
+        with pytest.raises(PictureError, match="heights of the ground"):
+            load(tmp_path / "dsm.tif")
+
+
 def test_exif_orientation_is_obeyed(tmp_path: Path) -> None:
     picture = Image.fromarray(small_worlds.place(4)[:40])
     exif = picture.getexif()
