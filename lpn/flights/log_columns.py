@@ -99,8 +99,9 @@ UNITS = {
     "mm": 0.001, "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "rad": math.degrees(1),
     "radians": math.degrees(1), "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "us": 1e-6, "µs": 1e-6, "s": 1.0,
     "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "dd": 1.0, "dms": 1.0, "amsl": 1.0, "msl": 1.0,
-    "utc": 1.0, "gmt": 1.0, "local": 1.0,
+    "utc": 1.0, "gmt": 1.0, "local": 1.0, "n": 1.0, "w": 1.0, "e": 1.0,
 }  # fmt: skip
+_NEGATIVE = {"latitude": {"s", "south"}, "longitude": {"w", "west"}}
 # Names that hold their unit.
 _OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}
 _BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))\s*", re.DOTALL)
@@ -126,6 +127,8 @@ class LogColumns:
         factors: of its unit, to metres, degrees, or seconds.
         utc: the header says that the date is UTC.
         nadir_zero: a pitch of 0 looks straight down, as in Agisoft's files.
+        negative: latitude where its name says south, longitude where it says west, as in "Longitude W"; for numbers that have
+            neither a sign nor a letter.
         notes: sentences about columns that count as something, or are left out.
     """
 
@@ -133,6 +136,7 @@ class LogColumns:
     factors: Mapping[str, float]
     utc: bool
     nadir_zero: bool
+    negative: frozenset[str]
     notes: tuple[str, ...]
 
     @property
@@ -175,6 +179,16 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
             notes.append(
                 f"The columns {' and '.join(printable(cell.text) for cell in by_part)} of {name} count as the position."
             )
+    negative = frozenset(
+        what
+        for what, sides in _NEGATIVE.items()
+        if what in places and sides & set(re.findall(r"[^\W_]+", cells[places[what]].text.casefold()))
+    )
+    notes += [
+        f"Numbers without a sign in the column {printable(cells[places[what]].text)} of {name} count as negative, as its "
+        "name says."
+        for what in sorted(negative)
+    ]
     plain = [cell.plain for cell in cells]
     if "altitude" in places and plain[places["altitude"]] == "z" and "coordinate1" not in plain:
         del places["altitude"]  # elsewhere z may be of a local grid
@@ -195,7 +209,7 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
         places |= {what: plain.index(angle) for what, angle in (("nose", "pitch"), ("bank", "roll")) if angle in plain}
         factors |= {"nose": 1.0, "bank": 1.0}
     utc = "date" in places and any(word in header[places["date"]].casefold() for word in ("utc", "gmt", "gpst"))
-    return LogColumns(places, factors, utc, nadir_zero, tuple(notes))
+    return LogColumns(places, factors, utc, nadir_zero, negative, tuple(notes))
 
 
 def _cell(text: str, at: int) -> _Cell:
@@ -204,7 +218,7 @@ def _cell(text: str, at: int) -> _Cell:
     body, unit = (match[1], (match[2] or match[3] or "").strip()) if match else (text, "")
     unit = re.split(r"[\s,;(\[]", unit)[0]
     if not unit:
-        for sign in "_/":
+        for sign in "_/ ":
             head, _, last = body.rpartition(sign)
             if head and last.casefold() in UNITS and last.casefold() not in ("utc", "local", "gmt"):
                 body, unit = head, last

@@ -34,6 +34,13 @@ from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
+# The largest size of angles in degrees: a heading may have a turn and a half more than its own.
+_MOST_DEGREES = {
+    **dict.fromkeys(("heading", "gimbal_heading", "direction"), 540.0),
+    **dict.fromkeys(("gimbal_pitch", "gimbal_roll", "nose", "bank", "fov"), 180.0),
+}
+# A gimbal whose least pitch in a log is larger was told by another convention.
+_LOOKS_UP = 30.0
 _SCALED = 1e7
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
@@ -90,7 +97,7 @@ def read_log(file: Path) -> Log:
         )
     table = table_of(values.decoded(data, name), name)
     places, notes, is_scaled = _positions(table, name)
-    table = _with_mavlink_units(table) if is_scaled else table
+    table = _with_possible_angles(_with_mavlink_units(table) if is_scaled else table, name)
     clocks, zoned, clock_notes = clocks_of(table, name)
     times = elapsed_of(table)
     rows = []
@@ -259,6 +266,8 @@ class _Cells:
         if angle is None or not math.isfinite(angle):
             raise DataError(f"{self.where} has the {what} {printable(text)[:80]!r}; expected a number of degrees.")
         angle *= self.table.columns.factors.get(what, 1.0)
+        if what in self.table.columns.negative and text[0] not in "-+" and not values.letter_of(text):
+            angle = -angle
         letter = self.text(f"{what}_letter")[:1].upper()
         return -abs(angle) if letter and letter == letters[1] else angle
 
@@ -344,6 +353,25 @@ def _with_mavlink_units(table: LogTable) -> LogTable:
             if len(known) and (known == np.floor(known)).all() and np.abs(known).max() > most:
                 factors[what] *= factor
     return replace(table, columns=replace(table.columns, factors=factors))
+
+
+def _with_possible_angles(table: LogTable, name: str) -> LogTable:
+    """Leave out columns of angles that are no degrees, and a gimbal's pitch that looks up throughout; a note names them."""
+    columns = dict(table.columns.places)
+    notes = list(table.notes)
+    for what, most in _MOST_DEGREES.items():
+        if what not in columns:
+            continue
+        numbers = (values.number(table.text(cells, what), table.commas) for _, cells in table.rows)
+        angles = [number * table.columns.factors[what] for number in numbers if number is not None]
+        if max(map(abs, angles), default=0.0) > most:
+            why = f"holds {max(angles, key=abs):g}, which is no angle in degrees"
+        elif what == "gimbal_pitch" and min(angles, default=0.0) > _LOOKS_UP:
+            why = f"looks up by {min(angles):g} degrees and more, where -90 should be straight down; --pitch tells it"
+        else:
+            continue
+        notes.append(f"The column {printable(table.header[columns.pop(what)])} of {name} was left out: it {why}.")
+    return replace(table, columns=replace(table.columns, places=columns), notes=notes)
 
 
 def _are_minutes(degrees: Float64Array, most: int) -> bool:

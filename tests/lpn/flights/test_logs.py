@@ -223,6 +223,30 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
         "SourceFile,EXIF:GPSPosition\nDJI_0001.JPG,\"47 deg 18' 4.44\"\" N, 8 deg 30' 4.44\"\" E\"\n",
         (47.301233333, 8.501233333, None, None, None, None, None), "",
     ),
+    "west.csv": (
+        "name,Latitude S,Longitude (W),Altitude Ft\nDJI_0001.JPG,33.4,70.5,1000\n",
+        (-33.4, -70.5, None, 304.8, None, None, None), "in the column Longitude (W) of west.csv count as negative",
+    ),
+    "west_signed.csv": (
+        "name,lat,longitude west\nDJI_0001.JPG,33.4,-70.5\n",
+        (33.4, -70.5, None, None, None, None, None), "count as the position",
+    ),
+    "west_letters.csv": (
+        "name,lat,longitude west\nDJI_0001.JPG,33.4,70.5 W\n",
+        (33.4, -70.5, None, None, None, None, None), "count as the position",
+    ),
+    "hundredths.csv": (
+        "name,lat,lon,hdg\nDJI_0001.JPG,33.4,-70.5,90\nDJI_0002.JPG,33.4,-70.5,9000\n",
+        (33.4, -70.5, None, None, None, None, None), "The column hdg of hundredths.csv was left out: it holds 9000",
+    ),
+    "unknown_heading.csv": (
+        "name,lat,lon,relative_alt,hdg\n1.JPG,334000000,-705000000,60000,65535\n2.JPG,334000000,-705000000,60000,9000\n",
+        (33.4, -70.5, 60.0, None, None, None, None), "count as degrees times 1e7",
+    ),
+    "pitch_up.csv": (
+        "name,lat,lon,gimbal_yaw,gimbal_pitch\nDJI_0001.JPG,33.4,-70.5,10,90\nDJI_0002.JPG,33.4,-70.5,10,85\n",
+        (33.4, -70.5, None, None, 10.0, None, None), "looks up by 85 degrees",
+    ),
     "semicolons.csv": (
         "Dateiname;Breitengrad;Längengrad;Höhe\nDJI_0001.JPG;47,301234;8,501234;512,5\n",
         (47.301234, 8.501234, None, 512.5, None, None, None), "count as decimal commas",
