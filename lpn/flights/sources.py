@@ -159,17 +159,20 @@ def read_any_log(file: Path) -> Log:
 
 
 def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str]]:
-    """Return the logs and tracks, the text files that are no logs, and a note for each of these that is nearly a log."""
+    """Return the logs and tracks, the other files that are no logs, and a note for each of these that is nearly a log."""
     read: dict[Path, Log] = {}
     others, notes = [], []
     for file in files:
         try:
             read[file] = read_any_log(file)
         except DataError as error:
-            if file.suffix.lower() not in (".txt", ".log"):
+            # Cards of DJI's cameras have .bin files of satellites beside the photos.
+            if file.suffix.lower() not in (".txt", ".log") and not (
+                file.suffix.lower() == ".bin" and "begins with" in str(error)
+            ):
                 raise
             others.append(file)
-            notes += [] if str(error).endswith(("among them.", "column names.")) else [str(error)]
+            notes += [] if str(error).endswith(("among them.", "column names.", "of ArduPilot.")) else [str(error)]
     return read, others, notes
 
 

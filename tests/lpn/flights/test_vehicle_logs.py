@@ -133,3 +133,11 @@ def test_positions_of_the_receiver_alone_give_way_to_filtered_ones_and_return() 
 def test_a_quaternion_without_norm_has_no_angles() -> None:
     assert euler_degrees(*vehicle_logs.quaternion(4, -5, 60)) == pytest.approx((4, -5, 60))
     assert all(angle != angle for angle in euler_degrees(0, 0, 0, 0))
+
+
+def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path) -> None:
+    photo = write_photo(tmp_path / "DJI_0001.JPG", exif(47.3, 8.5))
+    (tmp_path / "DJI_PPKRAW.bin").write_bytes(b"\xd3\x00\x13" * 40)
+    flight = make_flight([photo, tmp_path / "DJI_PPKRAW.bin"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == [pytest.approx(47.3)]
+    assert "Left out, because their kind is not supported: DJI_PPKRAW.bin." in flight.notes
