@@ -63,7 +63,8 @@ class _Points:
         height: float | None = None,
     ) -> None:
         """Add a point, if it is on the Earth and has a time or a picture's name."""
-        if abs(latitude) > 90 or abs(longitude) > 180:
+        # A comparison with NaN is false.
+        if not (abs(latitude) <= 90 and abs(longitude) <= 180):
             self.outside += 1
             return
         if latitude == longitude == 0:
@@ -74,6 +75,7 @@ class _Points:
             self.untimed += 1
             return
         self.zoned |= zoned
+        altitude = altitude if altitude is not None and math.isfinite(altitude) else None
         entry = TelemetryEntry(math.nan, clock, latitude, longitude, height, altitude=altitude)
         self.rows.append(LogRow(entry, file))
 
@@ -114,7 +116,8 @@ def parse_track(data: bytes, name: str) -> Log:
             else f"{name} has {points.untimed} points without a time, so it fits no picture; export a track with times."
         )
     elif not points.rows:
-        raise DataError(f"{name} has no point with a position; expected a track.")
+        beyond = f" Its {points.outside} positions are outside of the Earth's degrees." if points.outside else ""
+        raise DataError(f"{name} has no point with a position; expected a track.{beyond}")
     if points.outside:
         points.notes.append(f"{points.outside} points of {name} are outside of the Earth's degrees, and were left out.")
     return Log(name, tuple(points.rows), points.zoned, tuple(points.notes))

@@ -246,7 +246,8 @@ def _bag(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
                     entry = state.position(
                         time, message.latitude, message.longitude, message.altitude, above_takeoff, clock=clock
                     )
-                case "imu":
+                # The first covariance is -1 where the sensor does not tell its orientation, as cameras' do not.
+                case "imu" if message.orientation_covariance[0] != -1:
                     q = message.orientation
                     roll, pitch, yaw = euler_degrees(q.w, q.x, q.y, q.z)
                     # ROS counts yaw anticlockwise from east, and pitch positive with the nose down (REP 103).

@@ -103,6 +103,10 @@ class VehicleState:
         altitude: float | None,
         above_takeoff: float | None,
     ) -> TelemetryEntry:
+        # ROS tells an unknown altitude as NaN.
+        altitude, above_takeoff = (
+            value if value is not None and math.isfinite(value) else None for value in (altitude, above_takeoff)
+        )
         height = self._current(self._above_ground, time)
         heading = pitch = roll = source = None
         if (gimbal := self._current(self._gimbal, time)) is not None and any(gimbal[1:]):

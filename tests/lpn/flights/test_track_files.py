@@ -94,6 +94,16 @@ def test_times_of_other_spellings_are_read(spelling: str, clock: float) -> None:
     assert (log.rows[0].entry.clock, log.utc) == (clock, True)
 
 
+def test_numbers_that_are_none_are_no_position_and_no_altitude() -> None:
+    point = '<trkpt lat="{}" lon="8.5"><ele>{}</ele><time>2024-05-01T12:00:0{}Z</time></trkpt>'
+    text = gpx(0).replace("</trkseg>", point.format("nan", 5, 1) + point.format(47.3, "nan", 2) + "</trkseg>")
+    log = parse_track(text.encode(), "a.gpx")
+    assert [(row.entry.latitude, row.entry.altitude) for row in log.rows] == [(47.3, None)]
+    assert log.notes == ("1 points of a.gpx are outside of the Earth's degrees, and were left out.",)
+    with pytest.raises(DataError, match="Its 1 positions are outside of the Earth's degrees"):
+        parse_track(gpx(0).replace("</trkseg>", point.format(147.3, 5, 1) + "</trkseg>").encode(), "a.gpx")
+
+
 def test_gpx_of_other_writers_is_read(tmp_path: Path) -> None:
     rows = parse_track(gpx(3).encode(), "a.gpx").rows
     prefixed = (

@@ -141,3 +141,17 @@ def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path) ->
     flight = make_flight([photo, tmp_path / "DJI_PPKRAW.bin"], tmp_path / "flight")
     assert [frame.latitude for frame in flight.frames] == [pytest.approx(47.3)]
     assert "Left out, because their kind is not supported: DJI_PPKRAW.bin." in flight.notes
+
+
+def test_an_imu_that_does_not_tell_its_orientation_gives_no_heading(tmp_path: Path) -> None:
+    pytest.importorskip("rosbags")
+    vehicle_logs.write_bag(tmp_path / "a.bag", 1, oriented=False)
+    rows = read_vehicle_log(tmp_path / "a.bag").rows
+    assert rows
+    assert all(row.entry.heading is None and row.entry.pitch is None for row in rows)
+
+
+def test_an_altitude_that_is_not_known_is_none() -> None:
+    entry = VehicleState().position(0.0, 47, 8, float("nan"), float("nan"))
+    assert entry is not None
+    assert (entry.altitude, entry.height_above_takeoff) == (None, None)
