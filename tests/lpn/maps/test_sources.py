@@ -13,6 +13,8 @@ from PIL import Image
 
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.maps import Map, MapOptions, Window, open_map
+from lpn.maps.folder import build_map
+from lpn.maps.sources import datum_notes, parse_crs
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 WORLD = f"0.5\n0\n0\n-0.5\n{EAST + 0.25}\n{NORTH - 0.25}\n"
@@ -678,3 +680,27 @@ def test_coordinates_of_pixel_centres_are_those_of_the_corner(tmp_path: Path) ->
     with rasterio.open(path) as file:
         assert file.tags()["AREA_OR_POINT"] == "Point"
     assert (open_map(path).frame, open_map(path).bounds) == (frame, bounds)
+
+
+@pytest.mark.parametrize(
+    ("crs", "words"),
+    [
+        ("EPSG:26732", "lies on the datum North American Datum 1927, and its places may be off by some 20 m"),
+        ("EPSG:2334", "lies on the datum Xian 1980, and its places may be off by more than 100 m"),
+        ("+proj=utm +zone=32 +ellps=bessel +units=m", "by more than 100 m, as no way from it to WGS 84 is known"),
+        ("+proj=utm +zone=32 +ellps=bessel +towgs84=598,74,418,0.2,0,-2.5,6.7", ""),
+        ("EPSG:25832", ""),
+        ("EPSG:3857", ""),
+        ("EPSG:2056", ""),
+    ],
+)
+def test_a_map_on_an_old_datum_tells_how_far_off_it_may_be(crs: str, words: str) -> None:
+    notes = datum_notes(parse_crs(crs), "a.tif")
+    assert (words in notes[0]) if words else not notes
+
+
+def test_the_note_about_an_old_datum_is_in_the_map(tmp_path: Path) -> None:
+    file = write_geotiff(tmp_path / "a.tif", smooth(120, 160), "EPSG:31467", (0.5, 0, 3_500_000, 0, -0.5, 5_400_000))
+    made = build_map([file], tmp_path / "map")
+    assert "Deutsches Hauptdreiecksnetz" in made.notes[0]
+    assert open_map(tmp_path / "map").notes == made.notes
