@@ -30,6 +30,8 @@ _SPELLINGS: dict[str, HeightUnit] = {
 }
 # Heights in metres that the earth's surface has, with what stands on it.
 _LOWEST, _HIGHEST = -500.0, 9000.0
+# Heights of exactly 0 m are holes where no other height is nearer to 0 than this: a shore would have some.
+_NO_SHORE = 20.0
 # Median slope above which heights have another unit than they say: 63 degrees.
 _STEEPEST = 2.0
 # Least share of a map that its elevation must cover, and the share below which a note says what is missing.
@@ -110,6 +112,7 @@ class ElevationSource:
             self.width, self.height = int(file.width), int(file.height)
             self.metres = UNITS[self._unit(file, given.unit)]
             self._scale = float(file.scales[0]), float(file.offsets[0])
+            self._zero_is_unknown = False
             self._check_heights(file)
 
     def cut(self, file: Any, box: tuple[int, int, int, int], size: tuple[int, int] | None = None) -> Float32Array:
@@ -118,7 +121,10 @@ class ElevationSource:
         window = _gdal.rasterio().windows.Window(*box)
         values = file.read(1, window=window, out_shape=(rows, columns), masked=True).astype(np.float64)
         metres = (values * self._scale[0] + self._scale[1]) * self.metres
-        return np.asarray(metres.filled(np.nan), np.float32)
+        heights = np.asarray(metres.filled(np.nan), np.float32)
+        if self._zero_is_unknown:
+            heights[heights == 0] = np.nan
+        return heights
 
     def box(self, frame: LocalFrame, bounds: Bounds) -> tuple[int, int, int, int]:
         """Return the rectangle of pixels that holds a map's bounds.
@@ -186,6 +192,14 @@ class ElevationSource:
         if not len(known):
             raise DataError(f"The elevation {self.name} has no valid height; expected heights of the map's ground.")
         low, high = known.min(), known.max()
+        others = np.abs(known[known != 0])
+        if 0 < len(others) < len(known) and others.min() > _NO_SHORE:
+            self._zero_is_unknown = True
+            heights[heights == 0] = np.nan
+            self.notes.append(
+                f"{1 - len(others) / len(known):.1%} of the heights of {self.path.name} are exactly 0, and all others lie more "
+                f"than {_NO_SHORE:.0f} m from it; 0 counts as unknown."
+            )
         hint = "check the unit of its heights (--elevation-unit), and its value for unknown ones"
         if low < _LOWEST or high > _HIGHEST:
             raise DataError(
@@ -239,6 +253,8 @@ def write_elevation(
         ):  # fmt: skip
             for left, top, columns, rows in _blocks(box[2], box[3]):
                 heights = source.cut(file, (box[0] + left, box[1] + top, columns, rows))
+                # A value for unknown heights that the file does not declare, on so few pixels that the check above saw none.
+                heights[(heights < _LOWEST) | (heights > _HIGHEST)] = np.nan
                 written.write(heights, 1, window=library.windows.Window(left, top, columns, rows))
             written.units = ("metre",)
     except _gdal.failures(OSError) as error:

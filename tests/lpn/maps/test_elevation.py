@@ -87,6 +87,31 @@ def test_pixels_without_data_have_no_height(tmp_path: Path, ortho: Path) -> None
     assert any("covers 5" in note or "covers 6" in note for note in basemap.notes)
 
 
+@pytest.mark.parametrize(("base", "known"), [(0.0, False), (-295.0, True)])
+def test_holes_of_zero_have_no_height_unless_a_shore_is_near(
+    tmp_path: Path, ortho: Path, base: float, known: bool
+) -> None:
+    values, matrix = slope(side=70)
+    values += base
+    values[:, 45:] = 0
+    source = write_geotiff(tmp_path / "dsm.tif", values, matrix=matrix)
+    basemap = build_map([ortho], tmp_path / "map", elevation=ElevationFile(source))
+    heights = basemap.heights(np.array([(-40.0, 0.0), (42.0, 0.0)]))
+    assert np.isfinite(heights).tolist() == [True, known]
+    assert any("are exactly 0" in note and "0 counts as unknown" in note for note in basemap.notes) != known
+
+
+def test_a_few_pixels_of_an_undeclared_value_have_no_height(tmp_path: Path, ortho: Path) -> None:
+    values, matrix = slope(pixel=0.1, side=1500)
+    values[801, 803] = -9999  # which a look at every second pixel does not see
+    source = write_geotiff(tmp_path / "dsm.tif", values, matrix=matrix)
+    basemap = build_map([ortho], tmp_path / "map", elevation=ElevationFile(source))
+    at = np.array([(x, y) for x in np.arange(-1, 2, 0.05) for y in np.arange(-1, 2, 0.05)])
+    heights = basemap.heights(at)
+    assert np.isfinite(heights).any()
+    assert np.nanmin(heights) > 290
+
+
 def refused(tmp_path: Path, ortho: Path, source: Path, unit: HeightUnit | None = None) -> str:
     with pytest.raises(DataError) as caught:
         build_map([ortho], tmp_path / "map", elevation=ElevationFile(source, unit))
