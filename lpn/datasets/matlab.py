@@ -57,7 +57,12 @@ def load(
         if path.stat().st_size > MAX_BYTES:
             raise ValueError(f"it has more than {MAX_BYTES // 1_000_000} MB")
         with path.open("rb") as file:
-            if file.read(128)[126:] != b"IM":
+            head = file.read(128)
+            if head.startswith(b"MATLAB 7.3"):
+                raise ValueError(
+                    "it is no MATLAB 5 file but one of 7.3; save it by save(..., '-v7') or scipy.io.savemat"
+                )
+            if head[126:] != b"IM":
                 raise ValueError("it is no MATLAB 5 file of a little-endian machine")
         values = _read(path, [*names, *optional], simplify)
         if missing := [name for name in names if name not in values]:

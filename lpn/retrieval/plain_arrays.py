@@ -157,6 +157,7 @@ def load_arrays(
         for side, of in lines.items()
     }
     known = np.array([bool(line.label) for line in lines["query"]], bool)
+    _check_labels(lines, labels, known)
     listed = {side: tuple(line.file for line in of) for side, of in lines.items()}
     result = PublishedResult(
         _name(sides["query"]),
@@ -181,6 +182,17 @@ def load_arrays(
         known,
         digest.hexdigest(),
     )
+
+
+def _check_labels(lines: dict[Role, list[_Line]], labels: dict[Role, Any], known: BoolArray) -> None:
+    """Refuse labels of which no query has one of the gallery's, as 0001 beside 1 or 1.0 beside 1: nothing would be right."""
+    told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]
+    if known.any() and told and not np.isin(labels["query"][known], labels["gallery"]).any():
+        own = lines["query"][int(np.flatnonzero(known)[0])].label
+        raise DataError(
+            f"None of the queries has a label of the gallery: the first of their labels are {printable(own)[:80]!r} and "
+            f"{printable(told[0])[:80]!r}. Labels are compared as texts, so write both sides alike."
+        )
 
 
 def _name(file: Path) -> str:
@@ -211,8 +223,17 @@ def _read_npy(file: Path, side: Role) -> AnyArray:
         if not isinstance(array, np.ndarray):
             raise ValueError("an archive")
     except DAMAGED_ARRAY as error:
-        raise DataError(f"{_name(file)} is no array that NumPy saved, or damaged; save it again.") from error
+        raise _unreadable(file, "array", error) from error
     return array
+
+
+def _unreadable(file: Path, what: str, error: Exception) -> DataError:
+    if any(words in str(error) for words in ("Object arrays", "Python objects")):
+        return DataError(
+            f"{_name(file)} holds Python objects, which may run code and are not read; save the numbers alone, as "
+            "np.stack(list(x)).astype('float32') makes them."
+        )
+    return DataError(f"{_name(file)} is no {what} that NumPy saved, or damaged; save it again.")
 
 
 def _read_npz(file: Path, side: Role) -> AnyArray:
@@ -228,7 +249,7 @@ def _read_npz(file: Path, side: Role) -> AnyArray:
     except DataError:
         raise
     except DAMAGED_ARRAY as error:
-        raise DataError(f"{_name(file)} is no archive that NumPy saved, or damaged; save it again.") from error
+        raise _unreadable(file, "archive", error) from error
 
 
 def _read_mat(file: Path, side: Role) -> AnyArray:
@@ -391,9 +412,10 @@ def _position(row: Mapping[str, str], where: str) -> Position | None:
         latitude, longitude = (float(text) for text in texts)
     except ValueError:
         latitude = longitude = float("nan")
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180):
+    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
+        empty = ", both empty where they are unknown" if latitude == longitude == 0 else ""
         raise DataError(
-            f"{where} has the position {printable(', '.join(texts))!r}; expected latitude and longitude in degrees."
+            f"{where} has the position {printable(', '.join(texts))!r}; expected latitude and longitude in degrees{empty}."
         )
     return Position(latitude, longitude)
 

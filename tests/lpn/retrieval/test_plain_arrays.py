@@ -203,7 +203,15 @@ def put(name: str, content: Callable[[], object]) -> Callable[[Path], None]:
         (rewrite(lambda text: text + "g/8.png,gallery,1,,\n"), "8 lines of the side gallery, and the array 7 rows"),
         (rewrite(lambda text: text + "g/8.png,gallery\n"), "has 2 values; expected 5"),
         (put("query.npy", lambda: b"nonsense"), "query.npy is no array that NumPy saved"),
-        (put("query.npy", lambda: np.array([{}], object)), "query.npy is no array that NumPy saved"),
+        (put("query.npy", lambda: np.array([{}], object)), r"query.npy holds Python objects.*'float32'"),
+        (
+            rewrite(lambda text: text.replace("query,place ", "query,0")),
+            "the first of their labels are '00' and 'place 0'",
+        ),
+        (
+            rewrite(lambda text: text.replace("46.100,7.1", "0.0,0")),
+            "Line 3 of paths.csv .* both empty where they are unknown",
+        ),
         (put("query.npy", lambda: np.ones((Q, N, D), np.int64)), "int64 of shape"),
         (put("query.npy", lambda: np.ones((Q, N, D + 1), np.float32)), "rows of 3 x 5, and gallery.npy of 3 x 4"),
         (put("query.npy", lambda: np.zeros((Q, N, D), np.float32)), "5 rows of query.npy, the first being row 1"),
