@@ -464,7 +464,8 @@ def read_state(path: Path) -> StateDict:
     if not items:
         raise ModelFileError(f"{path.name} holds no tensors; expected a state_dict of named tensors.")
     for key, tensor in items.items():
-        if tensor.device.type != "cpu" or tensor.layout != torch.strided or tensor.is_quantized:
+        of_bytes = tensor.dtype in (torch.int8, torch.uint8) and tensor.ndim > 1 and key.endswith("weight")
+        if tensor.device.type != "cpu" or tensor.layout != torch.strided or tensor.is_quantized or of_bytes:
             raise ModelFileError(
                 f"In {path.name}, {printable(key)} is no plain tensor but quantised, sparse, or without values; give the weights "
                 "as they were trained."
@@ -499,7 +500,8 @@ def _read_tensors(path: Path) -> tuple[StateDict, dict[str, str]]:
 
 def _widened(state: StateDict, name: str) -> StateDict:
     """Return a file's tensors with kernels of 8 bits as float32, see `save`."""
-    widened = {key: tensor for key, tensor in state.items() if not key.endswith(_SCALE)}
+    # A network may have parameters of its own that are called scale.
+    widened = {key: tensor for key, tensor in state.items() if not key.endswith(f".weight{_SCALE}")}
     for key in state.keys() - widened.keys():
         kernels, scale = state.get(key.removesuffix(_SCALE)), state[key]
         if kernels is None or kernels.dtype != torch.int8 or scale.shape != (len(kernels), 1, 1, 1):

@@ -31,7 +31,7 @@ from torch.distributed._shard.sharded_tensor import ShardedTensor
 
 import lpn
 from lpn.core.errors import ModelFileError
-from lpn.models.checkpoints import TorchModel
+from lpn.models.checkpoints import TorchModel, read_state
 from tools.fixtures import seeded, small_worlds
 
 State = dict[str, Tensor]
@@ -282,6 +282,15 @@ def half_detector(_: State) -> object:
 def quantised(state: State) -> object:
     key = "model_1.model.conv1.weight"
     return {**state, key: torch.quantize_per_tensor(state[key], 0.1, 0, torch.qint8)}
+
+
+def of_bytes(state: State) -> object:
+    key = "model_1.model.conv1.weight"
+    return {
+        **state,
+        key: (state[key] * 100).to(torch.int8),
+        f"{key}.scale": torch.full((len(state[key]), 1, 1, 1), 0.01),
+    }
 
 
 def hole(state: State) -> bytes:
@@ -551,6 +560,10 @@ FIELD: dict[str, FieldFile] = {
         saved(quantised),
         "In net_119.pth, model_1.model.conv1.weight is no plain tensor but quantised, sparse, or without",
     ),
+    "kernels of 8 bits": FieldFile(
+        saved(of_bytes),
+        "In net_119.pth, model_1.model.conv1.weight is no plain tensor but quantised, sparse, or without",
+    ),
     "types between": FieldFile(saved(lambda state: {**state, "a.dtype": torch.qint8, "a.packed": (1, None)})),
     "torchao": FieldFile(
         of_foreign("torchao.dtypes", "AffineQuantizedTensor", named),
@@ -636,3 +649,9 @@ def test_a_file_of_a_report_opens_or_is_named(case: str, weights: tuple[State, A
         lpn.load(path)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_scales_of_other_programs_are_entries_like_others(tmp_path: Path) -> None:
+    state = {"stages.0.layer_scale1.scale": torch.ones(3), "head.weight": torch.ones(2, 3)}
+    (tmp_path / "caformer.safetensors").write_bytes(save_tensors(state))
+    assert read_state(tmp_path / "caformer.safetensors").keys() == state.keys()
