@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lpn.core.errors import ModelFileError
+from lpn.core.files import printable
 
 # The largest message of Protocol Buffers in bytes.
 MAX_BYTES = 2**31
@@ -48,7 +49,9 @@ def check_self_contained(path: Path, remedy: str) -> None:
             raise ModelFileError(damaged) from error
     if external:
         raise ModelFileError(
-            f"{path.name} takes weights from other files, which lpn export never does, so it was not opened; {remedy}."
+            f"{path.name} takes weights from other files, which lpn export never does, so it was not opened; if it is your own, "
+            f'put them into one file: python -c "import onnx; onnx.save(onnx.load({printable(str(path))!r}), '
+            f'{printable(str(path.with_stem(path.stem + "-whole")))!r})".'
         )
 
 

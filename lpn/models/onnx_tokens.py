@@ -168,7 +168,15 @@ def _input(session: Any, path: Path, pictures: dict[str, Any]) -> tuple[int | No
         )
     batch, _, *sides = (side if isinstance(side, int) and side > 0 else None for side in shape)
     options = path.with_name("opts.yaml")
-    stated = stated_size(pictures) or _SIZE
+    stated = stated_size(pictures)
+    if stated is None and None in sides and not options.is_file():
+        log.warning(
+            "%s does not tell the whole size of its pictures, so %d x %d pixels are assumed; if it was trained at another size, "
+            "write h: and w: into an opts.yaml beside it.",
+            printable(path.name),
+            *_SIZE,
+        )
+    stated = stated or _SIZE
     if options.is_file() and None in sides:
         from lpn.models.published_checkpoints import read_options
 

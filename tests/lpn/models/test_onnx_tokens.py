@@ -177,3 +177,17 @@ def test_what_does_not_fit_is_one_sentence(tmp_path: Path, model_file: Path) -> 
         export(file, tmp_path / "out.onnx")
     with pytest.raises(InputError, match=r"tokens\.onnx is the model itself"):
         export(file, file, pooling="mean")
+
+
+@pytest.mark.parametrize(
+    ("size", "options", "told"), [(("h", "w"), "", True), (("h", "w"), "h: 32\nw: 24\n", False), (SIZE, "", False)]
+)
+def test_a_size_that_is_assumed_is_said(
+    size: tuple[Any, Any], options: str, told: bool, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    file = token_file(tmp_path / "tokens.onnx", size)
+    if options:
+        (tmp_path / "opts.yaml").write_text(options)
+    model = lpn.load(file, pooling="mean")
+    assert model.input_size == ((224, 224) if told else SIZE)
+    assert ("so 224 x 224 pixels are assumed" in caplog.text) == told
