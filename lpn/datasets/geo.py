@@ -295,6 +295,8 @@ def _position(header: Sequence[str], values: Sequence[str], line: str, decimal_c
             numbers[name] = _number(text.replace(",", ".", 1) if decimal_comma else text, name, line)
     if not path:
         raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
+    if numbers["latitude"] == numbers["longitude"] == 0:
+        raise DataError(f"{line} has the position 0, 0, which programs write for an unknown one; give the picture's.")
     return path, Position(**numbers)
 
 

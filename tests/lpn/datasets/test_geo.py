@@ -85,6 +85,7 @@ def test_a_camera_stands_behind_what_it_shows() -> None:
         ("path,latitude,longitude\na,1,nan\n", "longitude 'nan'"),
         ("path,latitude,longitude\na,1,2\na,1,2\n", "second position"),
         ("path,latitude,longitude\n,1,2\n", "no path"),
+        ("path,latitude,longitude\na,0.0,0\n", "Line 2 of geo.csv has the position 0, 0"),
         ("path,latitude,longitude\na,1,2\n", "no position for 1 of 1 pictures, the first being b"),
     ],
 )
