@@ -122,6 +122,7 @@ ROWS: tuple[XmpRow, ...] = (
     XmpRow("GPano", "PoseHeadingDegrees", "heading", "degrees", "direction", _GPANO),
     XmpRow("GPano", "PosePitchDegrees", "pitch", "degrees", "direction", _GPANO),
     XmpRow("GPano", "PoseRollDegrees", "roll", "degrees", "direction", _GPANO),
+    XmpRow("GPano", "ProjectionType", "projection", "text", "", _GPANO),
     XmpRow("exif", "GPSImgDirection", "heading", "degrees", "direction", _EXIF),
     XmpRow("drone-dji", "FlightYawDegree", "heading", "degrees", "aircraft", _DJI_SDK),
     XmpRow("drone-dji", "FlightYaw", "heading", "degrees", "aircraft", _DJI_SDK),

@@ -170,7 +170,12 @@ def photo_of(data: bytes, file: Path) -> Photo:
     frame = _with_heights(replace(frame, latitude=latitude, longitude=longitude), known)
     frame = _with_angles(frame, known, turns)
     lens = _lens(known, width, height, turns)
-    frame = replace(frame, lens=lens, fov=_fov(known, width, height, turns) if lens is None else lens.fov)
+    if projection := known.xmp.text("projection").strip():
+        known.oddities.append(
+            f"is a panorama ({printable(projection)[:40]}), whose ground has not the map's shape; leave it out"
+        )
+    else:
+        frame = replace(frame, lens=lens, fov=_fov(known, width, height, turns) if lens is None else lens.fov)
     utc, local = _times(known)
     told = utc
     if frame.latitude is None and (named := _AERIALVL.fullmatch(file.name)) is not None:

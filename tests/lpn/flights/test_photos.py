@@ -455,3 +455,13 @@ def test_an_unknown_frame_has_every_field_of_the_table() -> None:
     empty = photo_of(photo_bytes(), Path("a.jpg"))
     assert empty.frame == Frame("a.jpg", Path("a.jpg"), 40, 30)
     assert empty.oddities == ()
+
+
+def test_a_stitched_panorama_is_named_and_has_no_field_of_view(tmp_path: Path) -> None:
+    uris = {"GPano": "http://ns.google.com/photos/1.0/panorama/"}
+    packet = xmp_packet("<GPano:ProjectionType>equirectangular</GPano:ProjectionType>", uris)
+    photo = read_photo(
+        write_photo(tmp_path / "a.jpg", exif(camera={ExifTags.Base.FocalLengthIn35mmFilm: 24}), packet, (60, 30))
+    )
+    assert photo.frame.fov is None
+    assert any(oddity.startswith("is a panorama (equirectangular)") for oddity in photo.oddities)
