@@ -433,8 +433,10 @@ def evaluate_saved(
         positions: of the queries and of the gallery, for errors in metres.
 
     Raises:
+        DataError: when no query has a label of the gallery.
         InputError: when a part does not exist, or the protocol needs pictures to be described again.
     """
+    saved.check_labels()
     return evaluate_descriptors(
         (saved.query, saved.gallery), (saved.query_labels, saved.gallery_labels), None, saved.task, protocol, positions
     )

@@ -8,6 +8,7 @@ gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be ab
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,8 @@ from lpn.core.views import VIEWS, View, views_of
 from lpn.datasets import Dataset, Picture, Truth, matlab
 from lpn.datasets.listed_paths import plain_path
 from lpn.retrieval.sides import TaskPictures
+
+log = logging.getLogger(__name__)
 
 _NORM_TOLERANCE = 0.01
 
@@ -70,6 +73,14 @@ class PublishedResult:
                     f"The {side} descriptors in {self.name} do not consist of {self.n_parts} parts of norm "
                     f"1/sqrt({self.n_parts}); give the number of parts they were made with as --n-parts."
                 )
+
+    def check_labels(self) -> None:
+        """Raise DataError where no query has a label of the gallery, so that no rank could be measured by labels."""
+        if not np.isin(self.query_labels, self.gallery_labels).any():
+            raise DataError(
+                f"None of the query labels of {self.name}, such as {self.query_labels[0]}, is a gallery label, such as "
+                f"{self.gallery_labels[0]}; number the places of both sides alike."
+            )
 
     def pictures(self, dataset: Dataset) -> tuple[tuple[View, View], list[Picture], list[Picture]]:
         """Find the pictures of the rows, and their views, in a data set's test split.
@@ -205,7 +216,25 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     )
     if n_parts > 1:
         saved.check_norms()
+    _tell_other_folders(saved)
     return saved
+
+
+def _tell_other_folders(saved: PublishedResult) -> None:
+    """Warn where most paths lie in the folder of their label, and some do not: their order is not that of the rows."""
+    numbers = [
+        (path.split("/")[-2], label)
+        for paths, labels in ((saved.query_paths, saved.query_labels), (saved.gallery_paths, saved.gallery_labels))
+        for path, label in zip(paths or (), labels.tolist(), strict=paths is not None)
+        if "/" in path and label != -1
+    ]
+    wrong = [folder for folder, label in numbers if not (folder.isdecimal() and int(folder) == label)]
+    if 0 < 2 * len(wrong) < len(numbers):
+        log.warning(
+            "%d of %d paths in %s lie in a folder of another number than their label, such as %s: if the paths are in another "
+            "order than the descriptors, wrong pictures are shown.",
+            len(wrong), len(numbers), saved.name, printable(wrong[0]),
+        )  # fmt: skip
 
 
 def _read(path: Path, name: str) -> dict[str, Any]:

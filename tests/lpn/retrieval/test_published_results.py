@@ -161,3 +161,24 @@ def test_damaged_files_get_a_sentence(tmp_path: Path) -> None:
             said.append(str(error))
     assert len(said) > 7
     assert all("r.mat" in sentence for sentence in said)
+
+
+@pytest.mark.parametrize(("shift", "told"), [(0, False), (1, True), (7, True)])
+def test_paths_in_another_order_than_labels_are_told(
+    tmp_path: Path, shift: int, told: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    paths = {"query_path": [f"query_drone/{(i + shift) % 3:04}/a.jpg" for i in range(3)]}
+    paths["gallery_path"] = [f"gallery_satellite/{i:04}/a.jpg" for i in range(5)]
+    savemat(tmp_path / "r.mat", small() | paths)
+    load_saved(tmp_path / "r.mat")
+    assert (
+        "3 of 8 paths in r.mat lie in a folder of another number than their label, such as 000" in caplog.text
+    ) == told
+
+
+def test_labels_that_fit_nothing_are_no_result_of_zero_percent(tmp_path: Path) -> None:
+    savemat(tmp_path / "r.mat", small() | {"query_label": np.arange(3) + 1000})
+    with pytest.raises(
+        DataError, match=r"None of the query labels of r\.mat, such as 1000, is a gallery label, such as 0"
+    ):
+        evaluate_saved(load_saved(tmp_path / "r.mat"), Protocol())
