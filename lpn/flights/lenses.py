@@ -19,7 +19,7 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
-from lpn.core.files import printable
+from lpn.core.files import first_few, printable
 from lpn.core.homography import middle_pixel
 from lpn.core.requirements import missing_package
 
@@ -203,6 +203,11 @@ def _camera(content: Any) -> tuple[Lens, float]:
         fx, fy, cx, cy = _numbers(inner["intrinsics"])
         coefficients = _numbers(inner.get("distortion_coeffs", []))
     else:
+        cameras = [str(name) for name, camera in content.items() if isinstance(camera, dict) and "width" in camera]
+        if len(cameras) > 1:
+            raise ValueError(
+                f"{len(cameras)} cameras ({first_few(cameras, 3)}), of which only that of these photos may stay"
+            )
         inner = content if "width" in content else next(iter(content.values()))
         width, height = float(inner["width"]), float(inner["height"])
         model = inner.get("projection_type", "brown")

@@ -128,6 +128,10 @@ def test_a_camera_s_file_gives_its_lens_to_the_flight(
         (KALIBR.replace("700.0, 710.0", "7.0, 7.1"), "has focal lengths of 0.007 and 0.0071 widths of the picture"),
         (OPENCV.replace("image_width: 1000\n", ""), "lacks what a camera needs ('image_width')"),
         (KALIBR.replace("1000, 750", "0, 750"), "lacks what a camera needs"),
+        (
+            json.dumps(json.loads(ODM) | {"zoom": json.loads(ODM)["v2 dji"]}),
+            "has 2 cameras (v2 dji, zoom), of which only",
+        ),
     ],
 )
 def test_a_file_that_is_no_camera_s_gets_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
