@@ -110,6 +110,11 @@ def fov_of_equivalent(equivalent: float, focal_length: float | None = None) -> f
     return fov_of_sensor(_FILM_DIAGONAL * proportion, equivalent)
 
 
+def fov_across(fov: float, ratio: float) -> float:
+    """Return the field of view in degrees across a length that is `ratio` times that of the field of view `fov`."""
+    return 2 * math.degrees(math.atan(math.tan(math.radians(fov) / 2) * ratio))
+
+
 def angles(matrix: Float64Array) -> tuple[float, float, float]:
     """Return heading, pitch, and roll in degrees of the matrix that `rotation` makes of them."""
     tilt = -math.degrees(math.asin(min(1.0, max(-1.0, float(matrix[2, 0])))))

@@ -569,7 +569,7 @@ def _fov(known: _Metadata, width: int, height: int, turns: int) -> float | None:
                else "it was cropped, and its field of view may be too wide")
         )  # fmt: skip
     if turns % 2:
-        across = _across(across, height / width)
+        across = cameras.fov_across(across, height / width)
     return across
 
 
@@ -615,12 +615,7 @@ def _fov_across(known: _Metadata, original: float, original_height: float) -> fl
     if equivalent is None:
         return None
     longer = cameras.fov_of_equivalent(equivalent, focal_length)
-    return _possible(_across(longer, min(original / original_height, 1.0)))
-
-
-def _across(fov: float, ratio: float) -> float:
-    """Return the field of view in degrees across a length that is `ratio` times that of the field of view `fov`."""
-    return 2 * math.degrees(math.atan(math.tan(math.radians(fov) / 2) * ratio))
+    return _possible(cameras.fov_across(longer, min(original / original_height, 1.0)))
 
 
 def _possible(fov: float) -> float | None:

@@ -496,6 +496,10 @@ def _flight_of_videos(
             subtitle, where = known_subtitles
             note = videos.mismatch(subtitle, where, video, part.duration)
             notes += [] if note is None else [note]
+        if part.turns:
+            notes.append(
+                f"{printable(video.name)} is turned by {90 * part.turns}° by its file, and what it tells of the heading with it."
+            )
         first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
         parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
     if not parts:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from importlib.util import find_spec
 from pathlib import Path
@@ -21,7 +21,9 @@ import numpy as np
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable, write_atomic
+from lpn.flights import cameras
 from lpn.flights.base import Frame
+from lpn.flights.photos import upright_angles
 from lpn.flights.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subtitles
 from lpn.flights.telemetry import Telemetry
 
@@ -42,10 +44,12 @@ class VideoFrames:
 
     Attributes:
         duration: of the video in seconds.
+        turns: quarter turns clockwise by which the video's file has its pictures shown, and with them its heading.
     """
 
     frames: tuple[Frame, ...]
     duration: float
+    turns: int = 0
 
 
 def read_frames(
@@ -76,13 +80,15 @@ def read_frames(
     try:
         if not capture.isOpened():
             raise DataError(f"{printable(video.name)} is not a video that can be read; expected {', '.join(SUFFIXES)}.")
+        turns = round(capture.get(cv2.CAP_PROP_ORIENTATION_META) / 90) % 4
         frames, end = _chosen(capture, video, folder, starts or _steps(every), telemetry)
         rate = capture.get(cv2.CAP_PROP_FPS)
     finally:
         capture.release()
     if not frames:
         raise DataError(f"{printable(video.name)} has no frame that can be read; it may be cut short.")
-    return VideoFrames(tuple(frames), end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0))
+    frames = [_upright(frame, turns) for frame in frames]
+    return VideoFrames(tuple(frames), end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0), turns)
 
 
 def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> str | None:
@@ -202,6 +208,16 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
     write_atomic(folder / name, encoded.tobytes())
     values: dict[str, Any] = {} if telemetry is None else dict(telemetry.at(time))
     return Frame(name, folder / name, picture.shape[1], picture.shape[0], time, **values)
+
+
+def _upright(frame: Frame, turns: int) -> Frame:
+    """Return a frame with its angles turned as its picture is, and with the field of view across its width."""
+    if turns and frame.heading is not None:
+        heading, pitch, roll = upright_angles(frame.heading, frame.pitch, frame.roll, turns)
+        frame = replace(frame, heading=heading, pitch=pitch, roll=roll)
+    if frame.fov is not None and frame.height > frame.width:  # subtitles tell that across the longer side
+        frame = replace(frame, fov=cameras.fov_across(frame.fov, frame.width / frame.height))
+    return frame
 
 
 def beside(video: Path, files: Sequence[Path]) -> Path | None:

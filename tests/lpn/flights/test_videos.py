@@ -10,7 +10,7 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.core.images import load_picture
 from lpn.flights import FlightOptions, make_flight, open_flight
-from tools.fixtures.videos import embed, srt, write_video
+from tools.fixtures.videos import embed, srt, turn, write_video
 
 # 11.13 m to the north each second.
 TELEMETRY = [
@@ -50,6 +50,19 @@ def test_frames_are_chosen_by_seconds_or_by_metres(tmp_path: Path) -> None:
     marks = [(frame.time or 0) - i * 22.3 / 11.12 for i, frame in enumerate(far.frames)]
     assert len(marks) == 3
     assert all(-0.01 <= mark <= 1.01 for mark in marks)
+
+
+@pytest.mark.parametrize(("turns", "heading", "fov"), [(0, 40.0, 71.59), (1, 310.0, 56.81), (2, 220.0, 71.59)])
+def test_a_video_that_its_file_turns_has_its_heading_and_field_of_view_turned(
+    tmp_path: Path, turns: int, heading: float, fov: float
+) -> None:
+    video = turn(write_video(tmp_path / "a.mp4", 2), turns)
+    (tmp_path / "a.srt").write_text(srt([f"{TELEMETRY[0]} [gb_yaw: 40.0 gb_pitch: -90.0] [focal_len: 24.00]"] * 2))
+    flight = make_flight([video], tmp_path / "flight")
+    frame = flight.frames[0]
+    assert (frame.width, frame.height) == ((48, 64) if turns % 2 else (64, 48))
+    assert (frame.heading, frame.fov) == (pytest.approx(heading), pytest.approx(fov, abs=0.01))
+    assert any(f"a.mp4 is turned by {90 * turns}° by its file" in note for note in flight.notes) == bool(turns)
 
 
 def test_subtitles_inside_the_video_are_read(tmp_path: Path) -> None:
