@@ -14,8 +14,15 @@ from lpn.locate.surveyed import SurveyedErrors, summarise_offsets
 
 # Degrees from the direction of a leg within which the next photo belongs to it.
 _TURN = 45.0
-# Metres between photos below which they are at one place: GPS tags scatter by as much while a drone hovers.
-_STRAYS = 3.0
+# Standard deviation of a tag along each axis in metres that is assumed at least: tags of a hovering drone scatter by as much.
+_LEAST_SCATTER = 1.5
+# Standard deviations between photos below which they are at one place.
+_ONE_PLACE = 2.0
+# Standard deviations between the ends of a leg, at least: of 60 tags of one place, two lie farther apart in 1 % of flights.
+_LEG = 7.0
+# The quantile of second differences that tells the scatter, as turns make the greater ones, and its value for a tag of standard
+# deviation 1: a second difference has 6 times the variance of a tag.
+_QUANTILE, _NORMAL = 0.25, 0.3186 * math.sqrt(6)
 # Photos of a leg whose mean is told, and places at which they were taken, at least.
 _FEW = 3
 
@@ -48,7 +55,7 @@ class TagOffsets:
 
     Attributes:
         offsets: of all photos that have both.
-        legs: of the flight, those with 3 such photos at least, in its order.
+        legs: of the flight, in its order, those with such photos at 3 places at least that are longer than the tags scatter.
     """
 
     offsets: SurveyedErrors
@@ -72,12 +79,31 @@ def tag_errors(frames: Sequence[LocatedFrame], answers: Sequence[StageRecord | N
     return TagOffsets(summarise_offsets(known, np.empty(0)), _legs(tag_positions(frames), off))
 
 
+def _scatter(tags: Float64Array) -> float:
+    """Return the standard deviation of tags, (N, 2), along each axis in metres; 0 for fewer than three.
+
+    Each tag's distance from its neighbours' middle tells it. Only the part across the direction of flight counts, so changes of
+    speed do not. Tags that drift slowly scatter more than this tells.
+    """
+    tags = tags[np.append(True, (np.diff(tags, axis=0) != 0).any(axis=1))]  # a repeated tag says nothing new
+    if len(tags) < 3:
+        return 0.0
+    (east, north), bend = (tags[2:] - tags[:-2]).T, tags[2:] - 2 * tags[1:-1] + tags[:-2]
+    across = np.abs(east * bend[:, 1] - north * bend[:, 0]) / np.maximum(np.hypot(east, north), 1e-9)
+    return float(np.quantile(across, _QUANTILE)) / _NORMAL
+
+
 def _legs(tags: Float64Array, off: Float64Array) -> list[Leg]:
-    """Return the legs of a flight by its tags, (N, 2), with the means of `off`, (N, 2); both are NaN where not known."""
-    # Photos nearer to each other than a drone strays while it hovers are at one place, as are those of a repeated tag.
+    """Return the legs of a flight by its tags, (N, 2), with the means of `off`, (N, 2); both are NaN where not known.
+
+    A leg is longer than the scatter of the tags explains.
+    """
+    known = np.flatnonzero(~np.isnan(tags[:, 0]))
+    scatter = max(_scatter(tags[known]), _LEAST_SCATTER)
+    # Photos of one place are one step of the flight, as are those of a repeated tag.
     places: list[list[int]] = []
-    for frame in np.flatnonzero(~np.isnan(tags[:, 0])).tolist():
-        if places and float(np.hypot(*(tags[frame] - tags[places[-1][0]]))) < _STRAYS:
+    for frame in known.tolist():
+        if places and float(np.hypot(*(tags[frame] - tags[places[-1][0]]))) < _ONE_PLACE * scatter:
             places[-1].append(frame)
         else:
             places.append([frame])
@@ -98,7 +124,8 @@ def _legs(tags: Float64Array, off: Float64Array) -> list[Leg]:
         own = off[photos]
         own = own[~np.isnan(own[:, 0])]
         answered = sum(bool(np.isfinite(off[frames, 0]).any()) for frames in run)
-        if answered >= _FEW:
+        length = float(np.hypot(*(tags[photos[-1]] - tags[photos[0]])))
+        if answered >= _FEW and length >= _LEG * scatter:
             azimuth = math.degrees(math.atan2(*direction)) % 360
             legs.append(Leg(photos[0], photos[-1], azimuth, *own.mean(axis=0).tolist()))
     return legs

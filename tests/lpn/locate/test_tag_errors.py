@@ -58,11 +58,27 @@ def test_a_leg_ends_where_the_flight_turns_and_goes_on_where_it_stands() -> None
     assert [(leg.first, leg.last, leg.east) for leg in repeated.legs] == [(0, 15, 2.0)]
 
 
-def test_a_hovering_drone_flies_no_leg() -> None:
-    scatter = np.random.default_rng(0).normal(0.0, 0.7, (60, 2))
-    known = errors([(east, north) for east, north in scatter.tolist()], np.zeros((60, 2)))
+@pytest.mark.parametrize("scatter", [0.7, 1.5, 3.0])
+def test_a_hovering_drone_flies_no_leg(scatter: float) -> None:
+    for seed in range(20):
+        tags = np.random.default_rng(seed).normal(0.0, scatter, (60, 2))
+        known = errors([(east, north) for east, north in tags.tolist()], np.zeros((60, 2)))
+        assert known is not None
+        assert known.legs == []
+
+
+@pytest.mark.parametrize("scatter", [0.3, 1.5])
+def test_scattered_tags_hide_no_leg(scatter: float) -> None:
+    """Legs of 100 m go there and back, with photos 5 to 20 m apart at uneven steps."""
+    generator = np.random.default_rng(0)
+    ways = [np.cumsum(generator.uniform(5.0, 20.0, 9)) for _ in range(5)]
+    tags = np.concatenate([[(30.0 * i, way if i % 2 == 0 else 100.0 - way) for way in ways[i]] for i in range(5)])
+    tags += generator.normal(0.0, scatter, tags.shape)
+    known = errors([(east, north) for east, north in tags.tolist()], np.zeros(tags.shape))
     assert known is not None
-    assert known.legs == []
+    flown = [round(leg.azimuth / 180) % 2 for leg in known.legs]
+    assert flown == [0, 1, 0, 1, 0]
+    assert all(leg.last - leg.first >= 5 for leg in known.legs)
 
 
 def test_a_correction_by_hand_is_no_gps_tag() -> None:
