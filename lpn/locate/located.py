@@ -158,6 +158,18 @@ class LocatedFrame:
             return []
         return [[answer.x, answer.y]] + [[window.x, window.y] for window in self.windows[:2]]
 
+    def searched_places(self, around_tag: bool) -> Float64Array | None:
+        """Return the places (K, 2) about which the registration searches; None where it searches the whole map.
+
+        Args:
+            around_tag: True if it searches about the tag where no stage before it tells a place.
+        """
+        if places := self.likely_places():
+            return np.array(places)
+        if self.windows:
+            return np.array([(window.x, window.y) for window in self.windows])
+        return self.tag[None] if around_tag and self.tag is not None else None
+
     def middle(self, answer: StageRecord) -> Float64Array:
         """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""
         matrix = np.array(answer.homography).reshape(3, 3)

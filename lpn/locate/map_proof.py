@@ -2,11 +2,11 @@
 
 A photo of another place fits a map by chance now and then, most often where trees stand on both. On such maps up to two of nine
 photos did. So registrations that are not more than that prove nothing by their number. They prove something by their places if
-neighbours overlap on the ground: each does so by chance with the share of the map that lies so near. Tags prove the map only if
-half of the registrations lie where their tags say: tags that merely lie on it let false registrations pass. Where only the
-surroundings of each tag were searched (`--prior`), a false registration lies near its tag and near its neighbours anyway, so each
-agreement counts by its chance there. Photos of one view, such as those of a drone that hovers, fit by one and the same chance, so
-they count once.
+neighbours overlap on the ground more often than by chance. The chance is the share of the searched ground that lies so near. It is
+large where a model has each photo searched near the one before. Tags prove the map only if half of the registrations lie where
+their tags say: tags that merely lie on it let false registrations pass. Where only the surroundings of each tag were searched
+(`--prior`), a false registration lies near its tag and near its neighbours anyway, so each agreement counts by its chance there.
+Photos of one view, such as those of a drone that hovers, fit by one and the same chance, so they count once.
 """
 
 from __future__ import annotations
@@ -27,6 +27,8 @@ from lpn.locate.registered_stage import AROUND
 _CHANCE, _EVIDENCE = 0.2, 4.0
 # Points along each side of a searched square at which a chance is measured.
 _POINTS = 41
+# Shares of overlapping neighbours over which the odds are averaged.
+_SHARES = 20
 # Flights of fewer frames tell nothing either way.
 _FEWEST = 5
 # Photos whose middles are nearer than this share of their ground width, or than their radii, are of one view.
@@ -40,6 +42,7 @@ def refuse_unproven(
     bounds: tuple[float, float, float, float],
     map_error: float = 0.0,
     prior: float | None = None,
+    side: float | None = None,
 ) -> list[str]:
     """Refuse the accepted registrations of a flight unless something shows that the map is of its place; return a sentence.
 
@@ -52,6 +55,7 @@ def refuse_unproven(
         bounds: x0, y0, x1, y1 of the map in metres.
         map_error: 1-sigma error of the map in metres that the radii hold; it moves all photos alike.
         prior: metres about each photo's tag that were searched without a model; None if the tags were not used.
+        side: of the windows in metres about which a model had it searched; None without a model.
     """
     registered = [located for located in frames if _registered(located)]
     if len(frames) < _FEWEST or not registered or _shown(frames):
@@ -63,7 +67,7 @@ def refuse_unproven(
     chances = len(frames) - len(registered) + len(views)
     if -_log_chance(len(views), chances, _CHANCE) >= _EVIDENCE:
         return []
-    if _overlaps(frames, views, bounds, prior) >= _EVIDENCE + math.log(len(frames)):
+    if _overlaps(frames, views, bounds, prior if side is None else side / 2) >= _EVIDENCE + math.log(len(frames)):
         return []
     count, total = len(registered), len(frames)
     if len(views) == count:
@@ -112,7 +116,7 @@ def _tags_agree(
     if not views:
         return False
     chances = [
-        _share_near(frames[i], tag, tag_allowance(frames[i]), bounds, prior)
+        _chance_near(frames[i], tag, tag_allowance(frames[i]), bounds, prior)
         for i in views
         if (tag := frames[i].tag) is not None
     ]
@@ -170,39 +174,72 @@ def _overlaps(
     frames: Sequence[LocatedFrame],
     views: Sequence[int],
     bounds: tuple[float, float, float, float],
-    prior: float | None,
+    margin: float | None,
 ) -> float:
-    """Return the log odds of neighbours in the flight whose registered pictures overlap, where the later one is a new view."""
-    new = set(views)
-    odds = 0.0
+    """Return the log odds that registered pictures of neighbours in the flight overlap more than by chance.
+
+    Neighbours count where the later one is a new view. On the right map an unknown share of them overlaps for sure, and the
+    others by chance; all shares are equally likely.
+    """
+    new, logs = set(views), np.zeros(_SHARES)
+    shares = (np.arange(_SHARES) + 0.5) / _SHARES
     for (_, one), (i, other) in pairwise(enumerate(frames)):
         if i not in new or not _registered(one):
             continue
         reach = ((one.stages["registration"].width or 0.0) + (other.stages["registration"].width or 0.0)) / 2
-        if reach > 0 and np.linalg.norm(_middle(one) - _middle(other)) <= reach:
-            odds -= math.log(_share_near(other, _middle(one), reach, bounds, prior))
-    return odds
+        if reach <= 0:
+            continue
+        chance = _chance_near(other, _middle(one), reach, bounds, margin)
+        overlap = np.linalg.norm(_middle(one) - _middle(other)) <= reach
+        logs += np.log1p(shares * (1 - chance) / chance if overlap else -shares)
+    return float(logs.max() + np.log(np.exp(logs - logs.max()).mean()))
 
 
-def _share_near(
+def _chance_near(
     located: LocatedFrame,
     point: Float64Array,
     distance: float,
     bounds: tuple[float, float, float, float],
-    prior: float | None,
+    margin: float | None,
 ) -> float:
-    """Return the share of the ground where a photo's middle may be registered that lies so near to a point, (2,): above 0, to 1.
+    """Return the `share_near` of the ground on which the registration of a photo looked for its middle."""
+    reach = middle_reach(margin or 0.0, located.stages["registration"].width or 0.0)
+    places = located.searched_places(around_tag=margin is not None)
+    return share_near(point, distance, bounds, places, reach)
 
-    It is the map, or, with a prior, its part in the square about the tag in which a photo of this width lies.
+
+def middle_reach(margin: float, width: float) -> float:
+    """Return how far along an axis the middle of a photo within the searched square may lie from the square's middle, in metres.
+
+    Args:
+        margin: searched metres beyond the ground of a photo: half of a window's side, or the prior.
+        width: of the ground across the photo.
+    """
+    return margin + (AROUND - 0.5) * width
+
+
+def share_near(
+    point: Float64Array,
+    distance: float,
+    bounds: tuple[float, float, float, float],
+    places: Float64Array | None,
+    reach: float,
+) -> float:
+    """Return the share of the searched ground that lies within so many metres of a point, (2,): above 0, to 1.
+
+    Args:
+        bounds: of the map: west, south, east, north in metres.
+        places: (K, 2), about which squares of side 2 `reach` were searched; None for the whole map.
     """
     west, south, east, north = bounds
-    if prior is None or located.tag is None:
+    if places is None:
         return min(1.0, math.pi * distance**2 / ((east - west) * (north - south)))
-    half = prior + (AROUND - 0.5) * (located.stages["registration"].width or 0.0)
-    steps = half * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
-    points = located.tag + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
+    steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
+    points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)
     points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
     if not len(points):
         return 1.0
-    near = int((np.linalg.norm(points - point, axis=1) <= distance).sum())
-    return max(near, 1) / len(points)
+    # A point of several squares is there several times.
+    weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
+    near = np.linalg.norm(points - point, axis=1) <= distance
+    return float(max(weights[near].sum(), weights.min()) / weights.sum())

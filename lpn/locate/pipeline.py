@@ -138,9 +138,10 @@ def registered(
     notes = register_frames(
         located.basemap, located.flight, frames, options, model, located.retrieval, report, located.shipped
     )
-    if located.retrieval is not None:
-        confirm_sequence(frames, float(np.median(located.retrieval.sizes)), located.basemap.bounds, map_error)
-    notes += refuse_unproven(frames, located.basemap.bounds, map_error, options.prior)
+    side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
+    if side is not None:
+        confirm_sequence(frames, side, located.basemap.bounds, map_error)
+    notes += refuse_unproven(frames, located.basemap.bounds, map_error, options.prior, side)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

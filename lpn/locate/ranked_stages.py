@@ -12,9 +12,8 @@ from lpn.core.arrays import Float64Array
 from lpn.core.numbers import SIGMA
 from lpn.flights import Flight
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
-from lpn.locate.map_proof import new_views
+from lpn.locate.map_proof import middle_reach, new_views, share_near
 from lpn.locate.options import TOP, LocateOptions
-from lpn.locate.registered_stage import AROUND
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.sequence import (
     MotionModel,
@@ -33,9 +32,8 @@ OVERLAP = 0.75
 CONFIDENCE = 0.98
 # Log odds from which steps along the headings, or registrations that agree, show that the map is of the flight's place.
 EVIDENCE = 4.0
-# Share of the registrations that agree with the sequence on the right map, and points along a side of what they searched.
+# Share of the registrations that agree with the sequence on the right map.
 AGREEING = 0.9
-_POINTS = 21
 _UNVERIFIED = (
     "Nothing shows that the map is of this place: steps along the headings are hardly more probable than others, and the "
     "registrations that agree with the sequence may do so by chance."
@@ -220,14 +218,8 @@ def chance_to_agree(
 ) -> float:
     """Return the share of the ground where a photo's middle may be registered that lies near the first of places (K, 2).
 
-    A photo lies in the squares that were searched about the places, so its middle is half of its width from their borders,
-    and on the map.
+    Args:
+        side: of the windows in metres; within three quarters of it a registration agrees.
+        width: of the ground across the photo.
     """
-    reach = AROUND * width + side / 2 - width / 2
-    steps = reach * (np.arange(_POINTS) * 2 + 1 - _POINTS) / _POINTS
-    points = (places[:, None] + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(1, -1, 2)).reshape(-1, 2)
-    points = points[((points >= bounds[:2]) & (points <= bounds[2:])).all(axis=1)]
-    # A point of several squares is there several times.
-    weights = 1 / (np.abs(points[:, None] - places) <= reach + 1e-6).all(axis=2).sum(axis=1)
-    near = np.linalg.norm(points - places[0], axis=1) <= OVERLAP * side
-    return float(weights[near].sum() / weights.sum()) if len(points) else 1.0
+    return share_near(places[0], OVERLAP * side, bounds, places, middle_reach(side / 2, width))

@@ -102,7 +102,10 @@ def register_frames(
     map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
     for i, located in enumerate(frames):
         # An answer depends on the frames before it, whose widths it takes over.
-        trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), _candidates(located, options)])
+        places = located.searched_places(options.prior)
+        trail = _digest(
+            [trail, frame_identity(located.frame), _plain(located.frame), None if places is None else places.tolist()]
+        )
         answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading)
@@ -234,17 +237,6 @@ def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
             )
             located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
     return notes
-
-
-def _candidates(located: LocatedFrame, options: LocateOptions) -> list[list[float]] | None:
-    """Return places (K, 2) about which a frame is searched; None for the whole map."""
-    if places := located.likely_places():
-        return places
-    if located.windows:
-        return [[window.x, window.y] for window in located.windows]
-    if options.prior is not None and located.tag is not None:
-        return [[float(located.tag[0]), float(located.tag[1])]]
-    return None
 
 
 def register_frame(
@@ -400,8 +392,7 @@ def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration
         near: an answer about whose place, heading, and width alone the photo is searched.
     """
     basemap, features, photo = search.basemap, search.features, search.photo
-    places = _candidates(search.located, search.options)
-    centres = None if places is None else np.array(places)
+    centres = search.located.searched_places(search.options.prior is not None)
     levelled = level(photo, frame, assumed=frame is not search.located.frame)
     shown, valid, wider = (photo, None, 1.0) if levelled is None else (levelled.picture, levelled.valid, levelled.wider)
     grid = pixel_grid((shown.shape[1], shown.shape[0]), 9) if levelled is None else levelled.grid(25)

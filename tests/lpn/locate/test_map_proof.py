@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lpn.flights import Frame
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import refuse_unproven
 
 BOUNDS = (-500.0, -500.0, 500.0, 500.0)
@@ -145,6 +145,32 @@ def test_neighbours_whose_tags_overlap_prove_nothing_with_a_prior() -> None:
     assert accepted(frames) == 5
     assert refuse_unproven(frames, BOUNDS, prior=15.0)
     assert accepted(frames) == 0
+
+
+@pytest.mark.parametrize(("side", "kept"), [(50.0, 0), (600.0, 5)])
+def test_neighbours_prove_the_map_only_where_a_model_has_much_ground_searched(side: float, kept: int) -> None:
+    frames = flight(TRACK)
+    for i, located in enumerate(frames):
+        located.stages["sequence"] = StageRecord("refused", "Near.", 40.0 * i, 0.0, unverified=True)
+    refuse_unproven(frames, BOUNDS, side=side)
+    assert accepted(frames) == kept
+
+
+def test_false_registrations_about_the_sequence_s_answers_hardly_ever_prove_the_map() -> None:
+    """A fifth of the photos fits anywhere that was searched about a track of the sequence; exp(-4) of 40 flights are 1."""
+    generator, side, proven = np.random.default_rng(0), 50.0, 0
+    for _ in range(40):
+        frames = flight({}, frames=60)
+        track = np.cumsum(generator.normal(0.0, 20.0, (60, 2)), axis=0)
+        for located, (x, y) in zip(frames, track, strict=True):
+            located.stages["sequence"] = StageRecord("refused", "Near.", x, y, unverified=True)
+            east, north = (x, y) + generator.uniform(-40.0, 40.0, 2)  # a picture of 60 m within 70 m of the place
+            if generator.random() < 0.2:
+                answer = StageRecord("accepted", "By chance.", east, north, radius=1.0, width=60.0)
+                located.stages["registration"] = answer
+        refuse_unproven(frames, BOUNDS, side=side)
+        proven += accepted(frames) > 0
+    assert proven <= 1
 
 
 def test_a_photo_without_a_tag_hides_none_with_one_of_its_view() -> None:
