@@ -2,8 +2,8 @@
 
 A photo of another place fits a map by chance now and then, most often where trees stand on both. On such maps up to two of nine
 photos did. So registrations that are not more than that prove nothing by their number. They prove something by their places if
-neighbours overlap on the ground more often than by chance. The chance is the share of the searched ground that lies so near. It is
-large where a model has each photo searched near the one before. Tags prove the map only if half of the registrations lie where
+neighbours overlap on the ground more often than by chance. The chance is the share of the searched ground that lies so near. It
+is large where a model has each photo searched near the one before. Tags prove the map only if half of the registrations lie where
 their tags say: tags that merely lie on it let false registrations pass. Where only the surroundings of each tag were searched
 (`--prior`), a false registration lies near its tag and near its neighbours anyway, so each agreement counts by its chance there.
 Photos of one view, such as those of a drone that hovers, fit by one and the same chance, so they count once.

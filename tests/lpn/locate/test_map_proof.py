@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lpn.flights import Frame
-from lpn.locate.located import LocatedFrame, StageRecord, WindowRecord
+from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.map_proof import refuse_unproven
 
 BOUNDS = (-500.0, -500.0, 500.0, 500.0)
@@ -162,9 +162,9 @@ def test_false_registrations_about_the_sequence_s_answers_hardly_ever_prove_the_
     for _ in range(40):
         frames = flight({}, frames=60)
         track = np.cumsum(generator.normal(0.0, 20.0, (60, 2)), axis=0)
-        for located, (x, y) in zip(frames, track, strict=True):
-            located.stages["sequence"] = StageRecord("refused", "Near.", x, y, unverified=True)
-            east, north = (x, y) + generator.uniform(-40.0, 40.0, 2)  # a picture of 60 m within 70 m of the place
+        for located, place in zip(frames, track, strict=True):
+            located.stages["sequence"] = StageRecord("refused", "Near.", place[0], place[1], unverified=True)
+            east, north = place + generator.uniform(-40.0, 40.0, 2)  # a picture of 60 m within 70 m of the place
             if generator.random() < 0.2:
                 answer = StageRecord("accepted", "By chance.", east, north, radius=1.0, width=60.0)
                 located.stages["registration"] = answer
