@@ -161,8 +161,10 @@ def test_frames_are_registered_near_the_prediction_while_the_flight_goes_on(town
 
 @pytest.mark.usefixtures("laid")
 def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
-    town: Map, flight: Flight, tmp_path: Path
+    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    now = time.time()
+    monkeypatch.setattr(time, "time", lambda: now)  # a belief fades with the seconds that a busy machine takes
     settings = LiveSettings(belief=tmp_path / "out.belief")
     locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
     states = [
