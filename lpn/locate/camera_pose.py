@@ -182,8 +182,8 @@ def solve_pose(
         fov: horizontal field of view in degrees; None if the photo does not tell it.
         flat: whether heights are those of flat ground.
         ground_below: returns the height in metres at a place (2,); None if that is unknown.
-        proven: the pose stands only if it explains the matches clearly better than the plane's model.
         rematch: matches again near the pixels that a function from map points (N, 3) to pixels (N, 2) predicts.
+        proven: the pose stands only if it explains the matches clearly better than the plane's model.
 
     Returns:
         The pose, or a sentence that says why there is none.

@@ -40,7 +40,6 @@ _SAME_THINGS = 0.5
 def refuse_unproven(
     frames: Sequence[LocatedFrame],
     bounds: tuple[float, float, float, float],
-    map_error: float = 0.0,
     prior: float | None = None,
     side: float | None = None,
 ) -> list[str]:
@@ -53,15 +52,14 @@ def refuse_unproven(
     Args:
         frames: their registrations are replaced.
         bounds: x0, y0, x1, y1 of the map in metres.
-        map_error: 1-sigma error of the map in metres that the radii hold; it moves all photos alike.
         prior: metres about each photo's tag that were searched without a model; None if the tags were not used.
         side: of the windows in metres about which a model had it searched; None without a model.
     """
     registered = [located for located in frames if _registered(located)]
     if len(frames) < _FEWEST or not registered or _shown(frames):
         return []
-    views = new_views(frames, map_error)
-    if _tags_agree(frames, bounds, map_error, prior):
+    views = new_views(frames)
+    if _tags_agree(frames, bounds, prior):
         return []
     # Further photos of a view are no further chances.
     chances = len(frames) - len(registered) + len(views)
@@ -100,7 +98,6 @@ def _shown(frames: Sequence[LocatedFrame]) -> bool:
 def _tags_agree(
     frames: Sequence[LocatedFrame],
     bounds: tuple[float, float, float, float],
-    map_error: float,
     prior: float | None,
 ) -> bool:
     """Return whether half of the registrations lie where their tags say, and with a prior more of them than by chance."""
@@ -112,7 +109,7 @@ def _tags_agree(
     if prior is None:
         return True
     tagged = [i for i in registered if frames[i].tag is not None]
-    views = [tagged[view] for view in new_views([frames[i] for i in tagged], map_error, _SAME_THINGS)]
+    views = [tagged[view] for view in new_views([frames[i] for i in tagged], _SAME_THINGS)]
     if not views:
         return False
     chances = [
@@ -136,11 +133,10 @@ def _middle(located: LocatedFrame) -> Float64Array:
     return np.array([answer.x, answer.y]) if answer.homography is None else located.middle(answer)
 
 
-def new_views(frames: Sequence[LocatedFrame], map_error: float, share: float = ONE_VIEW) -> list[int]:
+def new_views(frames: Sequence[LocatedFrame], share: float = ONE_VIEW) -> list[int]:
     """Return the numbers of registered frames that show a view which no earlier one of them does.
 
     Args:
-        map_error: as above.
         share: of the ground width within which middles are of one view.
     """
     views: list[tuple[int, Float64Array, float, float]] = []
@@ -148,7 +144,7 @@ def new_views(frames: Sequence[LocatedFrame], map_error: float, share: float = O
         if not _registered(located):
             continue
         middle, answer = _middle(located), located.stages["registration"]
-        width, radius = answer.width or 0.0, math.sqrt(max((answer.radius or 0.0) ** 2 - map_error**2, 0.0))
+        width, radius = answer.width or 0.0, answer.own_radius
         if all(
             np.linalg.norm(middle - place) > max(share * max(width, wide), radius + wrong)
             for _, place, wide, wrong in views

@@ -131,7 +131,7 @@ def registered(
             on_progress(stage, done, total)
         if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
             copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
-            refuse_jumps(copies[:done], map_error)
+            refuse_jumps(copies[:done])
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 
@@ -140,8 +140,8 @@ def registered(
     )
     side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
     if side is not None:
-        confirm_sequence(frames, side, located.basemap.bounds, map_error)
-    notes += refuse_unproven(frames, located.basemap.bounds, map_error, options.prior, side)
+        confirm_sequence(frames, side, located.basemap.bounds)
+    notes += refuse_unproven(frames, located.basemap.bounds, options.prior, side)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
     places = np.array(
         [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64

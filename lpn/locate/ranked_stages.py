@@ -178,9 +178,7 @@ def enter_sequence(
     ]
 
 
-def confirm_sequence(
-    frames: Sequence[LocatedFrame], side: float, bounds: tuple[float, float, float, float], map_error: float = 0.0
-) -> None:
+def confirm_sequence(frames: Sequence[LocatedFrame], side: float, bounds: tuple[float, float, float, float]) -> None:
     """Accept the answers that were refused because nothing showed that the map is of this place, where registrations do.
 
     The registration searches about the sequence's own answer, so a false one may agree by chance. It does so with a
@@ -192,10 +190,9 @@ def confirm_sequence(
     Args:
         side: of the windows in metres. A registration agrees within three quarters of it.
         bounds: of the map: west, south, east, north in metres.
-        map_error: 1-sigma error of the map in metres that the radii of registrations hold.
     """
     evidence = 0.0
-    for i in new_views(frames, map_error):
+    for i in new_views(frames):
         located = frames[i]
         sequence, registration = located.stages.get("sequence"), located.stages["registration"]
         if sequence is None or not sequence.unverified:

@@ -102,10 +102,9 @@ def register_frames(
     map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
     for i, located in enumerate(frames):
         # An answer depends on the frames before it, whose widths it takes over.
-        places = located.searched_places(options.prior)
-        trail = _digest(
-            [trail, frame_identity(located.frame), _plain(located.frame), None if places is None else places.tolist()]
-        )
+        places = located.searched_places(options.prior is not None)
+        around = None if places is None else places.tolist()
+        trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), around])
         answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
             answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading)
@@ -124,7 +123,7 @@ def register_frames(
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
-    notes = refuse_jumps(frames, map_error)
+    notes = refuse_jumps(frames)
     return notes + correct_radii(frames, answers, map_error)
 
 
@@ -197,10 +196,10 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
     )
 
 
-def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
+def refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
     """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
 
-    Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so it is taken out of their radii.
+    Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so their radii count without it.
     """
     notes = []
     for of_camera in (True, False):
@@ -215,9 +214,7 @@ def refuse_jumps(frames: list[LocatedFrame], map_error: float) -> list[str]:
         times = np.array([located.frame.time for located, _ in timed], np.float64)
         places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
         sway = 0.0 if of_camera else _SWAY
-        own = np.array([answer.radius for _, answer in timed], np.float64)
-        widths = np.array([answer.width or 0.0 for _, answer in timed])
-        radii = np.sqrt(np.maximum(own**2 - map_error**2, 0) + (sway * widths) ** 2)
+        radii = np.array([math.hypot(answer.own_radius, sway * (answer.width or 0.0)) for _, answer in timed])
         tags = tag_positions(located for located, _ in timed)
         if (speeds := continuity.top_speeds(times, places, tags)) is None:
             continue

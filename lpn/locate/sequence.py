@@ -128,8 +128,8 @@ class SequenceResult:
         positions: mean of each frame's posterior near its likeliest window in metres, (T, 2) float64.
         radii: 1-sigma radius in metres of each posterior, all windows included, about that position, (T,) float64.
         likeliest: window of the greatest posterior, all headings together, (T,) int64.
-        first: windows that `keep` chose by each posterior, all headings together.
-        probabilities: that posterior, (T,) float64.
+        first: windows that `keep` of `smooth` chose by each posterior, all headings together; of each frame (K,) int64.
+        probabilities: the posterior of `likeliest`, (T,) float64.
         headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
         nearby: posterior of all windows near the position, (T,) float64.
         path: windows of Viterbi's path, the most probable one of the whole flight, (T,) int64.
