@@ -340,21 +340,21 @@ def random_query(state: SessionState, queries: int, rng: Random) -> SessionState
     return choose_query(state, (state.query + rng.randrange(1, queries)) % queries, queries)
 
 
-def next_failure(state: SessionState, failed: BoolArray, last: BoolArray | None = None) -> SessionState | None:
+def next_failure(state: SessionState, failed: BoolArray, order: Int64Array | None = None) -> SessionState | None:
     """Choose the failure that follows in the list of queries, the first one after the last, given which failed, (Q,).
 
     Args:
-        last: failures that come after all others, (Q,); the list is then begun from its start.
+        order: failures of a lower number come first, (Q,); the list is then begun from its start.
     """
     failures = np.flatnonzero(failed)
     if not len(failures):
         return None
-    if last is not None:
-        failures = failures[np.argsort(last[failures], kind="stable")]
+    if order is not None:
+        failures = failures[np.argsort(order[failures], kind="stable")]
     before = np.flatnonzero(failures == state.query)
     if state.upload is None and len(before):
         at = int(before[0]) + 1
-    elif last is not None:
+    elif order is not None:
         at = 0
     else:
         at = int(np.searchsorted(failures, state.query))

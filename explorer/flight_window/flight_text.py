@@ -110,7 +110,7 @@ def contradiction(view: FlightView, one: Disagreement) -> str:
         return one.told(view.beliefs[one.frame])
     metres, allowed = one.figures
     text = (
-        f"Beside its middle, {len(measured.rows)} places of the photo lie {metres} m in the median from where the map "
+        f"Away from its middle, {len(measured.rows)} places of the photo lie {metres} m in the median from where the map "
         f"has them, and {measured.largest:.1f} m at the farthest, {_farthest(measured)}. {_allowed_median(answer, allowed)} "
         "Uneven ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still be "
         "right."
@@ -121,7 +121,7 @@ def contradiction(view: FlightView, one: Disagreement) -> str:
 
 
 def _allowed_median(answer: StageRecord, allowed: str) -> str:
-    """Say how far places beside the middle of a photo may lie off in the median: `allowed` metres."""
+    """Say how far places away from the middle of a photo may lie off in the median: `allowed` metres."""
     radius = answer.radius_on_map or 0.0
     times = "" if plain() else f", three times ± {radius:.1f} m"
     return f"At most {allowed} m are allowed for the median, as far as the middle may be off on this map{times}."
@@ -139,7 +139,7 @@ def agreement(view: FlightView, frame: int, measured: MapAgreement) -> str:
     side = _farthest(measured)
     beyond = ", as nothing beyond was looked for" if measured.may_be_larger else ""
     text = (
-        f"Beside its middle, {len(measured.rows)} places of the photo were found on the map one by one, looked for within "
+        f"Away from its middle, {len(measured.rows)} places of the photo were found on the map one by one, looked for within "
         f"± {measured.reach:.1f} m: their median lies {median:.1f} m from where the photo has it, and the farthest "
         f"{'at least ' if beyond else ''}{largest:.1f} m, {side}{beyond}."
     )
@@ -189,9 +189,9 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
             ]
         misfit = None if answer.agreement is None else answer.agreement.median
         if answer.agreement is not None and answer.agreement.unchecked:
-            words.append("not checked beside its middle")
+            words.append("not checked away from its middle")
         if misfit is not None:
-            words.append(f"beside its middle {misfit:.1f} m off{_allowed(against, 'map')}")
+            words.append(f"away from its middle {misfit:.1f} m off{_allowed(against, 'map')}")
         line = f"{'? ' if against else ''}{', '.join(words)}"
         placed.append((order, i, printable(located.frame.name), [line]))
     placed.sort(key=lambda one: one[0], reverse=True)
@@ -319,7 +319,7 @@ def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
     )
     if unchecked:
         source += f" In {unchecked} further photos too few places were found to tell."
-    failed = f"{unfit} of {len(compared)} photos do not fit the map beside their middle" if unfit else ""
+    failed = f"{unfit} of {len(compared)} photos do not fit the map away from their middle" if unfit else ""
     if failed:
         source += f" {failed}: their median is more than three times their radius."
     return [AccuracyLine("All of a photo", f"{np.median(metres):.1f} m", source)], failed

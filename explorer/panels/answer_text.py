@@ -16,7 +16,7 @@ from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what
+from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, Belief, belief, disagreements, on_what
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
@@ -153,7 +153,11 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     if first.true:
         details = workspace.flight is not None and workspace.flight.late_tags is not None
         place = "there" if judged else "where details place the photo" if details else "the place photographed"
+        window = _window(analysis)
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
+        if error_m is not None and window is not None:  # a large piece shows places far from its middle
+            shown = "that place" if judged else place
+            off = f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle"
         return (
             True,
             "Right",
@@ -177,22 +181,25 @@ def judged_piece(analysis: StateAnalysis, workspace: Workspace) -> str:
     if flight is None or analysis.state.upload is not None or flight.rendered:
         return ""
     verdict = belief(flight.frames[analysis.state.query])
-    contradicted = verdict.stage == "registration" and verdict.sign is None
-    if not contradicted and confirmed(workspace) is not False:
+    if not contradicted(verdict) and confirmed(workspace) is not False:
         return ""
     at = "details place the photo" if flight.judge == "its details" else "the photo's GPS tag lies"
     return f"the piece where {at}"
 
 
+def contradicted(verdict: Belief) -> bool:
+    """Return whether another method, or the map, contradicts where a photo's details place it."""
+    return verdict.stage == "registration" and verdict.sign is None
+
+
 def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say by what a piece of a map is right or wrong, as pieces differ in width; "" for other answers, and ungraded ones."""
-    first = analysis.matches[0]
-    cut = analysis.task.gallery[first.index].cut
-    if not isinstance(cut, WindowCut) or first.true is None or analysis.positive is None:
+    first, window = analysis.matches[0], _window(analysis)
+    if window is None or first.true is None or analysis.positive is None:
         return ""
     judge = "its GPS tag" if workspace.flight is None else workspace.flight.judge
     lies = "on it" if first.true else "beyond its edge"
-    return f"The chosen piece is {cut.window.size:.0f} m wide; by {judge}, the photo's middle lies {lies}."
+    return f"The chosen piece is {window.size:.0f} m wide; by {judge}, the photo's middle lies {lies}."
 
 
 def flight_verdict(
@@ -251,8 +258,8 @@ def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
 
 
 def checked(headline: str, located: LocatedFrame, sign: bool | None) -> str:
-    """Return the headline of an undoubted registration, with a word if too few places beside its middle could be checked."""
-    return f"{headline}, not checked beside its middle" if sign and is_unchecked(located) else headline
+    """Return the headline of an undoubted registration; it claims the middle alone if too few other places could be checked."""
+    return f"{headline}, at least its middle" if sign and is_unchecked(located) else headline
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
@@ -326,12 +333,12 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not concluded.sign:
         headline = "Its middle fits this map, places beside it do not"
-    off_answer, cut = answer_off(analysis, own.located), analysis.task.gallery[analysis.matches[0].index].cut
+    off_answer, window = answer_off(analysis, own.located), _window(analysis)
     look = " Its look alone agrees."
-    if off_answer is None or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
+    if off_answer is None or answer.x is None or answer.y is None or window is None:
         look = ""
     elif off_answer > 0:
-        metres = distance(math.hypot(answer.x - cut.window.x, answer.y - cut.window.y))
+        metres = distance(math.hypot(answer.x - window.x, answer.y - window.y))
         look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
     beside = "".join(f" {text}" for text in doubts if text)
     return concluded.sign, headline, f"{fits}{against}.{beside}{look}{details}"
@@ -350,10 +357,16 @@ def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
 
     None without an accepted registration, or a piece of a map.
     """
-    answer, cut = located.stages.get("registration"), analysis.task.gallery[analysis.matches[0].index].cut
-    if answer is None or not answer.accepted or answer.x is None or answer.y is None or not isinstance(cut, WindowCut):
+    answer, window = located.stages.get("registration"), _window(analysis)
+    if answer is None or not answer.accepted or answer.x is None or answer.y is None or window is None:
         return None
-    return max(abs(answer.x - cut.window.x), abs(answer.y - cut.window.y)) - cut.window.size / 2
+    return max(abs(answer.x - window.x), abs(answer.y - window.y)) - window.size / 2
+
+
+def _window(analysis: StateAnalysis) -> Window | None:
+    """Return where the answer lies on the map; None where it is no piece of one."""
+    cut = analysis.task.gallery[analysis.matches[0].index].cut
+    return cut.window if isinstance(cut, WindowCut) else None
 
 
 def comparing(job: BackgroundJob[OwnPhoto]) -> str:
@@ -463,10 +476,10 @@ def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:
 
     The limit is half of the piece's diagonal plus the error of a tag, see `_tag_error`.
     """
-    error, cut = _error_m(analysis), analysis.task.gallery[analysis.matches[0].index].cut
-    if analysis.state.upload is None or error is None or not isinstance(cut, WindowCut):
+    error, window = _error_m(analysis), _window(analysis)
+    if analysis.state.upload is None or error is None or window is None:
         return None
-    reach = cut.window.size / math.sqrt(2) + _tag_error(workspace)
+    reach = window.size / math.sqrt(2) + _tag_error(workspace)
     return reach if error > reach else None
 
 
@@ -578,7 +591,9 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     look += f"; their details placed {count}"
     doubted, unchecked = len(set().union(*_doubted(workspace))), sum(map(is_unchecked, placed))
     kinds = [
-        f"{many} {of}" for many, of in ((doubted, "in doubt"), (unchecked, "not checked beside their middle")) if many
+        f"{many} {of}"
+        for many, of in ((doubted, "in doubt"), (unchecked, "not checked away from their middle"))
+        if many
     ]
     look += f" ({', '.join(kinds)})" if kinds else ""
     errors = [error for located in placed if (error := located.error("registration")) is not None]

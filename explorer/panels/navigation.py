@@ -9,7 +9,7 @@ from random import Random
 import numpy as np
 
 from explorer import session_state
-from explorer.panels import wrong_answer
+from explorer.panels import answer_text, wrong_answer
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
@@ -50,13 +50,19 @@ class Navigation:
         return self._failure(state, partial(session_state.random_failure, rng=self._rng))
 
     def next_failure(self, state: SessionState) -> SessionState | None:
-        """Choose the next failure of the list; of a flight, first those that its other methods do not mend."""
+        """Choose the next failure of the list.
+
+        Those of a flight that its other methods do not mend are first, and those whose judge is contradicted last.
+        """
         flight = self._workspace.flight
-        mended = None
+        order = None
         if flight is not None:
             verdicts = beliefs(flight.frames, disagreements(flight.frames))
-            mended = np.array([verdict.sign is True for verdict in verdicts])
-        return self._failure(state, lambda state, failed: session_state.next_failure(state, failed, mended))
+            doubtful = [not flight.rendered and answer_text.contradicted(verdict) for verdict in verdicts]
+            order = np.array(
+                [2 if doubt else int(one.sign is True) for one, doubt in zip(verdicts, doubtful, strict=True)]
+            )
+        return self._failure(state, lambda state, failed: session_state.next_failure(state, failed, order))
 
     def _failure(
         self, state: SessionState, choose: Callable[[SessionState, BoolArray], SessionState | None]

@@ -55,7 +55,7 @@ def holds(answer: StageRecord | None, workspace: Workspace, doubted: bool = Fals
         return ""
     sure = confirmed(workspace)
     if plain():
-        return "" if doubted and sure is not False else _nearly_all(answer, workspace, sure)
+        return "" if doubted and sure is not False else _nearly_all(answer, workspace, sure, doubted)
     first, second = RIGHT_CALIBRATION[1], RIGHT_CALIBRATION[2]
     text = (
         f"± {answer.radius:.1f} m should hold for {first:.0f} of 100 photos, and {error_figure(2 * answer.radius)} m for "
@@ -64,7 +64,7 @@ def holds(answer: StageRecord | None, workspace: Workspace, doubted: bool = Fals
     return f"{text}; the check of this flight does not confirm it." if sure is False else f"{text}."
 
 
-def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None) -> str:
+def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, doubted: bool) -> str:
     assert answer.radius is not None
     limit = explained(f"{upper_bound(reach(answer.radius))} m", _meaning(answer, workspace))
     where = Markup("{} of the true place {}").format(limit, on_what(answer))
@@ -81,9 +81,11 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None) ->
             "<strong>It should lie within {}</strong>, as {} should; {} here lie that near to their {}."
         ).format(where, of, near, _truths(workspace))
     off = "" if workspace.flight.rendered else ", which may be off, too"
-    return Markup(
-        "<strong>Nobody knows how exact that is:</strong> {} should lie within {}, but only {} here lie that near to their {}{}."
-    ).format(of, where, near, _truths(workspace), off)
+    # The headline above has a tick, which stands for the ground and not for the radius.
+    unknown = "Nobody knows how exact that is" if doubted else "It is found on the map; nobody knows how exactly"
+    return Markup("<strong>{}:</strong> {} should lie within {}, but only {} here lie that near to their {}{}.").format(
+        unknown, of, where, near, _truths(workspace), off
+    )
 
 
 def confirmed(workspace: Workspace) -> bool | None:

@@ -80,14 +80,14 @@ class MapAgreement(msgspec.Struct, frozen=True):
 
     @property
     def unchecked(self) -> str:
-        """Say that too few places are found to check the photo beside its middle; "" if they are enough."""
+        """Say that too few places are found to check the photo away from its middle; "" if they are enough."""
         count = len(self.rows)
         if count >= _FEW_PLACES:
             return ""
         found = "no place" if not count else f"only {count} place{'s' if count > 1 else ''}"
         return (
-            f"Beside its middle {found} of the photo could be found on the map. At least {_FEW_PLACES} are needed to check "
-            "that the photo fits the map there."
+            f"Away from its middle, {found} of the photo could be found on the map. At least {_FEW_PLACES} such places are "
+            "needed to check that the photo fits there, too."
         )
 
     @property

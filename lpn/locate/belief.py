@@ -163,7 +163,7 @@ def tag_allowance(located: LocatedFrame) -> float:
 
 
 def _misfit(frame: int, answer: StageRecord | None) -> Disagreement | None:
-    """Return that places beside the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
+    """Return that places away from the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
     if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:
         return None
     metres, allowed = answer.agreement.median, SIGMAS * answer.radius_on_map
@@ -237,7 +237,7 @@ def _doubts(
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None) -> Belief:
     """Return the verdict on a frame.
 
-    A registration is believed unless its tag contradicts it, the map beside its middle does, or, without a tag, the sequence.
+    A registration is believed unless its tag contradicts it, the map away from its middle does, or, without a tag, the sequence.
 
     Args:
         contradictions: those of this frame; by default they are looked for.

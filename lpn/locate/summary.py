@@ -103,7 +103,7 @@ def other_map(flight: LocatedFlight) -> str:
 def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: TagOffsets | None) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
-    Contradicted photos are named, and others that could not be checked beside their middle are counted. A flight whose tags
+    Contradicted photos are named, and others that could not be checked away from their middle are counted. A flight whose tags
     lie far off the map begins with that.
 
     A photo is placed where registration or sequence is accepted, and guessed where there is a most similar window alone.
@@ -145,19 +145,19 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: T
     if contradicted:
         sentences.append(
             f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
-            f"beside the middle: {names(contradicted)}."
+            f"away from the middle: {names(contradicted)}."
         )
     if unchecked := unchecked_frames(frames, verdicts):
         more = " more" if contradicted else ""
         sentences.append(
-            f"{len(unchecked):,}{more} could not be checked beside the middle, where too few places were found on the map; the "
-            f"list {NOT_CHECKED} names {'them' if len(unchecked) > 1 else 'it'}."
+            f"{len(unchecked):,}{more} could not be checked away from the middle, where too few places were found on the map; "
+            f"the list {NOT_CHECKED} names {'them' if len(unchecked) > 1 else 'it'}."
         )
     return " ".join(sentences)
 
 
 def unchecked_frames(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) -> list[int]:
-    """Return the numbers of the photos that their details place, undoubted and yet not checked beside their middle.
+    """Return the numbers of the photos that their details place, undoubted and yet not checked away from their middle.
 
     Args:
         verdicts: of the frames, see `lpn.locate.belief.beliefs`.
@@ -167,6 +167,6 @@ def unchecked_frames(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief])
 
 
 def is_unchecked(located: LocatedFrame) -> bool:
-    """Return whether too few places beside the middle of a registered photo were found on the map to check it."""
+    """Return whether too few places away from the middle of a registered photo were found on the map to check it."""
     agreement = located.stages["registration"].agreement
     return agreement is not None and bool(agreement.unchecked)

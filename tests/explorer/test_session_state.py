@@ -82,12 +82,12 @@ def test_random_choices_move_and_failures_fail(state: SessionState) -> None:
         shown.append(after.query)
     assert shown == [3, 5, 2, 3]
     assert session_state.next_failure(state, np.zeros(4, bool)) is None
-    shown, last = [0], np.arange(len(failed)) < 3
+    shown, order = [0], np.array([0, 0, 2, 1, 0, 0])
     for _ in range(3):
-        after = session_state.next_failure(replace(state, query=shown[-1]), failed, last)
+        after = session_state.next_failure(replace(state, query=shown[-1]), failed, order)
         assert after is not None
         shown.append(after.query)
-    assert shown == [0, 3, 5, 2]
+    assert shown == [0, 5, 3, 2]
 
 
 @pytest.mark.parametrize(("angle", "by", "expected"), [(0, 5, 5), (178, 5, -177), (-178, -5, 177), (90, -270, 180)])

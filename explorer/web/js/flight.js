@@ -178,7 +178,7 @@
     if (shown.some((track) => track.state.includes(2)))
       parts.push(`Hollow dot: refused; ${byPointer("point at it, or at its ✗,", "tap it, or its ✗,")} for the reason.`);
     if (flight.tracks().some(([name]) => flight.data.names.some((_, i) => flight.doubted(name, i))))
-      parts.push(`Diamond: contradicted by its GPS tag, its neighbours, or the map beside its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
+      parts.push(`Diamond: contradicted by its GPS tag, its neighbours, or the map away from its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
     parts.push("Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it.");
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
     return parts.join(" ");

@@ -72,7 +72,7 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     )
     assert "The placed ones lie 5.0 m from their GPS tags in the median, which is the error of both together." in text
     assert text.endswith(
-        "which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map beside the middle: photo1."
+        "which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map away from the middle: photo1."
     )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
@@ -156,7 +156,7 @@ def plainly() -> Iterator[None]:
 
 
 def compared(flight: LocatedFlight, frame: int, *metres: float) -> LocatedFlight:
-    """Return a flight with a frame whose places beside the middle lie some metres from where the map has them."""
+    """Return a flight with a frame whose places away from the middle lie some metres from where the map has them."""
     places = [(0.5, 0.5), (0.1, 0.2), (0.5, 0.9)]
     agreement = MapAgreement([(*place, 0.0, north) for place, north in zip(places, metres, strict=False)], 9.0)
     frames = list(flight.frames)
@@ -175,7 +175,7 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
         return flight_text.agreement(view, 0, answer.agreement)
 
     assert said(0.4, 5.2, 1.0) == (
-        "✓ Beside its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: their median "
+        "✓ Away from its middle, 3 places of the photo were found on the map one by one, looked for within ± 9.0 m: their median "
         "lies 1.0 m from where the photo has it, and the farthest 5.2 m, at the upper left. At most 3.0 m are "
         "allowed for the median, as far as the middle may be off on this map."
     )
@@ -187,12 +187,12 @@ def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits
     assert " At most 3.1 m are" in flight_text.agreement(view_of(finer), 0, answer.agreement), "a bound is rounded up"
     assert "the farthest 2.4 m, near the middle." in said(2.4, 0.2, 1.0)
     assert said(0.4, 5.2) == (
-        "Not checked: beside its middle only 2 places of the photo could be found on the map. At least 3 are needed to check "
-        "that the photo fits the map there."
+        "Not checked: away from its middle, only 2 places of the photo could be found on the map. At least 3 such places are "
+        "needed to check that the photo fits there, too."
     )
-    assert "beside its middle no place of the photo" in said()
+    assert "away from its middle, no place of the photo" in said()
     unfit = said(4.0, 8.2, 3.2)
-    assert unfit.startswith("? Beside its middle")
+    assert unfit.startswith("? Away from its middle")
     assert unfit.endswith("the farthest at least 8.2 m, at the upper left, as nothing beyond was looked for.")
 
 
@@ -203,7 +203,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     card = page.card(view, 0, "x/", agreement=view.flight.frames[0].stages["registration"].agreement)
     assert "? Placed by its details, but away from its middle it does not fit the map" in card
     told = (
-        "Beside its middle, 3 places of the photo lie 4.0 m in the median from where the map has them, and 8.2 m at the "
+        "Away from its middle, 3 places of the photo lie 4.0 m in the median from where the map has them, and 8.2 m at the "
         "farthest, at the upper left. At most 3.0 m are allowed for the median, as far as the middle may be off on this map. "
         "Uneven ground, the lens, or ground that has changed can do this, too; nothing here tells which. The middle may still "
         "be right."
@@ -226,21 +226,21 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
             "Its place is ± 6.0 m on earth, where the map's own error moves all of the photo alike."
         )
     assert page.sentence(view, running=False).endswith(
-        "2 are contradicted by GPS tag, neighbours, or the map beside the middle: photo0 and photo1."
+        "2 are contradicted by GPS tag, neighbours, or the map away from the middle: photo0 and photo1."
     )
     assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert "Not checked 0" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert re.findall(r"<b>(photo\d.png)</b>", lists["worst"]) == ["photo1.png", "photo0.png"]
-    assert "beside its middle 4.0 m off where 3.0 m are allowed" in lists["worst"]
+    assert "away from its middle 4.0 m off where 3.0 m are allowed" in lists["worst"]
     known = flight_text.accuracy(view)
     assert known is not None
-    assert known[0].endswith("and 1 of 1 photos do not fit the map beside their middle.")
+    assert known[0].endswith("and 1 of 1 photos do not fit the map away from their middle.")
     unchecked = view_of(compared(flight, 0, 0.4))
     assert page.sentence(unchecked, running=False).endswith(
-        "1 is contradicted by GPS tag, neighbours, or the map beside the middle: photo1. 1 more could not be checked beside the "
-        "middle, where too few places were found on the map; the list Not checked names it."
+        "1 is contradicted by GPS tag, neighbours, or the map away from the middle: photo1. 1 more could not be checked away "
+        "from the middle, where too few places were found on the map; the list Not checked names it."
     )
-    assert "not checked beside its middle" in page.lists(unchecked)["worst"]
+    assert "not checked away from its middle" in page.lists(unchecked)["worst"]
     listed = page.lists(unchecked)
     assert "Not checked 1" in re.sub(r"<[^>]*>", "", listed["counts"])
     assert re.findall(r'data-frame="(\d)"', listed["unchecked"]) == ["0"]

@@ -23,6 +23,7 @@ from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.opening import open_model, open_source
 from explorer.panels import answer_text, first_screen, pages
+from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange
 from explorer.url_state import UrlState
 from explorer.web import terms
@@ -648,8 +649,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     flight_names = workspace.tasks[TASK].query_names
     assert (
         "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30 (4 in doubt, 9 not "
-        "checked beside their middle). Nobody measured where they really are. Of 68 photos of other places, none was placed on "
-        "this map. Photos of damage, such as a storm's, and real photos of another season than the map's have not been tried."
+        "checked away from their middle). Nobody measured where they really are. Of 68 photos of other places, none was placed "
+        "on this map. Photos of damage, such as a storm's, and real photos of another season than the map's have not been tried."
         in said
     )
     assert (
@@ -665,8 +666,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "268 details of the photo lie where the map has them.",
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
-        "Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m of the true place on earth, but only 19 of 30 "
-        "here lie that near to their GPS tags, which may be off, too.",
+        "It is found on the map; nobody knows how exactly: 99 of 100 photos should lie within 18.2 m of the true place on earth, "
+        "but only 19 of 30 here lie that near to their GPS tags, which may be off, too.",
+        "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle.",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
         "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
         *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
@@ -725,8 +727,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     unchecked = flight_names.index("IMG_9365.webp")
     said = text(first_screen.page(analyse(workspace, replace(state, query=unchecked)), workspace))
     assert (
-        "Beside its middle only 1 place of the photo could be found on the map. At least 3 are needed to check" in said
+        "Away from its middle, only 1 place of the photo could be found on the map. At least 3 such places are needed to check "
+        "that the photo fits there, too." in said
     )
+    assert re.search(r"✓ By its details: placed, ± [\d.]+ m on earth , at least its middle\.", said)
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
@@ -740,10 +744,17 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "100 m." in of_wrong
     )
     assert (
-        "✓ By its details: placed. Nobody knows how exact that is: 99 of 100 photos should lie within 18.2 m"
+        "✓ By its details: placed. It is found on the map; nobody knows how exactly: 99 of 100 photos should lie within 18.2 m"
         in of_wrong
     )
     assert "±" not in of_wrong
+    navigation, shown = Navigation(workspace, lambda *_: None), [state]
+    for _ in range(right.count(False)):
+        after = navigation.next_failure(shown[-1])
+        assert after is not None
+        shown.append(after)
+    signs = [FlightView.of(flight, {}, "").beliefs[one.query].sign for one in shown[1:]]
+    assert signs == [True, True, True, True, None], "an answer that is wrong for certain comes before a doubtful one"
     # The page of wrong answers, the first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]
