@@ -345,7 +345,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     stages = analysis.registered.located.stages
     before = stages["registration"]
     for places, doubted, beside in (
-        (1, False, "Away from its middle only 1 place of the photo could be found on the map"),
+        (1, False, "Away from its middle, only 1 place of the photo could be found on the map"),
         (3, True, "Away from its middle, the photo lies 50.0 m off the map"),
     ):
         rows = [(0.1, 0.1, 0.0, 50.0)] * places
