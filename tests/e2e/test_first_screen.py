@@ -454,6 +454,30 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
 
 
 @pytest.mark.slow
+def test_a_notice_covers_no_button(demo_app: RunningApp, fresh: Page, tmp_path: Path) -> None:
+    (tmp_path / "torn.jpg").write_bytes(b"no picture")
+    fresh.goto(demo_app.url)
+    first = fresh.locator("#lpn-first")
+    first.locator("[data-act=upload]").click()
+    with fresh.expect_file_chooser() as chooser:
+        first.get_by_role("button", name="Choose pictures").click()
+    chooser.value.set_files(tmp_path / "torn.jpg")
+    notice = fresh.locator(".mantine-Notification-root", has_text="torn.jpg").last
+    expect(notice).to_contain_text("is not a picture that can be read")
+    first.get_by_role("button", name="Not now").click()
+    buttons = first.locator(".acts").locator("a, button")
+    for width in (1440, 1280, 1160, 1000, 700):
+        fresh.set_viewport_size({"width": width, "height": 800})
+        first.evaluate("(page) => page.scrollTo(0, page.scrollHeight)")
+        for button in buttons.all():
+            button.evaluate("(button) => button.scrollIntoView({ block: 'end' })")  # as low as it can stand
+            low, high = box(button), box(notice)
+            beside = high["x"] + high["width"] <= low["x"] or low["x"] + low["width"] <= high["x"]
+            above = low["y"] + low["height"] <= high["y"] + 0.5
+            assert beside or above, (width, button.text_content(), low, high)
+
+
+@pytest.mark.slow
 def test_own_pictures_go_to_the_host_of_the_address(data: Path, model_file: Path, tmp_path: Path, fresh: Page) -> None:
     options = ["--allow-host", "lab.localhost"]  # browsers find such a name on this computer
     with started(data, model_file, tmp_path / "cache", options=options) as app:
