@@ -269,6 +269,10 @@ def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch:
 
 def test_the_open_place_leads_back_to_its_first_picture(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(workspace, "choices", {workspace.key: "a city"})
+    header = text(first_screen.page(query(workspace, True), workspace).partition("</header>")[0])
+    assert header.startswith(f"LPN Explorer a city {workspace.data_name} "), (
+        "the name of one place moves no place's button"
+    )
     shown: list[SessionState | None] = []
     navigation = SimpleNamespace(**dict.fromkeys(("random", "previous", "next", "next_failure")))
     gui, later = SimpleNamespace(add_html=lambda _: None), SessionState(TASK, 4, query=5, first_screen=True)
@@ -334,11 +338,12 @@ def test_the_links_to_the_laboratory_name_its_tab(workspace: Workspace) -> None:
 
 def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     analysis = query(workspace, True)
-    assert "rendered city" not in first_screen.page(analysis, workspace)
+    said = "This is a rendered place, no real one"
+    assert said not in text(first_screen.page(analysis, workspace))
     for kind in ("is_rendered", "is_rendered_flight"):
         with monkeypatch.context() as patch:
             patch.setattr(rendered, kind, lambda _: True)
-            assert "pictures of a rendered city" in first_screen.page(analysis, workspace)
+            assert said in text(first_screen.page(analysis, workspace))
 
 
 def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
