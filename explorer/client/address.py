@@ -94,9 +94,10 @@ class PageAddress:
 
     def go_back(self, search: str) -> None:
         """Show what an earlier address of the page's history shows."""
-        key = self._url_state.workspace_key(search)
+        key, before = self._url_state.workspace_key(search), self._state()
         if key != self._workspace.key and key in self._workspace.choices:
-            self._show_other(key, search)
+            words = self._kept_words(before, *self._url_state.screen_and_words(search))
+            self._show_other(key, self._url_state.in_words(search, before.dark, words))
         elif problems := self.show(search):
             self._views.panels.notify_error("Not all of what was shown can be shown again", " ".join(problems))
 
@@ -110,10 +111,23 @@ class PageAddress:
         state, problems = self._url_state.read(search, replace(self._plain, **kept), self._views.panels.query.find_own)
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
-        # The first screen's words are not those of the workbench that lies before or behind it in the history.
-        of_workbench = state.plain if before.first_screen else before.plain
-        self._views.show_state(in_words(replace(state, dark=before.dark), of_workbench, before.start_plain))
+        plain = self._kept_words(before, state.first_screen, state.plain)
+        self._views.show_state(in_words(replace(state, dark=before.dark), plain, before.start_plain))
         return problems
+
+    @staticmethod
+    def _kept_words(before: SessionState, first: bool, plain: bool) -> bool:
+        """Return if plain words go on when a page that is as `before` goes back to an address.
+
+        The first screen's words are not those of the workbench that lies before or behind it in the history.
+
+        Args:
+            first: the address is of a first screen.
+            plain: the address has plain words.
+        """
+        if first:
+            return before.start_plain
+        return plain if before.first_screen else before.plain
 
     def show_other(self, key: str) -> None:
         """Show another workspace, if there is one of this key."""

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
+from urllib.parse import parse_qsl
 
 import pytest
 
@@ -29,10 +31,13 @@ class _Page:
     """A page that is greeted with an address, and what it shows."""
 
     def __init__(self, workspace: Workspace, search: str) -> None:
+        self.show_other = Mock()
         self.shown, views, self.links = [SessionState(TASK, 4)], Mock(), UrlState(workspace)
         views.show_state.side_effect = self.shown.append
         lock = threading.RLock()
-        self.address = PageAddress(workspace, self.links, views, lock, lambda: self.shown[-1], Mock(), None, Mock())
+        self.address = PageAddress(
+            workspace, self.links, views, lock, lambda: self.shown[-1], self.show_other, None, Mock()
+        )
         self.address.greet(Greeting(search, plain=True))
 
     @property
@@ -69,6 +74,33 @@ def test_back_and_forward_keep_the_words_of_the_first_screen_and_of_the_workbenc
     for search, plain in ((first, True), (workbench, False)):
         page.address.go_back(search)
         assert (page.state.first_screen, page.state.plain) == (plain, plain)
+
+
+@pytest.mark.parametrize("plain", [True, False])
+def test_back_to_another_place_keeps_words_and_theme(
+    workspace: Workspace,
+    open_page: Callable[[str], _Page],
+    monkeypatch: pytest.MonkeyPatch,
+    plain: bool,
+) -> None:
+    monkeypatch.setattr(workspace, "choices", {"here": "a city", "there": "a flight"})
+    monkeypatch.setattr(workspace, "key", "here")
+    page = open_page(f"?show=here&screen=first&words={'plain' if plain else 'expert'}&theme=light")
+    kept, old = f"theme=light&words={'plain' if plain else 'expert'}", "expert" if plain else "plain"
+    for search, expected in (
+        (f"?show=there&query=a%20b&screen=first&words={old}", f"?show=there&query=a%20b&screen=first&{kept}"),
+        ("?show=there&lab=1", "?show=there&lab=1&theme=light&words=expert"),
+        ("?show=there&flight=1&words=plain&theme=dark", "?show=there&flight=1&theme=light&words=plain"),
+    ):
+        page.address.go_back(search)
+        key, asked = page.show_other.call_args.args
+        assert key == "there"
+        assert dict(parse_qsl(asked)) == dict(parse_qsl(expected)), (search, asked)
+    # The workbench's words go on where it lies before and behind the step.
+    page.shown.append(replace(session_state.show_everything(page.state), plain=plain))
+    page.address.go_back(f"?show=there&lab=1&words={old}")
+    asked = dict(parse_qsl(page.show_other.call_args.args[1].removeprefix("?")))
+    assert asked == {"show": "there", "lab": "1", **dict(parse_qsl(kept))}
 
 
 def test_a_first_screen_that_was_opened_with_expert_words_keeps_them_when_it_is_loaded_again(
