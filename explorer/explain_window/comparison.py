@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from explorer.panels import answer_text
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
@@ -34,7 +35,8 @@ def page(
         return render("explain/comparison", comparison=None)
     ranking, followed, change = analysis.ranking, comparison.followed, comparison.change
     margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
-    names, name = workspace.part_names, f"the {say('positive')}" if followed.true else f"this {say('tile')}"
+    right = answer_text.judged_piece(analysis, workspace) or f"the {say('positive')}"
+    names, name = workspace.part_names, right if followed.true else f"this {say('tile')}"
     without = comparison.without
     of_parts = lead_cells(analysis, followed.index, comparison.other.index)
     cells = None if of_parts is None else of_parts.sum(axis=0)

@@ -42,14 +42,19 @@ class PartBar:
     off: bool
 
 
-def part_bars(analysis: StateAnalysis, names: list[str]) -> tuple[list[PartBar], answer_text.Lead | None, float]:
+def part_bars(
+    analysis: StateAnalysis, names: list[str], judged: str = ""
+) -> tuple[list[PartBar], answer_text.Lead | None, float]:
     """Return the bars of the compared pair's parts, the lead that they show, and the d² of a full bar.
 
     All pictures have one scale, which depends on the part weights and on CSLS alone; it doubles where a bar would not fit. Where
     the verdict speaks of the compared tile, the lead is the verdict's: its longest bar on the losing side is the part that the
     verdict names.
+
+    Args:
+        judged: see `answer_text.lead`.
     """
-    chosen, lead = analysis.chosen, answer_text.lead(analysis)
+    chosen, lead = analysis.chosen, answer_text.lead(analysis, judged)
     first = analysis.matches[0]
     if chosen.index not in (first.index, None if lead is None else lead.index):
         terms = chosen.contributions - first.contributions
@@ -108,7 +113,7 @@ class StageControls:
         state, workspace = analysis.state, self._workspace
         if state.first_screen:
             return ""
-        bars, lead, full = part_bars(analysis, workspace.part_names)
+        bars, lead, full = part_bars(analysis, workspace.part_names, answer_text.judged_piece(analysis, workspace))
         colours = _lead_names(*lead_colours(lead is not None and lead.sure))
         areas = [
             workspace.areas(view, described)

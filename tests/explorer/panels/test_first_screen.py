@@ -19,17 +19,21 @@ import pytest
 from explorer import reports, session_state
 from explorer.cli import Explore
 from explorer.client.address import opened_alone
+from explorer.explain_window import comparison
 from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
+from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
 from explorer.panels import answer_text, first_screen, pages
 from explorer.panels.navigation import Navigation
+from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
 from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
+from lpn.analysis.comparison import Comparison
 from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.datasets import rendered
@@ -812,6 +816,15 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "Right, if its details are right" in text(html)
     assert theme.css(theme.COLOURS["wrong"]) not in html
     assert theme.css(theme.COLOURS["right"]) not in html
+    # Nor does the workbench call it right.
+    with speaking(workspace.vocabulary(True)):
+        analysis = analyse(workspace, replace(state, query=doubted, first_screen=False))
+        assert analysis.positive is not None
+        compared = Comparison.of(analysis.ranking, analysis.positive)
+        bars = StageControls(workspace, navigation, print).html(analysis, layout_for(workspace.contract.input_size))
+        for html in (bars, comparison.page(analysis, workspace, compared, None, computing=False)):
+            assert "the piece where details place the photo" in text(html)
+            assert "right picture" not in text(html)
     with monkeypatch.context() as patch:
         patch.setattr(LocatedFlight, "judge", "its GPS tag")
         said = text(first_screen.page(analyse(workspace, replace(state, query=doubted)), workspace))
