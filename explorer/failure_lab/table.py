@@ -90,8 +90,12 @@ def search_boxes(findings: Findings, lab: LabState) -> str:
     return render("failure_lab/search_boxes", lab=lab, example=f"{first}{example}")
 
 
-def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0) -> str:
-    """Return the numbers of selected queries and of chosen rows, the selections, and errors of the filter and the notes."""
+def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0, preparing: bool = False) -> str:
+    """Return the numbers of selected queries and of chosen rows, the selections, and errors of the filter and the notes.
+
+    Args:
+        preparing: the second model is being prepared for further scorings.
+    """
     return render(
         "failure_lab/summary",
         lab=lab,
@@ -105,6 +109,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         claim=findings.task.contract.claim,
         several=len(findings.part_names) > 1,
         second=findings.second,
+        preparing=preparing,
         terms=scorings.TERMS,
         drawers=_drawers(lab, len(rows)),
     )

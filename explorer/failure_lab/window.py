@@ -200,6 +200,7 @@ class FailureLabWindow:
             case messages.ScoreSecond():
                 self._service.score_second(self, self._beside)
                 self._second_worker.wake()
+                self._worker.wake()
             case messages.CloseLab():
                 self._change(lambda session: replace(session, lab=False))
             case messages.ResumeWork(work):
@@ -325,7 +326,8 @@ class FailureLabWindow:
         if findings is None:
             self._wait_for_table(lab)
             return
-        if findings.second is not None and not self._service.scores_second(self._beside):
+        preparing = self._service.scores_second(self._beside)
+        if findings.second is not None and not preparing:
             self._second.show(table.second_progress(SecondProgress(self._service.second_failure(self._beside))))
         elif self._workspace.beside:
             self._second_worker.wake()
@@ -335,7 +337,7 @@ class FailureLabWindow:
         if lab.text_revision != self._text_revision:  # sending the boxes discards what the user is typing
             self._text_revision = lab.text_revision
             self._boxes.show(table.search_boxes(findings, lab))
-        self._summary.show(table.summary(findings, lab, rows, len(chosen)))
+        self._summary.show(table.summary(findings, lab, rows, len(chosen), preparing))
         self._drawer.show(self._drawn_drawer(findings, lab, len(rows), len(chosen)))
         if lab.tab != "maps":
             self._controls.show("")

@@ -212,8 +212,9 @@ def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
         assert plain is not None
         assert plain.second is not None
         assert (plain.second.scorings, plain.second.preparable) == (("calibrated", "plain"), True)
-        shown = table.summary(plain, LabState(task=key), plain.table.rows())
-        assert "lab-second-scoring" in shown
+        for preparing in (False, True):  # what was pressed is not offered again
+            shown = table.summary(plain, LabState(task=key), plain.table.rows(), preparing=preparing)
+            assert ("lab-second-scoring" in shown) != preparing
         # A failure is told, and the other ranks stay.
         assert second.workspace is not None
         failed = Mock(error="The disk is full.", cancelled=False, wait=lambda _: True)

@@ -341,5 +341,5 @@ def test_models_under_two_scorings_are_not_compared_without_a_word(two: Workspac
     assert "lpn-lab-scorings" not in table.summary(findings, lab, rows)
     apart = replace(findings, second=replace(findings.second, scorings=("csls", "plain")))
     said = table.summary(apart, lab, rows)
-    assert "A is ranked CSLS, and B plain: their ranks do not differ by the models alone." in said
+    assert "A is ranked by CSLS, and B plain: their ranks do not differ by the models alone." in said
     assert "lpn.send(&#34;scoring&#34;,&#34;plain&#34;)" in said
