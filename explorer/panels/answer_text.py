@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
@@ -37,7 +37,6 @@ OWN_KEPT = (
     "no further."
 )
 NO_LINK = "A link cannot carry your own picture."
-_ANSWER = "this answer"
 # Headlines of an own picture that shows none of the places here.
 ELSEWHERE = ("Not one of these", "Probably none of these")
 # The headline of a picture that probably lies beyond the map.
@@ -56,6 +55,7 @@ class Lead:
         index: that tile's position in the gallery.
         of_answer: the leader is the answer; otherwise it is the other tile.
         sure: one of the two is known to be the right picture, and is the leader.
+        answer: the answer, in words.
     """
 
     terms: FloatingArray
@@ -63,6 +63,7 @@ class Lead:
     index: int
     of_answer: bool = True
     sure: bool = True
+    answer: str = "this answer"
 
     @property
     def total(self) -> float:
@@ -77,12 +78,12 @@ class Lead:
     @property
     def leader(self) -> str:
         """The tile that positive terms speak for, in words."""
-        return _ANSWER if self.of_answer else self.other
+        return self.answer if self.of_answer else self.other
 
     @property
     def follower(self) -> str:
         """The tile that negative terms speak for, in words."""
-        return self.other if self.of_answer else _ANSWER
+        return self.other if self.of_answer else self.answer
 
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
@@ -525,7 +526,10 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
         rival, name = next(iter(others), None), "the next best picture"
     if rival is None:
         return None
-    return Lead(rival.contributions - first.contributions, name, rival.index, sure=bool(first.true))
+    of_answer = Lead(rival.contributions - first.contributions, name, rival.index, sure=bool(first.true))
+    # An own picture has an answer by its details beside that by its look.
+    own_on_map = analysis.state.upload is not None and _window(analysis) is not None
+    return replace(of_answer, answer="the most similar piece") if own_on_map else of_answer
 
 
 def trust(analysis: StateAnalysis, workspace: Workspace) -> str:

@@ -54,8 +54,6 @@ from lpn.retrieval import DescribedPicture
 
 # Map files, and bytes of them, up to which a saved answer has their SHA-256.
 _MOST_MAP_FILES, _MOST_MAP_BYTES = 20, 1_000_000_000
-_ANSWER = "this answer"
-_BY_LOOK = "the most similar piece"
 # Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
 _DISPUTED = {
     False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
@@ -450,8 +448,7 @@ def _because(
     areas = query.cells[0] != 0, tile.cells[0] != 0
     turn = _turn(analysis, workspace, least=0)
     whose = "your picture" if analysis.state.upload else "the picture"
-    by_look = analysis.state.upload is not None and workspace.basemap is not None
-    tiles = [(_BY_LOOK if by_look else _ANSWER, analysis.chosen.index), (lead.other, lead.index)]
+    tiles = [(lead.answer, analysis.chosen.index), (lead.other, lead.index)]
     sentences = []
     located = workspace.located(analysis)
     details = workspace.details(analysis)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import re
 import threading
 import weakref
 from collections.abc import Callable
@@ -339,6 +340,8 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert "details of your picture lie where the map has them: they place it." in reasons
         assert ("<h2>By its look, which errs</h2>" in reasons) == errs
         assert ("<h2>By its look</h2>" in reasons) != errs
+        assert re.search(r"speak for the most similar piece,\s+<span", reasons), "the answer has one name"
+        assert "for this answer" not in reasons
     refused = shown(other)[0]
     assert workspace.flight is not None
     assert analysis.registered is not None
