@@ -259,7 +259,7 @@ class ClientViews:
             if covered:
                 self.first_screen.show(analysis, self.stories.names)
             else:
-                self.stage.show(analysis)
+                self.refit(analysis)
             self.panels.show(analysis, self.sequence, covered)
 
     def refit(self, analysis: StateAnalysis) -> None:

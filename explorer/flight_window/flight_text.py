@@ -30,15 +30,15 @@ from lpn.locate.tag_errors import Leg, TagOffsets
 EVIDENCE = (
     "A photo's GPS tag and its details are two independent witnesses, unless the map was made of the same flight, whose tags "
     "place it. Look and neighbours are one witness, and the weakest. Where two lie farther apart than their errors allow, one "
-    "of them errs. What the map has beside a photo's middle is a third."
+    "of them errs. What the map has away from a photo's middle is a third."
 )
 WORST = (
     "The photo that lies farthest from its GPS tag, or its correction by hand, comes first: the error of both together. A ? "
     "marks contradicted ones. Mere guesses come last."
 )
 UNCHECKED = (
-    "Their details place these photos. Beside the middle, too few places were found on the map to check that all of a photo "
-    "fits."
+    "Their details place these photos. Away from the middle of each, too few places were found on the map to check that all "
+    "of it fits."
 )
 # Legs of a flight whose shift is told, at most.
 _MOST_LEGS = 8

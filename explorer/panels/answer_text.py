@@ -333,7 +333,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         against = ", more than the errors of both allow, so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not concluded.sign:
-        headline = "Its middle fits this map, places beside it do not"
+        headline = "Its middle fits this map, places away from it do not"
     off_answer, window = answer_off(analysis, own.located), _window(analysis)
     look = " Its look alone agrees."
     if off_answer is None or answer.x is None or answer.y is None or window is None:

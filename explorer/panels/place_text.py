@@ -48,7 +48,7 @@ def place(workspace: Workspace, task: Task, linked: bool = True) -> str:
         coordinate=None if basemap is None else MapCoordinate.on(basemap, (0.0, 0.0)),
         linked=linked,
         times="" if basemap is None else _times(basemap.place, day),
-        about="" if basemap is None else workspace.about,
+        about=workspace.about,
         sides=() if basemap is None else [distance(side) for side in basemap.sides],
     )
 

@@ -29,7 +29,7 @@ COLOURS: dict[str, Colour] = {
     "retrieval": (250, 197, 186),
     "sequence": (201, 179, 255),
     "registration": (84, 176, 96),
-    # A place by details that another answer, or the map beside the photo's middle, contradicts.
+    # A place by details that another answer, or the map away from the photo's middle, contradicts.
     "contradicted": (255, 30, 30),
     # The accent marks controls and what is chosen.
     "accent": (44, 199, 184),

@@ -75,7 +75,7 @@ class Disagreement:
 
     Attributes:
         frame: position in the flight.
-        one, other: stages, or "tag"; "map" is what the map has at places beside the photo's middle.
+        one, other: stages, or "tag"; "map" is what the map has at places away from the photo's middle.
         metres: between them; the median of such places.
         allowed: metres that their radii allow.
         tilt: metres of these for an unknown tilt.

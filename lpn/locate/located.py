@@ -64,7 +64,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         pose: of the camera; None where the matches do not tell it.
         map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
         place_error: the part of it that is the error of the map's place on earth, as the map tells it; 0 if it does not.
-        agreement: of places beside the photo's middle with the map; None while they are not compared.
+        agreement: of places away from the photo's middle with the map; None while they are not compared.
         middle_radius: 1-sigma radius in metres of the ground at the photo's middle, where the position is the camera's; with the
             map's error, as `radius` has it. None where it is not known.
     """
@@ -431,7 +431,7 @@ def short_reason(text: str) -> tuple[str, str]:
 
 
 def _checked(answer: StageRecord) -> Literal["yes", "no"]:
-    """Return "yes" if places beside the photo's middle are enough to check it by the map; they may contradict it."""
+    """Return "yes" if places away from the photo's middle are enough to check it by the map; they may contradict it."""
     return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
 
 

@@ -270,7 +270,7 @@ def compared(basemap: Map, answer: StageRecord, photo: UInt8Array) -> StageRecor
     if not answer.accepted or answer.homography is None:
         return answer
     matrix = np.array(answer.homography).reshape(3, 3)
-    with suppress(DataError):  # a damaged part of the map beside the photo's middle
+    with suppress(DataError):  # a damaged part of the map away from the photo's middle
         agreement = map_agreement(basemap, photo, matrix, (photo.shape[1], photo.shape[0]))
         return msgspec.structs.replace(answer, agreement=agreement)
     return answer

@@ -145,7 +145,7 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: T
     if contradicted:
         sentences.append(
             f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
-            f"away from the middle: {names(contradicted)}."
+            f"away from the photo's middle: {names(contradicted)}."
         )
     if unchecked := unchecked_frames(frames, verdicts):
         more = " more" if contradicted else ""

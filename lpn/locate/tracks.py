@@ -53,10 +53,10 @@ class TrackPoint:
         metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
         east_from_tag, north_from_tag: position minus tag along the axes of the projected system.
         tag_latitude, tag_longitude: of that tag in degrees; None without one.
-        doubt: the answers that contradict this one, "tag", stages, or "map": what the map has beside the photo's middle.
+        doubt: the answers that contradict this one, "tag", stages, or "map": what the map has away from the photo's middle.
         note: further sentences.
         easting, northing, projection: metres in the projected system of an EPSG code; None without a position.
-        misfit, largest_misfit: median and most of the metres from places beside the photo's middle to where the map has them;
+        misfit, largest_misfit: median and most of the metres from places away from the photo's middle to where the map has them;
             None where they were not compared, or too few tell.
         checked: "yes" if places beside a registered photo's middle lie where the map has them, "contradicted" if not, "no" if
             too few were found to tell; "" for other answers.

@@ -466,7 +466,7 @@ def test_a_notice_covers_no_button(demo_app: RunningApp, fresh: Page, tmp_path: 
     expect(notice).to_contain_text("is not a picture that can be read")
     first.get_by_role("button", name="Not now").click()
     buttons = first.locator(".acts").locator("a, button")
-    for width in (1440, 1280, 1160, 1000, 700):
+    for width in (1600, 1440, 1280, 1160, 1000, 700):
         fresh.set_viewport_size({"width": width, "height": 800})
         first.evaluate("(page) => page.scrollTo(0, page.scrollHeight)")
         for button in buttons.all():

@@ -307,14 +307,15 @@ def test_a_size_that_arrives_while_the_first_answer_is_drawn_is_drawn_for(
 def test_a_size_that_comes_back_while_the_stage_is_drawn_for_another_is_drawn_for(
     app: App, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    looks, back, computed = itertools.count(1), threading.Event(), scene.layout_for
+    looks, told, back, computed = itertools.count(1), threading.Event(), threading.Event(), scene.layout_for
 
     def slow(input_size: tuple[int, int], n_parts: int, stage: tuple[int, int]) -> ScreenLayout:
         layout = computed(input_size, n_parts, stage)
         # The worker looks first at the size alone, then draws for it.
         if stage == (390, 500) and threading.current_thread().name == "explorer-worker" and next(looks) == 2:
+            told.clear()
             browser.tell("viewport", [1200, 800])
-            wait_until(lambda: shown.viewport.width == 1200)
+            assert told.wait(TIMEOUT)
             back.set()
         return layout
 
@@ -324,6 +325,7 @@ def test_a_size_that_comes_back_while_the_stage_is_drawn_for_another_is_drawn_fo
         browser.tell("hello", {"search": "?screen=all", "small": False, "viewport": [1200, 800]})
         browser.wait(lambda: browser.link is not None)
         shown = session_of(app, browser).views
+        shown.viewport.watch(told.set)  # after the session's own watcher
         monkeypatch.setattr(scene, "layout_for", slow)
         browser.tell("viewport", [390, 500])
         assert back.wait(TIMEOUT)

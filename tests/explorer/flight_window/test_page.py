@@ -72,7 +72,8 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     )
     assert "The placed ones lie 5.0 m from their GPS tags in the median, which is the error of both together." in text
     assert text.endswith(
-        "which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map away from the middle: photo1."
+        "which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map away from the photo's middle: "
+        "photo1."
     )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
@@ -226,7 +227,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
             "Its place is ± 6.0 m on earth, where the map's own error moves all of the photo alike."
         )
     assert page.sentence(view, running=False).endswith(
-        "2 are contradicted by GPS tag, neighbours, or the map away from the middle: photo0 and photo1."
+        "2 are contradicted by GPS tag, neighbours, or the map away from the photo's middle: photo0 and photo1."
     )
     assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert "Not checked 0" in re.sub(r"<[^>]*>", "", lists["counts"])
@@ -237,8 +238,8 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert known[0].endswith("and 1 of 1 photos do not fit the map away from their middle.")
     unchecked = view_of(compared(flight, 0, 0.4))
     assert page.sentence(unchecked, running=False).endswith(
-        "1 is contradicted by GPS tag, neighbours, or the map away from the middle: photo1. 1 more could not be checked away "
-        "from the middle, where too few places were found on the map; the list Not checked names it."
+        "1 is contradicted by GPS tag, neighbours, or the map away from the photo's middle: photo1. 1 more could not be checked "
+        "away from the middle, where too few places were found on the map; the list Not checked names it."
     )
     assert "not checked away from its middle" in page.lists(unchecked)["worst"]
     listed = page.lists(unchecked)

@@ -57,7 +57,7 @@ def test_a_rendered_place_has_no_coordinate() -> None:
     )
     assert f"{RENDERED} The map is of spring and the photos are of 14" in said
     assert "latitude" not in said
-    city = cast(Any, SimpleNamespace(root=DEMO, flight=None, basemap=None))
+    city = cast(Any, SimpleNamespace(root=DEMO, flight=None, basemap=None, about=""))
     assert RENDERED in text(place_text.place(city, DRONE))
     assert text(place_text.place(city, STREET)) == RENDERED
     assert place_text.place(cast(Any, SimpleNamespace(root=DEMO_PLACE[0], flight=None, basemap=None)), STREET) == ""
