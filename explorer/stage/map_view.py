@@ -403,7 +403,10 @@ class GalleryMap:
             truth = self._to_stage(places.ground[analysis.positive.index], 0.0, lift)
             half = self._tile_side(places, analysis.positive.index) / 2
             signs = ((-1, -1), (1, -1), (1, 1), (-1, 1))
-            segments += _outline([np.add(truth, (x * half, y * half, 0.0)) for x, y in signs], theme.TRUE_COLOUR)
+            true = theme.verdict_colour(analysis.positive.true)
+            segments += _outline([np.add(truth, (x * half, y * half, 0.0)) for x, y in signs], true)
+            if camera is not None and not (analysis.chosen.true or analysis.chosen.index == analysis.positive.index):
+                segments.append((camera, truth, true))
         start, own = camera if camera is not None else truth, analysis.state.upload
         located = self._workspace.located(analysis)
         ground = None if located is None else outline(located)
@@ -432,8 +435,6 @@ class GalleryMap:
                 segments += _outline(tips, analysis.state.palette.text)
         if start is not None:
             segments.append((start, chosen, theme.verdict_colour(analysis.chosen.true)))
-        if camera is not None and truth is not None and not analysis.chosen.true:
-            segments.append((camera, truth, theme.TRUE_COLOUR))
         _draw(self._lines, segments)
 
     def _draw_caption(self, analysis: StateAnalysis, size: int) -> UInt8Array:

@@ -19,6 +19,7 @@ from explorer.stage.lettering import Lettering
 from explorer.stage.map_view import Eye, GalleryMap
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
+from lpn.drawing import theme
 from lpn.flights import Frame
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFrame, StageRecord
@@ -101,6 +102,20 @@ def test_the_tag_of_one_s_own_picture_is_marked_and_joined_with_the_tile_if_it_i
         assert scene.lines.points.shape == (lines, 2, 3)
         middle = scene.lines.points[:4].mean(axis=(0, 1))
         np.testing.assert_allclose(scene.lines.points[4, 0], middle, atol=1e-5)
+
+
+@pytest.mark.parametrize(("graded", "colour"), [(True, theme.TRUE_COLOUR), (False, theme.UNKNOWN_COLOUR)])
+def test_the_frame_of_the_positive_has_the_colour_of_its_grade(
+    workspace: Workspace, graded: bool, colour: theme.Colour
+) -> None:
+    analysis = StateAnalyser(workspace).analyse(SessionState(TASK, 4, map=True), 6)
+    assert analysis.positive is not None
+    if not graded:
+        analysis = replace(analysis, positive=replace(analysis.positive, true=None))
+    scene = Scene()
+    gallery_map = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
+    gallery_map.show(analysis, Lettering(24, 100.0))
+    assert {tuple(end) for end in scene.lines.colors[:4].reshape(-1, 3).tolist()} == {colour}
 
 
 def test_the_ground_shows_a_tile_as_it_is_where_the_model_unrolls_it(
