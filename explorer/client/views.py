@@ -19,7 +19,7 @@ from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import answer_text, shortcuts
+from explorer.panels import answer_text, judge, shortcuts
 from explorer.panels.first_screen import FirstScreen, page
 from explorer.panels.glossary import Glossary
 from explorer.panels.messages import PartsMessage, StageMessage
@@ -236,7 +236,7 @@ class ClientViews:
             self.first_screen.show(analysis, self.stories.names)
         with self._client.atomic():  # the page draws one frame
             if not covered:
-                self.stage.show(analysis)
+                self._draw_stage(analysis)
                 self.bridge.set_ground(self.stage.ground)
                 self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
             self.explain_window.show(analysis)
@@ -247,6 +247,9 @@ class ClientViews:
             self.panels.show(analysis, self.sequence, covered)
         if not covered:  # it goes when what it covered is there
             self.first_screen.show(analysis, self.stories.names)
+
+    def _draw_stage(self, analysis: StateAnalysis) -> None:
+        self.stage.show(judge.shown(analysis, self._workspace))
 
     def show_own_photo(self, analysis: StateAnalysis) -> None:
         """Show how far the registration of the own picture is, or its answer beside the analysis that is shown."""
@@ -265,7 +268,7 @@ class ClientViews:
     def refit(self, analysis: StateAnalysis) -> None:
         """Draw the stage of an analysis that is shown for the stage's new size."""
         with speaking(self._workspace.vocabulary(analysis.state.plain)), self._client.atomic():
-            self.stage.show(analysis)
+            self._draw_stage(analysis)
             self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
 
     def fail(self, error: Exception) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from explorer.panels import answer_text
+from dataclasses import replace
+
+from explorer.panels import judge
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
@@ -35,15 +37,19 @@ def page(
         return render("explain/comparison", comparison=None)
     ranking, followed, change = analysis.ranking, comparison.followed, comparison.change
     margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
-    right = answer_text.judged_piece(analysis, workspace) or f"the {say('positive')}"
+    right = judge.judged_piece(analysis, workspace) or f"the {say('positive')}"
     names, name = workspace.part_names, right if followed.true else f"this {say('tile')}"
     without = comparison.without
     of_parts = lead_cells(analysis, followed.index, comparison.other.index)
     cells = None if of_parts is None else of_parts.sum(axis=0)
-    colours = lead_colours(followed.true is True)
+    graded = judge.is_sure(analysis, workspace)
+    tiles = [match if graded else replace(match, true=None) for match in (followed, comparison.other)]
+    sure = graded and followed.true is True
+    colours = lead_colours(sure)
     return render(
         "explain/comparison",
         comparison=comparison,
+        tiles=tiles,
         query=_picture(analysis.query.picture),
         query_name=analysis.name,
         gallery=analysis.task.gallery,
@@ -54,7 +60,7 @@ def page(
         region=analysis.state.region,
         part_names=names,
         several=workspace.has_parts,
-        steps=charts.waterfall(margin),
+        steps=charts.waterfall(margin, sure),
         painted="" if cells is None else _painted(analysis, workspace, cells, colours),
         places=0.0 if cells is None else float(cells.sum()),
         total=float(margin.sum()),

@@ -12,6 +12,7 @@ from markupsafe import Markup
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
+from explorer.panels import judge
 from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
 from explorer.web.render import call, render, run, send
@@ -164,13 +165,17 @@ class ModelComparison:
         else:
             pairs.append((other, self._analyse(replace(state, scoring=task.scoring), other, analysis)))
         maps = self._maps(pairs, state)
-        columns = [_column(one, of_one, drawn, own) for (one, of_one), drawn in zip(pairs, maps, strict=True)]
+        columns = [
+            _column(one, judge.shown(of_one, workspace), _lead(of_one), drawn, own)
+            for (one, of_one), drawn in zip(pairs, maps, strict=True)
+        ]
         rankings = [ranking for one, _ in pairs if (ranking := one.ranked_as(task)) is not None]
         html = render(
             "explain/model_comparison",
             names=(workspace.model_name, lazy.label if other is None else other.model_name),
             letters=_LETTERS,
             columns=columns,
+            judged=judge.judged_piece(analysis, workspace),
             reason=reason,
             error=lazy.error,
             opening=other is None and not lazy.error,
@@ -411,7 +416,9 @@ def _values(analysis: StateAnalysis, state: SessionState) -> list[FloatingArray]
     return [trace.activation for trace in traces if trace is not None] if None not in traces else []
 
 
-def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own: StateAnalysis) -> _Column:
+def _column(
+    workspace: Workspace, analysis: StateAnalysis, lead: float | None, maps: list[_Map], own: StateAnalysis
+) -> _Column:
     task, truth = analysis.task, analysis.positive
     return _Column(
         workspace.description,
@@ -420,7 +427,7 @@ def _column(workspace: Workspace, analysis: StateAnalysis, maps: list[_Map], own
         _recall(workspace, task),
         analysis.matches[0].true,
         None if truth is None else truth.rank,
-        _lead(analysis),
+        lead,
         [
             (match, task.gallery[match.index].title, workspace.thumbnail(task.gallery[match.index]))
             for match in analysis.matches[:_MATCHES]

@@ -35,6 +35,7 @@ def page(
     names: Sequence[str],
     stopped: bool = False,
     whole: WholeTaskSection | None = None,
+    judged: str = "",
 ) -> str:
     """Render the tab.
 
@@ -44,6 +45,7 @@ def page(
         total: number of points of the whole sweep.
         stopped: the sweep was cancelled or failed before its last point.
         whole: what is known of the whole task with turned queries; None to leave it out.
+        judged: what the right piece is called where its judge is doubtful, see `explorer.panels.judge.judged_piece`.
     """
     angle = analysis.state.angle
     turns = {
@@ -59,6 +61,9 @@ def page(
         return render("explain/sweep", choices=choices, over=over, done=0, stopped=stopped, whole=whole, turns=turns)
     current = signed_value(over, analysis.state.change)
     recalls = whole.recalls if whole is not None and over == "rotation" else ()
+    followed = f"the compared {say('tile')}"
+    if profile.best.true:
+        followed = judged or f"the {say('positive')}"
     ended = stopped or len(profile.points) >= total
     return render(
         "explain/sweep",
@@ -71,8 +76,8 @@ def page(
         charts=charts.profile_charts(profile, names, _WIDTH, current, _attributes, recalls),
         whole=whole,
         turns=turns,
-        followed=_followed(profile),
-        sentences=[*_sentences(profile, analysis), *_weathers(profile, names)] if ended else [],
+        followed=followed,
+        sentences=[*_sentences(profile, analysis, followed), *_weathers(profile, names, followed)] if ended else [],
         claim=analysis.task.contract.claim,
         several=len(names) > 1,
     )
@@ -84,14 +89,10 @@ def _attributes(point: SweepPoint) -> Markup:
     return send("take", [change.rotate, change.shift, change.down, change.scale, change.weather.name])
 
 
-def _followed(profile: SweepResult) -> str:
-    return f"the {say('positive')}" if profile.best.true else f"the compared {say('tile')}"
-
-
-def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
+def _sentences(profile: SweepResult, analysis: StateAnalysis, followed: str) -> list[str]:
     over, best, ranked, blind = profile.over, profile.best, profile.best_rank, profile.best_top_match
     sentences = [
-        f"Best for {_followed(profile)}: {_place(over, best)}, {_figures(best.score)}, {ordinal(best.rank)}"
+        f"Best for {followed}: {_place(over, best)}, {_figures(best.score)}, {ordinal(best.rank)}"
         f"{_before(profile, best)}."
     ]
     if (depth := analysis.task.depth) is not None:
@@ -112,14 +113,14 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis) -> list[str]:
     return sentences
 
 
-def _weathers(profile: SweepResult, names: Sequence[str]) -> list[str]:
+def _weathers(profile: SweepResult, names: Sequence[str], followed: str) -> list[str]:
     """Say which weather costs the followed tile most, and which part loses most in it; nothing of another sweep."""
     clear = next((point for point in profile.points if not point.change.weather), None)
     worst = min(profile.points, key=lambda point: point.score)
     if profile.over != "weather" or clear is None or worst is clear:
         return []
     text = (
-        f"{_followed(profile).capitalize()} suffers most {worst.change.weather.describe()}: {_figures(worst.score)}, "
+        f"{capitalised(followed)} suffers most {worst.change.weather.describe()}: {_figures(worst.score)}, "
         f"{ordinal(worst.rank)}."
     )
     if len(names) > 1:

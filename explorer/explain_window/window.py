@@ -22,6 +22,7 @@ from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.explain_window.whole_task import TurnChoice, WholeTask
+from explorer.panels import judge
 from explorer.panels.first_screen import said
 from explorer.reports import Reporter
 from explorer.session_state import StateChange, WhyTab
@@ -399,7 +400,8 @@ class ExplainWindow:
         if sweep is None:
             return sweep_page.page(analysis, None, None, 0, names, whole=whole)
         profile = sweep.profile(analysis)
-        return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped, whole)
+        judged = judge.judged_piece(analysis, self._workspace)
+        return sweep_page.page(analysis, sweep.request.over, profile, sweep.total, names, sweep.stopped, whole, judged)
 
     def _draw_models(self) -> float | None:
         """Draw the tab while it is shown; return the seconds after which to look again while something is still to come."""

@@ -194,7 +194,7 @@ def card(
         height=located.frame.flying_height,
         corrected=_correction(view, frame, place),
         look_right=retrieval_right if stage in PLACED else None,
-        judge=view.flight.judge,
+        judge=view.flight.judge_of(frame),
     )
 
 

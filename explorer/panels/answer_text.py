@@ -7,8 +7,7 @@ from dataclasses import dataclass, replace
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
-from explorer.panels import place_text
-from explorer.panels.radius_text import confirmed
+from explorer.panels import judge, place_text
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
@@ -16,14 +15,13 @@ from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, Belief, belief, disagreements, on_what
+from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
 from lpn.locate.summary import is_unchecked, other_map
 from lpn.maps import Window
-from lpn.maps.named_window import WindowCut
 from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import Match
 
@@ -150,14 +148,14 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         return None, "Best match", f"{text} {_UNPROVEN} {far[1]}"
     if none := _no_right_answer(analysis, workspace):
         return False, "Wrong", none
-    judged = judged_piece(analysis, workspace)
+    judged = judge.judged_piece(analysis, workspace)
     if first.true:
-        details = workspace.flight is not None and workspace.flight.late_tags is not None
+        details = workspace.flight is not None and workspace.flight.judge_of(analysis.state.query) == "its details"
         place = "there" if judged else "where details place the photo" if details else "the place photographed"
         window = _window(analysis)
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
         if error_m is not None and window is not None:  # a large piece shows places far from its middle
-            shown = "that place" if judged else place
+            shown = "that place" if judged else "the place by its details" if details else place
             off = f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle"
         return (
             True,
@@ -173,34 +171,14 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
     )
 
 
-def judged_piece(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Return what the piece is called that is right by a judge of a flight's photo whom nothing confirms; "" for any other judge.
-
-    Nothing confirms one that another method contradicts, nor any of a flight whose check does not confirm the radii.
-    """
-    flight = workspace.flight
-    if flight is None or analysis.state.upload is not None or flight.rendered:
-        return ""
-    verdict = belief(flight.frames[analysis.state.query])
-    if not contradicted(verdict) and confirmed(workspace) is not False:
-        return ""
-    at = "details place the photo" if flight.judge == "its details" else "the photo's GPS tag lies"
-    return f"the piece where {at}"
-
-
-def contradicted(verdict: Belief) -> bool:
-    """Return whether another method, or the map, contradicts where a photo's details place it."""
-    return verdict.stage == "registration" and verdict.sign is None
-
-
 def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say by what a piece of a map is right or wrong, as pieces differ in width; "" for other answers, and ungraded ones."""
     first, window = analysis.matches[0], _window(analysis)
     if window is None or first.true is None or analysis.positive is None:
         return ""
-    judge = "its GPS tag" if workspace.flight is None else workspace.flight.judge
+    by = "its GPS tag" if workspace.flight is None else workspace.flight.judge_of(analysis.state.query)
     lies = "on it" if first.true else "beyond its edge"
-    return f"The chosen piece is {window.size:.0f} m wide; by {judge}, the photo's middle lies {lies}."
+    return f"The chosen piece is {window.size:.0f} m wide; by {by}, the photo's middle lies {lies}."
 
 
 def flight_verdict(
@@ -214,10 +192,11 @@ def flight_verdict(
     right, _, sentence = look
     if workspace.flight is None or analysis.state.upload is not None:
         return look, None
+    by = workspace.flight.judge_of(analysis.state.query)
     if _no_right_answer(analysis, workspace):
         look = None, "Not graded", sentence
     elif right is not None:
-        look = right, f"{by_look(right)}, judged by {workspace.flight.judge}", sentence
+        look = right, f"{by_look(right)}, judged by {by}", sentence
     located, elsewhere = workspace.flight.frames[analysis.state.query], other_map(workspace.flight)
     registration = located.stages.get("registration")
     registered = registration is not None
@@ -226,7 +205,7 @@ def flight_verdict(
     verdict = belief(located)
     told = verdict.summary if words.plain() else verdict.headline
     if registration is not None and verdict.stage == "registration":
-        if look[0] is not None and verdict.sign is None and workspace.flight.judge == "its details":
+        if look[0] is not None and verdict.sign is None and by == "its details":
             look = None, f"{by_look(right is True)}, if its details are right", sentence
         beside = _beside_look(analysis, look[0])
         return look, (
@@ -273,8 +252,8 @@ def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if workspace.flight is None:
         return f"None of the {pictures} shows this place, so no answer can be right."
-    judge = "Its GPS tag" if workspace.flight.late_tags is None else "The place that the photo is graded by"
-    return f"{judge} lies on none of the {pictures}, so no answer counts as right."
+    by = "Its GPS tag" if workspace.flight.late_tags is None else "The place that the photo is graded by"
+    return f"{by} lies on none of the {pictures}, so no answer counts as right."
 
 
 def _compared(analysis: StateAnalysis) -> bool:
@@ -334,7 +313,8 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not concluded.sign:
         headline = "Its middle fits this map, places away from it do not"
-    off_answer, window = answer_off(analysis, own.located), _window(analysis)
+    window = _window(analysis)
+    off_answer = judge.off_window(own.located, window)
     look = " Its look alone agrees."
     if off_answer is None or answer.x is None or answer.y is None or window is None:
         look = ""
@@ -353,21 +333,9 @@ def _usual(workspace: Workspace) -> str:
     return f" (those of the flight's photos {distance(audit.median)} in the median)"
 
 
-def answer_off(analysis: StateAnalysis, located: LocatedFrame) -> float | None:
-    """Return the metres from the answer, a piece of the map, to a photo's registered place, below 0 inside of the piece.
-
-    None without an accepted registration, or a piece of a map.
-    """
-    answer, window = located.stages.get("registration"), _window(analysis)
-    if answer is None or not answer.accepted or answer.x is None or answer.y is None or window is None:
-        return None
-    return max(abs(answer.x - window.x), abs(answer.y - window.y)) - window.size / 2
-
-
 def _window(analysis: StateAnalysis) -> Window | None:
     """Return where the answer lies on the map; None where it is no piece of one."""
-    cut = analysis.task.gallery[analysis.matches[0].index].cut
-    return cut.window if isinstance(cut, WindowCut) else None
+    return judge.window_of(analysis.task, analysis.matches[0].index)
 
 
 def comparing(job: BackgroundJob[OwnPhoto]) -> str:
@@ -408,8 +376,8 @@ def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:
     """Return the most similar pieces of the map, about which an own picture is searched on a large one."""
-    cuts = [analysis.task.gallery[index].cut for index in analysis.ranking.order[:TOP].tolist()]
-    return [cut.window for cut in cuts if isinstance(cut, WindowCut)]
+    windows = (judge.window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
+    return [window for window in windows if window is not None]
 
 
 def _far(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool, str] | None:
@@ -512,7 +480,7 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     For a right answer, that is the hardest negative; for a wrong one, the nearest positive; without a truth, the next tile.
 
     Args:
-        judged: what the right piece is called where its judge is doubtful, see `judged_piece`.
+        judged: what the right piece is called where its judge is doubtful, see `explorer.panels.judge.judged_piece`.
     """
     first, others = analysis.matches[0], analysis.matches[1:]
     rival: Match | None
@@ -602,8 +570,8 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     look += f" ({', '.join(kinds)})" if kinds else ""
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
-        judge = "their true places" if workspace.flight.rendered else "their GPS tags"
-        return f"{look}, at most {upper_bound(max(errors))} m from {judge}."
+        truths = "their true places" if workspace.flight.rendered else "their GPS tags"
+        return f"{look}, at most {upper_bound(max(errors))} m from {truths}."
     elsewhere, _ = trials(workspace)
     return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from explorer import lab_choices, session_state
 from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
-from explorer.panels import answer_text, place_text, wrong_answer
+from explorer.panels import answer_text, judge, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
 from explorer.panels.navigation import Navigation
 from explorer.panels.radius_text import check
@@ -222,7 +222,7 @@ def page(
     found = _verdicts(analysis, workspace)
     disputed = found.disputed
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
-    lead = answer_text.lead(analysis, answer_text.judged_piece(analysis, workspace)) if state.why else None
+    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why else None
     cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
     cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
@@ -288,8 +288,13 @@ def page(
 
 def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
     look = answer_text.plain_verdict(analysis, workspace)
-    right = look[0]
-    disputed = right is not None and _lies_on_answer(analysis, workspace) is (not right)
+    right, state = look[0], analysis.state
+    of_flight = workspace.flight is not None and state.upload is None
+    disputed = (
+        of_flight
+        and right is not None
+        and judge.is_disputed(workspace, analysis.task, state.query, analysis.matches[0].index, right)
+    )
     look_errs = right is False and not disputed
     look, concluded = answer_text.flight_verdict(analysis, workspace, look)
     if disputed and concluded is not None and concluded[0]:
@@ -456,7 +461,8 @@ def _because(
         sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
     errs = not lead.of_answer
     if located is not None and analysis.registered is not None:
-        errs = (answer_text.answer_off(analysis, located) or 0.0) > 0
+        answer = judge.window_of(task, analysis.matches[0].index)
+        errs = (judge.off_window(located, answer) or 0.0) > 0
     off_map = place_text.off_map(task.gallery[analysis.chosen.index])
     if off_map and errs:
         sentences.append(off_map)
@@ -547,7 +553,7 @@ def _third_tile(
     Where the tag is disputed, or the judge is in doubt (`unsure`), that is not known. Parts that differ from picture to picture
     are not drawn, as they would take a forward pass.
     """
-    task, judged = analysis.task, answer_text.judged_piece(analysis, workspace)
+    task, judged = analysis.task, judge.judged_piece(analysis, workspace)
     lead = answer_text.lead(analysis, judged)
     known = analysis.ranking.relevant is not None and not disputed
     right: bool | None = not disputed and analysis.positive is not None and analysis.positive.index == index
@@ -622,21 +628,6 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
 def _map_picture(basemap: Map) -> tuple[UInt8Array, BoolArray]:
     """Return a map and its valid pixels, see `Map.overview`; a small one is read several times as quickly as a large one."""
     return basemap.overview(_SIZE[0])
-
-
-def _lies_on_answer(analysis: StateAnalysis, workspace: Workspace) -> bool | None:
-    """Return whether the details of a flight's photo place its middle on the answer, whatever its GPS tag says.
-
-    None without an accepted registration, and where its 1-sigma radius leaves it open. The map's error moves both alike.
-    """
-    flight, state = workspace.flight, analysis.state
-    if flight is None or state.upload:
-        return None
-    located = flight.frames[state.query]
-    off = answer_text.answer_off(analysis, located)
-    if off is None:
-        return None
-    return None if abs(off) < located.stages["registration"].own_radius else off <= 0
 
 
 def _turn(analysis: StateAnalysis, workspace: Workspace, least: float = _LEVEL) -> MatchingTurn | None:

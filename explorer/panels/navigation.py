@@ -9,11 +9,11 @@ from random import Random
 import numpy as np
 
 from explorer import session_state
-from explorer.panels import answer_text, wrong_answer
+from explorer.panels import judge, wrong_answer
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
-from lpn.locate.belief import beliefs, disagreements
+from lpn.locate.belief import belief
 
 
 class Navigation:
@@ -52,17 +52,31 @@ class Navigation:
     def next_failure(self, state: SessionState) -> SessionState | None:
         """Choose the next failure of the list.
 
-        Those of a flight that its other methods do not mend are first, and those whose judge is contradicted last.
+        Those of a flight that its other methods do not mend are first, and those whose judge is doubtful last.
         """
         flight = self._workspace.flight
-        order = None
-        if flight is not None:
-            verdicts = beliefs(flight.frames, disagreements(flight.frames))
-            doubtful = [not flight.rendered and answer_text.contradicted(verdict) for verdict in verdicts]
-            order = np.array(
-                [2 if doubt else int(one.sign is True) for one, doubt in zip(verdicts, doubtful, strict=True)]
-            )
-        return self._failure(state, lambda state, failed: session_state.next_failure(state, failed, order))
+
+        def choose(state: SessionState, failed: BoolArray) -> SessionState | None:
+            order = None
+            if flight is not None:
+                doubtful = self._doubtful(state, failed)
+                order = np.array(
+                    [2 if i in doubtful else int(belief(one).sign is True) for i, one in enumerate(flight.frames)]
+                )
+            return session_state.next_failure(state, failed, order)
+
+        return self._failure(state, choose)
+
+    def _doubtful(self, state: SessionState, failed: BoolArray) -> set[int]:
+        """Return the failures of a flight whose judge is doubtful, or by whose judge no piece is right."""
+        ranking = self._workspace.rankings[state.ranking_key]
+        assert ranking.result is not None
+        best, ranks = ranking.result.ranking.best, ranking.ranks
+        return {
+            query
+            for query in np.flatnonzero(failed).tolist()
+            if ranks[query] < 0 or judge.is_doubtful(self._workspace, ranking.task, query, int(best[query]), False)
+        }
 
     def _failure(
         self, state: SessionState, choose: Callable[[SessionState, BoolArray], SessionState | None]

@@ -9,7 +9,7 @@ from typing import Literal, NamedTuple
 from explorer import session_state
 from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.panels import answer_text
+from explorer.panels import answer_text, judge
 from explorer.panels.radius_text import with_radius
 from explorer.stage import pair_picture
 from explorer.web.render import render
@@ -110,6 +110,8 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
     look, concluded = answer_text.flight_verdict(analysis, workspace, answer_text.plain_verdict(analysis, workspace))
     if words.plain() and concluded is not None:
         right, headline, reason = look
+    if not judge.is_sure(analysis, workspace):
+        right = None
     registered = workspace.details(analysis)
     all_parts_off = not analysis.state.parts_left()
     note = analysis.query_note
@@ -148,6 +150,7 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
 
     A positive of a lower rank is appended as a further row, which uses the last button.
     """
+    analysis = judge.shown(analysis, workspace)
     positive, own = analysis.positive, analysis.registered
     below = positive if positive is not None and positive.rank > len(analysis.matches) else None
     full = max(match.distance2 for match in (*analysis.matches, *([below] if below else [])))
@@ -155,6 +158,7 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
         "panels/matches",
         rows=list(zip(analysis.matches, buttons, strict=False)),
         below=below,
+        right=judge.judged_piece(analysis, workspace) or f"the {words.say('positive')}",
         last_button=buttons[-1],
         full=max(full, 1e-9),
         gallery=analysis.task.gallery,

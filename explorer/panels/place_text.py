@@ -89,7 +89,7 @@ def criterion(workspace: Workspace, task: Task) -> str:
     if round(low) < round(high):
         right += ", so the middle of a large piece may lie farther off than that of a small one"
     if (audit := flight.late_tags) is None or audit.lag is None:
-        return f"{right}; {flight.judge} is the judge."
+        return f"{right}; its GPS tag is the judge."
     return (
         f"{right}. GPS tags here lie {distance(audit.median)} off in the median, some of which a lag of {abs(audit.lag):.1f} s "
         "explains, so the judge is the program's second method, which lays the photo's details over the map."

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from explorer import session_state
 from explorer.layout import Box, ScreenLayout
-from explorer.panels import answer_text, messages, pages
+from explorer.panels import answer_text, judge, messages, pages
 from explorer.panels.messages import StageMessage
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange
@@ -113,8 +113,9 @@ class StageControls:
         state, workspace = analysis.state, self._workspace
         if state.first_screen:
             return ""
-        bars, lead, full = part_bars(analysis, workspace.part_names, answer_text.judged_piece(analysis, workspace))
-        colours = _lead_names(*lead_colours(lead is not None and lead.sure))
+        bars, lead, full = part_bars(analysis, workspace.part_names, judge.judged_piece(analysis, workspace))
+        sure = lead is not None and lead.sure and judge.is_sure(analysis, workspace)
+        colours = _lead_names(*lead_colours(sure))
         areas = [
             workspace.areas(view, described)
             for view, described in zip(analysis.task.views, (analysis.query, analysis.tile), strict=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explorer.panels import answer_text, place_text
+from explorer.panels import judge, place_text
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers
@@ -76,7 +76,7 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
     if not len(at):
         return None
     kinds = answer_context.failing_kinds(outcomes, table, task.query_labels)
-    right = answer_text.judged_piece(analysis, workspace) or "the right one"
+    right = judge.judged_piece(analysis, workspace) or "the right one"
     by_chance = answer_context.by_chance(len(listed))
     return WrongAnswer(
         int(at[0]) + 1,

@@ -13,7 +13,7 @@ from markupsafe import Markup
 
 from explorer import session_state
 from explorer.compute.request_context import QueuedModel
-from explorer.panels import answer_text
+from explorer.panels import answer_text, judge
 from explorer.reports import safe_file_name
 from explorer.session_state import SessionState
 from explorer.stage import pair_picture
@@ -127,6 +127,8 @@ def _slide(sources: WindowSources, step: Step, analysis: StateAnalysis, wait: Ca
     state, task = analysis.state, analysis.task
     right, headline, reason = answer_text.verdict(analysis, workspace)
     cells = math.prod(workspace.map_sizes[task.query_view])
+    if not judge.is_sure(analysis, workspace):
+        right, analysis = None, judge.shown(analysis, workspace)
     pair, map_picture = analysis.pair_evidence, ground.draw(workspace, analysis) if state.map else None
     window = Markup()
     if state.lab:

@@ -168,11 +168,14 @@ def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
     return drawn
 
 
-def waterfall(margin: FloatingArray) -> list[Markup]:
+def waterfall(margin: FloatingArray, sure: bool = True) -> list[Markup]:
     """Draw a margin, (n,), as steps: one drawing for each part, and a last one for the sum; stacked, they join.
 
     Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative. The numbers are rounded
     so that they add up.
+
+    Args:
+        sure: one tile is known to be right and the other wrong; else the colours are those of what speaks for and against.
     """
     ends = np.concatenate([[0.0], np.cumsum(margin)])
     scale = (100 - 2 * _LABEL_ROOM) / max(float(np.ptp(ends)), 1e-9)
@@ -184,7 +187,8 @@ def waterfall(margin: FloatingArray) -> list[Markup]:
             zip(rounded_to_sum(margin.tolist()), pairwise(places), strict=True)
         )
     ]
-    verdict = theme.mark("right" if total >= 0 else "wrong")
+    ahead, behind = ("right", "wrong") if sure else ("for", "against")
+    verdict = theme.mark(ahead if total >= 0 else behind)
     return [*drawn, _draw("step", zero, zero, places[-1], total, verdict, places[-1], None)]
 
 

@@ -29,6 +29,8 @@ from lpn.retrieval import field_metrics
 STAGES = ("retrieval", "sequence", "registration")
 # The stage of a track that has the places of corrected frames.
 BY_HAND = "by hand"
+# By what a photo's look is graded.
+Judge = Literal["its GPS tag", "its GPS tag without its lag", "its details"]
 # Least distance between the centres of a frame's kept windows, as a share of their side; windows that overlap show one place.
 APART = 0.5
 
@@ -268,10 +270,11 @@ class LocatedFlight:
         audit = audit_tags(self.flight.times, tag_positions(self.frames), places.astype(np.float64), middles=True)
         return audit if audit.has_lag else None
 
-    @property
-    def judge(self) -> str:
-        """The words for what a photo's look is graded by, see `photographed`."""
-        return "its GPS tag" if self.late_tags is None else "its details"
+    def judge_of(self, frame: int) -> Judge:
+        """Return what a photo's look is graded by, see `photographed`."""
+        if self.late_tags is None:
+            return "its GPS tag"
+        return "its GPS tag without its lag" if self._shipped_middle(self.frames[frame]) is None else "its details"
 
     @cached_property
     def photographed(self) -> list[Float64Array | None]:
@@ -285,11 +288,16 @@ class LocatedFlight:
         moved = corrected_tags(self.flight.times, tag_positions(self.frames), audit.lag)
         places: list[Float64Array | None] = []
         for located, tag in zip(self.frames, moved, strict=True):
-            answer = self.shipped.get(located.frame.name)
-            registered = answer is not None and answer.accepted and answer.homography is not None
+            middle = self._shipped_middle(located)
             known = None if np.isnan(tag).any() else tag
-            places.append(located.middle(answer) if registered and answer is not None else known)
+            places.append(known if middle is None else middle)
         return places
+
+    def _shipped_middle(self, located: LocatedFrame) -> Float64Array | None:
+        answer = self.shipped.get(located.frame.name)
+        if answer is None or not answer.accepted or answer.homography is None:
+            return None
+        return located.middle(answer)
 
     def track(self) -> list[TrackPoint]:
         """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""

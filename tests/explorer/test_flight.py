@@ -32,7 +32,7 @@ from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.flight_window.own_picture import own_picture
 from explorer.opening import open_flight_over
-from explorer.panels import answer_text, first_screen, pages
+from explorer.panels import answer_text, first_screen, judge, pages
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
@@ -335,7 +335,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     explained = replace(explained, own_photo=analysis.own_photo)
     for off, errs in ((-5.0, False), (5.0, True)):
         with monkeypatch.context() as patch:
-            patch.setattr(answer_text, "answer_off", lambda *_, off=off: off)
+            patch.setattr(judge, "off_window", lambda *_, off=off: off)
             reasons = first_screen.page(explained, workspace)
         assert "details of your picture lie where the map has them: they place it." in reasons
         assert ("<h2>By its look, which errs</h2>" in reasons) == errs

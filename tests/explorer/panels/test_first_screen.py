@@ -9,7 +9,7 @@ from hashlib import sha256
 from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import cv2
 import msgspec
@@ -19,18 +19,22 @@ import pytest
 from explorer import reports, session_state
 from explorer.cli import Explore
 from explorer.client.address import opened_alone
-from explorer.explain_window import comparison
+from explorer.client.views import ClientViews
+from explorer.compute.request_context import RequestContext
+from explorer.explain_window import comparison, model_comparison, sweep_page
 from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, first_screen, pages
+from explorer.panels import answer_text, first_screen, judge, pages
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
+from explorer.stories import exported
+from explorer.stories.story import Step
 from explorer.url_state import UrlState
 from explorer.web import terms
-from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
 from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
@@ -38,8 +42,10 @@ from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.datasets import rendered
 from lpn.datasets.geo import Position
+from lpn.descriptors.transforms import Change
 from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
+from lpn.explain.sweeps import SweepPoint, SweepResult
 from lpn.flights.photo_file import PhotoFile
 from lpn.locate.belief import disagreements
 from lpn.locate.located import LocatedFlight, StageRecord
@@ -74,6 +80,14 @@ def query(workspace: Workspace, found: bool) -> StateAnalysis:
         if bool(analysis.matches[0].true) == found:
             return analysis
     raise AssertionError(f"no query has found = {found}")
+
+
+def assert_ungraded(html: str) -> None:
+    """No word, sign, or colour calls a piece right or wrong."""
+    assert not re.search(r"right (one|picture|tile)|wrong (one|tile)|best wrong|[✓✗]", text(html)), text(html)
+    colours = (theme.css(colour) for colour in (theme.TRUE_COLOUR, theme.FALSE_COLOUR))
+    for mark in (*colours, "--lpn-right", "--lpn-wrong", "--mark-right", "--mark-wrong"):
+        assert mark not in html
 
 
 def text(html: str) -> str:
@@ -764,6 +778,29 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         shown.append(after)
     signs = [FlightView.of(flight, {}, "").beliefs[one.query].sign for one in shown[1:]]
     assert signs == [True, True, True, True, None], "an answer that is wrong for certain comes before a doubtful one"
+    with monkeypatch.context() as patch:
+        # The tag judges it and its details agree with the tag, so that the map beside its middle casts no doubt on the answer.
+        patch.setattr(LocatedFlight, "judge_of", lambda *_: "its GPS tag")
+        after = navigation.next_failure(state)
+        assert after is not None
+        assert after.query == shown[-1].query
+        assert {one.other for one in disagreements(flight.frames) if one.frame == after.query} == {"map"}
+        assert "✗ By its look: wrong, judged by its GPS tag." in text(
+            first_screen.page(analyse(workspace, after), workspace)
+        )
+    with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
+        patch.setattr(judge, "confirmed", lambda _: True)
+        of_first = text(first_screen.page(analyse(workspace, state), workspace))
+        assert (
+            "the right one: it is 37 m wide, and the place by its details lies on it, 3 m from its middle." in of_first
+        )
+    with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
+        name = flight.frames[workspace.first_query].frame.name
+        patch.setattr(flight, "shipped", {key: one for key, one in flight.shipped.items() if key != name})
+        of_first = text(first_screen.page(analyse(workspace, state), workspace))
+        assert "right, judged by its GPS tag without its lag." in of_first
+        assert "found the piece where the photo's GPS tag lies without its lag: it is" in of_first
+        assert "by its GPS tag without its lag, the photo's middle lies on it." in of_first
     # The page of wrong answers, the first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]
@@ -824,9 +861,53 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         bars = StageControls(workspace, navigation, print).html(analysis, layout_for(workspace.contract.input_size))
         for html in (bars, comparison.page(analysis, workspace, compared, None, computing=False)):
             assert "the piece where details place the photo" in text(html)
-            assert "right picture" not in text(html)
+            assert_ungraded(html)
+        assert "var(--mark-against)" in bars
+        assert re.search("(puts|put) first the piece where details place the photo", text(html))
+        positive, top = analysis.positive, analysis.matches[0]
+        point = SweepPoint(
+            Change(), positive.index, True, positive.score, positive.rank, positive.cosines, top.index, top.score
+        )
+        sweep = sweep_page.page(
+            analysis,
+            "rotation",
+            SweepResult("rotation", (point,)),
+            1,
+            workspace.part_names,
+            judged=judge.judged_piece(analysis, workspace),
+        )
+        assert "Best for the piece where details place the photo: " in text(sweep)
+        beside = LazyWorkspace("the same", lambda _: workspace)
+        assert beside.open().wait(PATIENCE)
+        with monkeypatch.context() as patch:
+            patch.setattr(workspace, "beside", [beside])
+            models = model_comparison.ModelComparison(workspace, RequestContext(workspace.inference))
+            columns = re.sub(r"(?s)Where the place in the list.*", "", models.page(analysis))
+        below = replace(analysis, matches=[one for one in analysis.matches if one.index != positive.index][:1])
+        listed = pages.matches(below, workspace, ["first", "last"])
+        for html in (sweep, columns, listed, pages.verdict(analysis, workspace)):
+            assert_ungraded(html)
+        for html in (columns, listed):
+            assert "the piece where details place the photo" in text(html)
+        of_stage: list[StateAnalysis] = []
+        views = SimpleNamespace(_workspace=workspace, stage=SimpleNamespace(show=of_stage.append))
+        ClientViews._draw_stage(cast(Any, views), analysis)
+        assert of_stage[0].chosen.true is None
+        drawn = exported._slide(cast(Any, SimpleNamespace(workspace=workspace)), Step(""), analysis, print)
+        assert drawn.right is None
+        of_slide = [*drawn.analysis.matches, drawn.analysis.chosen, *(match for match, *_ in drawn.ranked)]
+        assert {one.true for one in of_slide} == {None}
+        assert drawn.analysis.positive is not None
+        assert drawn.analysis.positive.true is None
+    with speaking(workspace.vocabulary(False)):
+        assert not re.search("[✓✗]", pages.verdict(analysis, workspace))
+        assert "wrong tile" not in comparison.page(analysis, workspace, compared, None, computing=False)
+    # A sure judge keeps its signs.
+    sure = analyse(workspace, replace(state, query=placed, first_screen=False))
+    assert judge.shown(sure, workspace) is sure
+    assert "✗" in pages.matches(sure, workspace, [""] * 11)
     with monkeypatch.context() as patch:
-        patch.setattr(LocatedFlight, "judge", "its GPS tag")
+        patch.setattr(LocatedFlight, "judge_of", lambda *_: "its GPS tag")
         said = text(first_screen.page(analyse(workspace, replace(state, query=doubted)), workspace))
         assert "The model's own guess, by its look alone, was wrong, " in said
         assert "which are doubtful" not in said, "the details did not judge it"

@@ -78,7 +78,7 @@ def test_only_known_days_are_named(mapped: str, flown: date | None, said: str) -
 def test_the_judge_of_right_answers_is_named() -> None:
     place = workspace_of(DEMO_FLIGHT)
     place.flight.retrieval = SimpleNamespace(sizes=np.array([99.2, 99.2]))
-    place.flight.late_tags, place.flight.judge = None, "its GPS tag"
+    place.flight.late_tags = None
     task = cast(Any, SimpleNamespace(lists_gallery=True))
     said = "Right is a piece, 99 m wide, on which the photo's middle lies; its GPS tag is the judge."
     assert (place_text.criterion(place, task), place_text.season(place)) == (
