@@ -238,7 +238,6 @@ class ClientViews:
             if not covered:
                 self._draw_stage(analysis)
                 self.bridge.set_ground(self.stage.ground)
-                self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
             self.explain_window.show(analysis)
             self.lab.show(analysis)
             self.flight.show(analysis)
@@ -249,7 +248,9 @@ class ClientViews:
             self.first_screen.show(analysis, self.stories.names)
 
     def _draw_stage(self, analysis: StateAnalysis) -> None:
+        """Draw the stage, and the controls and bars that lie over it."""
         self.stage.show(judge.shown(analysis, self._workspace))
+        self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
 
     def show_own_photo(self, analysis: StateAnalysis) -> None:
         """Show how far the registration of the own picture is, or its answer beside the analysis that is shown."""
@@ -269,7 +270,6 @@ class ClientViews:
         """Draw the stage of an analysis that is shown for the stage's new size."""
         with speaking(self._workspace.vocabulary(analysis.state.plain)), self._client.atomic():
             self._draw_stage(analysis)
-            self.bridge.set_stage(self.stage_controls.html(analysis, self.stage.layout))
 
     def fail(self, error: Exception) -> None:
         """Say why there is no answer."""

@@ -242,7 +242,10 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
 @pytest.mark.parametrize(
     ("options", "sentence"),
     [
-        (["--map", "a.tif", "--model", "m.onnx"], "lpn explore index, lpn explore flight and lpn explore live have it"),
+        (
+            ["--map", "a.tif", "--model", "m.onnx"],
+            "lpn explore index, lpn explore flight, and lpn explore live have it",
+        ),
         (["--no-register"], "lpn explore flight"),
         (
             ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--beside-kind", "dac"],
