@@ -99,9 +99,12 @@ UNITS = {
     "mm": 0.001, "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "rad": math.degrees(1),
     "radians": math.degrees(1), "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "us": 1e-6, "µs": 1e-6, "s": 1.0,
     "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "dd": 1.0, "dms": 1.0, "amsl": 1.0, "msl": 1.0,
-    "utc": 1.0, "gmt": 1.0, "local": 1.0, "n": 1.0, "w": 1.0, "e": 1.0,
+    "utc": 1.0, "gmt": 1.0, "local": 1.0,
 }  # fmt: skip
 _NEGATIVE = {"latitude": {"s", "south"}, "longitude": {"w", "west"}}
+_SIDES = {"n", "s", "e", "w", "north", "south", "east", "west"}
+# Signs and words that explain which side is negative, as in "Longitude (W negative)": such numbers have their signs.
+_EXPLAINED = re.compile(r"[+<>=±−]|(?<!\w)[-/]|[-/](?!\w)|\bneg|\bpositive|minus|plus|sign")
 # Names that hold their unit.
 _OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}
 _BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))\s*", re.DOTALL)
@@ -127,8 +130,8 @@ class LogColumns:
         factors: of its unit, to metres, degrees, or seconds.
         utc: the header says that the date is UTC.
         nadir_zero: a pitch of 0 looks straight down, as in Agisoft's files.
-        negative: latitude where its name says south, longitude where it says west, as in "Longitude W"; for numbers that have
-            neither a sign nor a letter.
+        negative: latitude where its name says south, longitude where it says west, as in "Longitude W"; for a column in which
+            no number has a sign, and for numbers without a letter. One beside a column of letters is not among them.
         notes: sentences about columns that count as something, or are left out.
     """
 
@@ -181,14 +184,9 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
             )
     negative = frozenset(
         what
-        for what, sides in _NEGATIVE.items()
-        if what in places and sides & set(re.findall(r"[^\W_]+", cells[places[what]].text.casefold()))
+        for what in _NEGATIVE
+        if what in places and f"{what}_letter" not in places and _is_negative(what, cells[places[what]].text.casefold())
     )
-    notes += [
-        f"Numbers without a sign in the column {printable(cells[places[what]].text)} of {name} count as negative, as its "
-        "name says."
-        for what in sorted(negative)
-    ]
     plain = [cell.plain for cell in cells]
     if "altitude" in places and plain[places["altitude"]] == "z" and "coordinate1" not in plain:
         del places["altitude"]  # elsewhere z may be of a local grid
@@ -216,11 +214,14 @@ def _cell(text: str, at: int) -> _Cell:
     text = text.lstrip("#% ").strip()
     match = _BRACKETED.fullmatch(text)
     body, unit = (match[1], (match[2] or match[3] or "").strip()) if match else (text, "")
+    if _SIDES & set(_words(unit)) and {*_words(body)} & {*_NAMES["latitude"], *_NAMES["longitude"]}:
+        unit = next((word for word in _words(unit) if word in UNITS and word not in _SIDES), "")
     unit = re.split(r"[\s,;(\[]", unit)[0]
     if not unit:
         for sign in "_/ ":
             head, _, last = body.rpartition(sign)
-            if head and last.casefold() in UNITS and last.casefold() not in ("utc", "local", "gmt"):
+            is_unit = last.casefold() in UNITS and last.casefold() not in ("utc", "local", "gmt")
+            if head and is_unit and _plain(head) not in (*_NAMES["file"], "gps"):
                 body, unit = head, last
                 break
     parts = [part for part in re.split(r"[:./]", body) if len(part) > 1] or [body]
@@ -229,6 +230,16 @@ def _cell(text: str, at: int) -> _Cell:
     tail = parts[-1] if parts != [body] and not _is_other(parts[:-1]) else ""
     words = tuple(_plain(word) for word in re.split(r"[\s_-]+", body))
     return _Cell(text, plain, _plain(tail), () if _is_other(words) else words, unit.casefold())
+
+
+def _words(text: str) -> list[str]:
+    return re.findall(r"[^\W_]+", text.casefold())
+
+
+def _is_negative(what: str, text: str) -> bool:
+    """Return whether a latitude's or longitude's name in lower case names south or west alone, and explains no signs."""
+    sides = [word for word in _words(text) if word in _SIDES]
+    return len(sides) == 1 and sides[0] in _NEGATIVE[what] and not _EXPLAINED.search(text)
 
 
 def _plain(text: str) -> str:

@@ -95,7 +95,7 @@ def read_log(file: Path) -> Log:
         raise DataError(
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
-    table = table_of(values.decoded(data, name), name)
+    table = _with_hemispheres(table_of(values.decoded(data, name), name), name)
     places, notes, is_scaled = _positions(table, name)
     table = _with_possible_angles(_with_mavlink_units(table) if is_scaled else table, name)
     clocks, zoned, clock_notes = clocks_of(table, name)
@@ -266,7 +266,7 @@ class _Cells:
         if angle is None or not math.isfinite(angle):
             raise DataError(f"{self.where} has the {what} {printable(text)[:80]!r}; expected a number of degrees.")
         angle *= self.table.columns.factors.get(what, 1.0)
-        if what in self.table.columns.negative and text[0] not in "-+" and not values.letter_of(text):
+        if what in self.table.columns.negative and not values.letter_of(text):
             angle = -angle
         letter = self.text(f"{what}_letter")[:1].upper()
         return -abs(angle) if letter and letter == letters[1] else angle
@@ -291,6 +291,22 @@ class _Cells:
                 f"{self.where} has the position {printable(text)[:80]!r}; expected a latitude and a longitude."
             )
         return angles[0], angles[1]
+
+
+def _with_hemispheres(table: LogTable, name: str) -> LogTable:
+    """Leave out of `negative` each column in which a number has a sign; a note names the others."""
+    negative = [
+        what
+        for what in sorted(table.columns.negative)
+        if not any(values.plain(table.text(cells, what)).strip().startswith(("-", "+")) for _, cells in table.rows)
+    ]
+    notes = [
+        f"The numbers in the column {printable(table.header[table.columns.places[what]])} of {name} have no signs, and count as "
+        "negative, as its name says."
+        for what in negative
+    ]
+    columns = replace(table.columns, negative=frozenset(negative))
+    return replace(table, columns=columns, notes=[*table.notes, *notes])
 
 
 def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:

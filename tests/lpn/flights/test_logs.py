@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -225,7 +226,7 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
     ),
     "west.csv": (
         "name,Latitude S,Longitude (W),Altitude Ft\nDJI_0001.JPG,33.4,70.5,1000\n",
-        (-33.4, -70.5, None, 304.8, None, None, None), "in the column Longitude (W) of west.csv count as negative",
+        (-33.4, -70.5, None, 304.8, None, None, None), "column Longitude (W) of west.csv have no signs, and count as negative",
     ),
     "west_signed.csv": (
         "name,lat,longitude west\nDJI_0001.JPG,33.4,-70.5\n",
@@ -408,6 +409,64 @@ def test_dialects_of_the_field_are_read(tmp_path: Path, name: str) -> None:
     )
     assert found == pytest.approx(expected, abs=1e-6)
     assert any(note in line for line in log.notes) if note else not log.notes
+
+
+@pytest.mark.parametrize(
+    "sides",
+    [
+        "{side}", "({side})", "[deg, {word}]", "{word} (deg)", "(°, {side})",
+    ],
+)  # fmt: skip
+def test_numbers_without_a_sign_lie_where_the_name_says(tmp_path: Path, sides: str) -> None:
+    latitude, longitude = (sides.format(side=word[0].upper(), word=word) for word in ("south", "west"))
+    header = f'name,"Latitude {latitude}","Longitude {longitude}"\n'
+    for numbers, expected in (("33.4,70.5", (-33.4, -70.5)), ("-33.4,-70.5", (-33.4, -70.5))):
+        entry = read_log(written(tmp_path, f"{header}a.jpg,{numbers}\n")).rows[0].entry
+        assert (entry.latitude, entry.longitude) == expected
+    # One number with a sign tells that all have theirs.
+    log = read_log(written(tmp_path, f"{header}a.jpg,33.4,0.5\nb.jpg,33.4,-0.5\n"))
+    assert [row.entry.longitude for row in log.rows] == [0.5, -0.5]
+    assert sum("count as negative" in note for note in log.notes) == 1
+
+
+@pytest.mark.parametrize(
+    "sides",
+    [
+        "E/W", "(E/W)", "(E / W)", "E W", "E_W", "(W negative)", "(deg, W negative)", "[deg, west negative]", "(degrees, -W)",
+        "(deg; E positive, W negative)", "(+E, -W)", "(+E/-W)", "(W<0)", "(W is minus)", "(west: neg.)", "W negative",
+        "(W = −)", "(East/West)", "(-W)",
+    ],
+)  # fmt: skip
+def test_a_name_that_explains_the_signs_changes_none(tmp_path: Path, sides: str) -> None:
+    south = sides
+    for word, other in (("East", "North"), ("west", "south"), ("West", "South"), ("E", "N"), ("W", "S")):
+        south = re.sub(rf"(?<![a-zA-Z]){word}(?![a-zA-Z])", other, south)
+    log = read_log(written(tmp_path, f'name,"Latitude {south}","lon {sides}"\na.jpg,33.4,70.5\n'))
+    assert (log.rows[0].entry.latitude, log.rows[0].entry.longitude) == (33.4, 70.5)
+    assert not any("count as negative" in note for note in log.notes)
+
+
+def test_a_column_of_letters_is_believed_before_a_name(tmp_path: Path) -> None:
+    header = "name,Latitude S,GPSLatitudeRef,Longitude W,GPSLongitudeRef\n"
+    log = read_log(written(tmp_path, f"{header}a.jpg,33.4,North,70.5,East\nb.jpg,33.4,South,70.5,West\n"))
+    assert [(row.entry.latitude, row.entry.longitude) for row in log.rows] == [(33.4, 70.5), (-33.4, -70.5)]
+    assert not any("count as negative" in note for note in log.notes)
+
+
+@pytest.mark.parametrize(
+    ("header", "row"),
+    [
+        ("photo_n,name,lat,lon", "1,a.jpg,33.4,70.5"),
+        ("photo s,name,lat,lon", "1,a.jpg,33.4,70.5"),
+        ("lat_e,lon_n,lat_deg,lon_deg,name", "1,2,33.4,70.5,a.jpg"),
+        ("lat_n,lon_e,name", "33.4,70.5,a.jpg"),
+        ("latitude_e,longitude_n,GPS Lat,GPS Lon,name", "1,2,33.4,70.5,a.jpg"),
+        ("gps_n,gps_s,name,gps", '1,2,a.jpg,"33.4, 70.5"'),
+    ],
+)
+def test_a_letter_behind_a_name_is_a_hemisphere_only_where_it_can_be(tmp_path: Path, header: str, row: str) -> None:
+    (found,) = read_log(written(tmp_path, f"{header}\n{row}\n")).rows
+    assert (found.file, found.entry.latitude, found.entry.longitude) == ("a.jpg", 33.4, 70.5)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "cp1252"])
