@@ -22,7 +22,7 @@ _COMMA_DECIMAL = re.compile(r"[^\d,.]*\d{1,3},\d+[^\d,.]*")
 _GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
 # MAVLink's heading if unknown, in hundredths of degrees or in degrees.
-_NO_HEADING = ("65535", "655.35")
+_NO_HEADING = (65535.0, 655.35)
 _PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
 
 
@@ -48,7 +48,8 @@ class LogTable:
         at = self.columns.places.get(what)
         # Programs that fear formulas write an apostrophe before a minus sign.
         text = "" if at is None else cell_at(cells, at).removeprefix("'")
-        return "" if text.casefold() in _UNKNOWN or (what == "heading" and text in _NO_HEADING) else text
+        unknown = text.casefold() in _UNKNOWN or (what == "heading" and values.number(text, self.commas) in _NO_HEADING)
+        return "" if unknown else text
 
 
 def table_of(text: str, name: str) -> LogTable:

@@ -26,6 +26,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.numbers import wrap_degrees
 from lpn.flights import cameras, values
 from lpn.flights.base import HeadingSource
 from lpn.flights.log_tables import LogTable, cell_at, table_of
@@ -34,17 +35,18 @@ from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
-# The largest size of angles in degrees: a heading may have a turn and a half more than its own.
-_MOST_DEGREES = {
-    **dict.fromkeys(("heading", "gimbal_heading", "direction"), 540.0),
-    **dict.fromkeys(("gimbal_pitch", "gimbal_roll", "nose", "bank", "fov"), 180.0),
-}
+# The largest size of angles in degrees. Headings may go on counting from turn to turn; those that are all whole numbers and
+# have more than three turns are hundredths of degrees.
+_HEADINGS, _TILTS = ("heading", "gimbal_heading", "direction"), ("gimbal_pitch", "gimbal_roll", "nose", "bank")
+_MOST_DEGREES = {**dict.fromkeys(_HEADINGS, 3600.0), **dict.fromkeys(_TILTS, 360.0), "fov": 180.0}
+_MOST_WHOLE = 1080.0
 # A gimbal whose least pitch in a log is larger was told by another convention.
 _LOOKS_UP = 30.0
 _SCALED = 1e7
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
-# A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180.
+# A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180. A column of angles is left out if
+# a larger share is beyond the limit.
 _MOST_BEYOND = 0.1
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
 _LEAST_SCALED = 2e7
@@ -235,7 +237,7 @@ class _Cells:
         return self.table.text(self.cells, what)
 
     def value(self, what: str) -> float | None:
-        """Return a value in metres or degrees; None if it is unknown.
+        """Return a value in metres or degrees, pitch and roll from -180 to 180; None if it is unknown.
 
         Raises:
             DataError: if it is no number.
@@ -249,7 +251,16 @@ class _Cells:
                 f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
             )
         # A unit in the cell counts in place of the column's.
-        return value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
+        value = value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
+        return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _MOST_DEGREES[what] else value
+
+    def value_or_nan(self, what: str) -> float:
+        """Return a value as `value` does; NaN if it is unknown or no number."""
+        try:
+            value = self.value(what)
+        except DataError:
+            return math.nan
+        return math.nan if value is None else value
 
     def angle(self, what: str, letters: str) -> float | None:
         """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown.
@@ -372,22 +383,34 @@ def _with_mavlink_units(table: LogTable) -> LogTable:
 
 
 def _with_possible_angles(table: LogTable, name: str) -> LogTable:
-    """Leave out columns of angles that are no degrees, and a gimbal's pitch that looks up throughout; a note names them."""
+    """Leave out angles that are no degrees, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
     columns = dict(table.columns.places)
-    notes = list(table.notes)
-    for what, most in _MOST_DEGREES.items():
-        if what not in columns:
-            continue
-        numbers = (values.number(table.text(cells, what), table.commas) for _, cells in table.rows)
-        angles = [number * table.columns.factors[what] for number in numbers if number is not None]
-        if max(map(abs, angles), default=0.0) > most:
-            why = f"holds {max(angles, key=abs):g}, which is no angle in degrees"
-        elif what == "gimbal_pitch" and min(angles, default=0.0) > _LOOKS_UP:
-            why = f"looks up by {min(angles):g} degrees and more, where -90 should be straight down; --pitch tells it"
+    notes, rows = list(table.notes), [(line, list(cells)) for line, cells in table.rows]
+    for what in [what for what in _MOST_DEGREES if what in columns]:
+        angles = np.array([_Cells(table, cells, "").value_or_nan(what) for _, cells in table.rows], np.float64)
+        known = angles[~np.isnan(angles)]
+        whole = what in _HEADINGS and bool((known == np.floor(known)).all())
+        most = _MOST_WHOLE if whole else _MOST_DEGREES[what]
+        beyond, possible = np.flatnonzero(np.abs(angles) > most), known[np.abs(known) <= most]
+        column = f"column {printable(table.header[columns[what]])} of {name}"
+        if len(beyond) > _MOST_BEYOND * len(known):
+            why = f"holds {max(known.tolist(), key=abs):g}, which is no angle in degrees"
+        elif what == "gimbal_pitch" and len(possible) and possible.min() > _LOOKS_UP:
+            why = (
+                f"looks up by {possible.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
+            )
         else:
+            if len(beyond):
+                notes.append(
+                    f"{len(beyond)} of {len(known)} values of the {column} are no angles in degrees and were not used, first in "
+                    f"line {table.rows[beyond[0]][0]}."
+                )
+            for i in beyond:
+                rows[i][1][columns[what]] = ""
             continue
-        notes.append(f"The column {printable(table.header[columns.pop(what)])} of {name} was left out: it {why}.")
-    return replace(table, columns=replace(table.columns, places=columns), notes=notes)
+        notes.append(f"The {column} was left out: it {why}.")
+        del columns[what]
+    return replace(table, columns=replace(table.columns, places=columns), rows=rows, notes=notes)
 
 
 def _are_minutes(degrees: Float64Array, most: int) -> bool:

@@ -469,6 +469,38 @@ def test_a_letter_behind_a_name_is_a_hemisphere_only_where_it_can_be(tmp_path: P
     assert (found.file, found.entry.latitude, found.entry.longitude) == ("a.jpg", 33.4, 70.5)
 
 
+# The column, and its cells; the headings or pitches and rolls that are read; a part of a note.
+ANGLES: dict[str, tuple[str, list[str], list[float | None], str]] = {
+    "unwrapped": ("yaw", ["10", "730"], [10.0, 10.0], ""),
+    "many turns": ("yaw", [f"{350.5 + 90 * i}" for i in range(30)], [(350.5 + 90 * i) % 360 for i in range(30)], ""),
+    "one error": (
+        "yaw", ["10"] * 15 + ["-9999"] + ["20"] * 4, [10.0] * 15 + [None] + [20.0] * 4,
+        "1 of 20 values of the column yaw of log.csv are no angles in degrees and were not used, first in line 17.",
+    ),
+    "unknown": ("hdg", ["65535.0", "90", "655.35", "65535"], [None, 90.0, None, None], ""),
+    "a unit in the cell": ("heading (rad)", ["90°", "1.5707963267948966"], [90.0, 90.0], ""),
+    "pitch": ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
+    "hundredths": ("hdg", ["9000", "9010", "9005"], [None] * 3, "was left out: it holds 9010, which is no angle in degrees"),
+    "errors": ("gimbal_pitch", ["-90"] * 8 + ["-9999"] * 2, [None] * 10, "was left out: it holds -9999"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ANGLES)
+def test_angles_are_told_from_numbers_that_are_none(tmp_path: Path, name: str) -> None:
+    column, cells, expected, note = ANGLES[name]
+    log = read_log(written(tmp_path, f"lat,lon,{column}\n" + "".join(f"47.3,8.5,{cell}\n" for cell in cells)))
+    found = [row.entry.pitch if "pitch" in column else row.entry.heading for row in log.rows]
+    assert found == [None if angle is None else pytest.approx(angle) for angle in expected]
+    assert any(note in line for line in log.notes) if note else not log.notes
+
+
+def test_a_gimbal_s_angles_from_0_to_360_are_those_about_0(tmp_path: Path) -> None:
+    text = "lat,lon,gimbal_yaw,gimbal_pitch,gimbal_roll\n47.3,8.5,10,320,359.9\n47.3,8.5,10,320,0.1\n"
+    entries = [row.entry for row in read_log(written(tmp_path, text)).rows]
+    assert [(entry.heading, entry.pitch) for entry in entries] == [(10.0, -40.0)] * 2
+    assert [entry.roll for entry in entries] == pytest.approx([-0.1, 0.1])
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16", "utf-16-le", "cp1252"])
 def test_logs_of_every_common_encoding_are_read(tmp_path: Path, encoding: str) -> None:
     (tmp_path / "log.csv").write_bytes("name;lat (°);lon (°)\nö.jpg;47.3;8.5\n".encode(encoding))
