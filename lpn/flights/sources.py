@@ -487,7 +487,9 @@ def _flight_of_videos(
     for number, video in enumerate(files.videos):
         try:
             telemetry, known_subtitles, subtitle_notes = _telemetry(video, files, flight_logs, number, options)
-            part = videos.read_frames(video, folder, options.every, options.every_metres, telemetry)
+            part = videos.read_frames(
+                video, folder, options.every, options.every_metres, telemetry, of_log=known_subtitles is None
+            )
         except DataError as error:
             broken.append(str(error))
             continue
@@ -496,10 +498,7 @@ def _flight_of_videos(
             subtitle, where = known_subtitles
             note = videos.mismatch(subtitle, where, video, part.duration)
             notes += [] if note is None else [note]
-        if part.turns:
-            notes.append(
-                f"{printable(video.name)} is turned by {90 * part.turns}° by its file, and what it tells of the heading with it."
-            )
+        notes += _turned_note(part, video)
         first = next((entry for entry in telemetry.entries if entry.clock is not None), None) if telemetry else None
         parts.append((part, None if first is None or first.clock is None else first.clock - first.time))
     if not parts:
@@ -510,6 +509,19 @@ def _flight_of_videos(
     if broken:
         notes.append(f"{len(broken)} of {len(files.videos)} videos are left out: {' '.join(broken[:_NAMED])}")
     return Flight(name, tuple(frames), tuple(notes))
+
+
+def _turned_note(part: videos.VideoFrames, video: Path) -> list[str]:
+    """Return a note, if any, about a video that its file has shown turned."""
+    if not part.turns:
+        return []
+    sources = {frame.heading_source for frame in part.frames if frame.heading is not None}
+    turned = f"{printable(video.name)} is turned by {90 * part.turns}° by its file"
+    if not sources:
+        return [f"{turned}."]
+    # A gimbal that rolls the camera leaves the aircraft's heading to the top of the picture.
+    doubt = " If the gimbal itself turned the camera, the heading, which is that of the aircraft, is off by as much."
+    return [f"{turned}, and its heading with it.{doubt if 'aircraft' in sources else ''}"]
 
 
 def _telemetry(

@@ -53,7 +53,12 @@ class VideoFrames:
 
 
 def read_frames(
-    video: Path, folder: Path, every: float = 1.0, every_metres: float | None = None, telemetry: Telemetry | None = None
+    video: Path,
+    folder: Path,
+    every: float = 1.0,
+    every_metres: float | None = None,
+    telemetry: Telemetry | None = None,
+    of_log: bool = False,
 ) -> VideoFrames:
     """Write the chosen frames of a video as JPEG files, and return them with their telemetry.
 
@@ -62,6 +67,8 @@ def read_frames(
         every: seconds from one frame to the next, 0.04 or more. The sharpest of the first second from there on is taken.
         every_metres: metres flown from one frame to the next, in place of `every`; needs positions.
         telemetry: of the video.
+        of_log: the telemetry is that of a log, whose field of view lies across the width of the picture before it is turned.
+            That of subtitles lies across the longer side.
 
     Raises:
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
@@ -87,7 +94,7 @@ def read_frames(
         capture.release()
     if not frames:
         raise DataError(f"{printable(video.name)} has no frame that can be read; it may be cut short.")
-    frames = [_upright(frame, turns) for frame in frames]
+    frames = [_upright(frame, turns, of_log) for frame in frames]
     return VideoFrames(tuple(frames), end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0), turns)
 
 
@@ -210,12 +217,13 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
     return Frame(name, folder / name, picture.shape[1], picture.shape[0], time, **values)
 
 
-def _upright(frame: Frame, turns: int) -> Frame:
+def _upright(frame: Frame, turns: int, of_log: bool) -> Frame:
     """Return a frame with its angles turned as its picture is, and with the field of view across its width."""
     if turns and frame.heading is not None:
         heading, pitch, roll = upright_angles(frame.heading, frame.pitch, frame.roll, turns)
         frame = replace(frame, heading=heading, pitch=pitch, roll=roll)
-    if frame.fov is not None and frame.height > frame.width:  # subtitles tell that across the longer side
+    across_height = turns % 2 == 1 if of_log else frame.height > frame.width
+    if frame.fov is not None and across_height:
         frame = replace(frame, fov=cameras.fov_across(frame.fov, frame.width / frame.height))
     return frame
 

@@ -65,6 +65,37 @@ def test_a_video_that_its_file_turns_has_its_heading_and_field_of_view_turned(
     assert any(f"a.mp4 is turned by {90 * turns}° by its file" in note for note in flight.notes) == bool(turns)
 
 
+@pytest.mark.parametrize(
+    ("turns", "upright", "fov"), [(0, False, 45.0), (0, True, 45.0), (1, False, 34.51), (1, True, 57.82)]
+)
+def test_a_log_s_field_of_view_is_that_across_the_picture_as_it_was_taken(
+    tmp_path: Path, turns: int, upright: bool, fov: float
+) -> None:
+    video = turn(write_video(tmp_path / "a.mp4", 2, size=(48, 64) if upright else (64, 48)), turns)
+    (tmp_path / "log.csv").write_text("time,lat,lon,hfov\n0,47,8,45\n2,47,8,45\n")
+    frame = make_flight([video, tmp_path / "log.csv"], tmp_path / "flight").frames[0]
+    assert (frame.width, frame.height) == ((48, 64) if upright != bool(turns % 2) else (64, 48))
+    assert frame.fov == pytest.approx(fov, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("angles", "told"),
+    [
+        ("", "a.mp4 is turned by 90° by its file."),
+        ("[gb_yaw: 40.0 gb_pitch: -90.0]", "a.mp4 is turned by 90° by its file, and its heading with it."),
+        (
+            "[heading: 40.0]",
+            "a.mp4 is turned by 90° by its file, and its heading with it. If the gimbal itself turned the camera, the heading, "
+            "which is that of the aircraft, is off by as much.",
+        ),
+    ],
+)
+def test_a_turned_video_says_what_was_turned(tmp_path: Path, angles: str, told: str) -> None:
+    video = turn(write_video(tmp_path / "a.mp4", 2), 1)
+    (tmp_path / "a.srt").write_text(srt([f"{TELEMETRY[0]} {angles}"] * 2))
+    assert [note for note in make_flight([video], tmp_path / "flight").notes if "turned" in note] == [told]
+
+
 def test_subtitles_inside_the_video_are_read(tmp_path: Path) -> None:
     video = embed(write_video(tmp_path / "plain.mp4", 3), TELEMETRY[:3], tmp_path / "inside.mp4")
     flight = make_flight([video], tmp_path / "flight")
