@@ -10,7 +10,7 @@ from typing import BinaryIO, cast
 
 import cv2
 import numpy as np
-from PIL import Image, ImageOps
+from PIL import Image, ImageOps, TiffImagePlugin
 
 from lpn.core.arrays import AnyArray, Float32Array, UInt8Array
 from lpn.core.errors import PictureError
@@ -38,6 +38,8 @@ _JPEG = b"\xff\xd8"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Pillow reads these where OpenCV does not: GIF before OpenCV 4.11, and TIFF with further compressions.
 _BY_PILLOW = (b"GIF8", *_TIFF)
+# The largest of the upper 8 bits, rounded, of numbers of 12: such a picture is black to the eye.
+_BLACK = 16
 # OpenCV's flags by the factor that they divide width and height by.
 _REDUCED = {2: cv2.IMREAD_REDUCED_COLOR_2, 4: cv2.IMREAD_REDUCED_COLOR_4, 8: cv2.IMREAD_REDUCED_COLOR_8}
 
@@ -89,13 +91,14 @@ def decode_picture(data: bytes, name: str, kinds: str = KINDS, side: int | None 
             1/8 of its size, at least twice as long as needed, which saves memory. None decodes every pixel.
 
     Raises:
-        PictureError: if they are not a picture, or one of more than 64 megapixels.
+        PictureError: if they are not a picture, or one of more than 64 megapixels, or one of few bits in numbers of 16 that would
+            be black.
     """
     if (flaw := header_error(io.BytesIO(data))) is not None:
         raise PictureError(f"{name} {flaw}; expected a {kinds} file of at most {MAX_PIXELS // 1_000_000} megapixels.")
     factor = 1 if side is None else _reduction(data, side)
     try:
-        decoded = None if _overruns(data) else _decode(data, factor)
+        decoded = None if _overruns(data) else _decode(data, factor, name)
     except (cv2.error, MemoryError):
         decoded = None
     if decoded is None and data.startswith(_BY_PILLOW):
@@ -114,30 +117,63 @@ def _reduction(data: bytes, side: int) -> int:
     return max(factor for factor in (1, *_REDUCED) if factor == 1 or longer >= 2 * factor * side)
 
 
-def _decode(data: bytes, factor: int) -> UInt8Array | None:
+def _decode(data: bytes, factor: int, name: str) -> UInt8Array | None:
     """Return upright BGR at 1 / factor of the size, None for a damaged file."""
+    bits, inverted, planar = _layout(data)
     # Only libjpeg decodes less than every pixel; OpenCV would shrink the others without anti-aliasing.
     scaled = factor > 1 and data.startswith(_JPEG)
-    flags = _REDUCED[factor] if scaled else cv2.IMREAD_COLOR
-    flags |= 0 if data.startswith(_JPEG) else cv2.IMREAD_ANYDEPTH
+    # Of a TIFF's 16 bits OpenCV mixes up separate planes, and white and black where 0 is white, unless it cuts them to 8 itself.
+    whole_numbers = not (data.startswith(_JPEG) or inverted or planar)
+    flags = (_REDUCED[factor] if scaled else cv2.IMREAD_COLOR) | (cv2.IMREAD_ANYDEPTH if whole_numbers else 0)
     whole = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     decoded = None if whole is None else _eight_bits(whole)
+    if decoded is not None and bits == 16 and not whole_numbers:
+        _check_upper_bits(decoded, inverted, name)
     if decoded is None or factor == 1 or scaled:
         return decoded
     height, width = (max(length // factor, 1) for length in decoded.shape[:2])
     return cast(UInt8Array, cv2.resize(decoded, (width, height), interpolation=cv2.INTER_AREA))
 
 
+def _layout(data: bytes) -> tuple[int, bool, bool]:
+    """Return the bits of a number in a TIFF or PNG, 8 for others; whether 0 is white; and whether colours are separate planes."""
+    if data.startswith(PNG):
+        return data[24], False, False
+    if not data.startswith(_TIFF):
+        return 8, False, False
+    with Image.open(io.BytesIO(data)) as header:
+        tags = cast(TiffImagePlugin.TiffImageFile, header).tag_v2
+        bits = tags.get(TiffImagePlugin.BITSPERSAMPLE, (1,))
+        several = tags.get(TiffImagePlugin.SAMPLESPERPIXEL, 1) > 1
+        planar = several and tags.get(TiffImagePlugin.PLANAR_CONFIGURATION, 1) == 2
+        return max(bits), tags.get(TiffImagePlugin.PHOTOMETRIC_INTERPRETATION) == 0, planar
+
+
 def _eight_bits(numbers: AnyArray) -> UInt8Array | None:
     """Return whole numbers of 8 or 16 bits as 8 bits; None for other numbers.
 
-    Cameras and sensors keep 10, 12, or 14 bits in numbers of 16, which would be a black picture: the fewest of these bits that
-    hold all numbers are the range.
+    Sensors keep 10 or 12 bits, and programs 8, in numbers of 16, of which the upper 8 bits would be a black picture. Numbers of
+    which all are below 4096 have the range of 12 bits, and those of which all are below 256 that of 8: a bound at which only a
+    picture changes its range that is black in the larger one, so that all others of a sensor are equally bright.
     """
     if numbers.dtype != np.uint16:
         return cast(UInt8Array, numbers) if numbers.dtype == np.uint8 else None
-    bits = next(bits for bits in (8, 10, 12, 14, 16) if not (numbers >> bits).any() or bits == 16)
-    return (numbers >> (bits - 8)).astype(np.uint8)
+    largest = int(numbers.max())
+    shift = next((shift for shift in (0, 4) if largest >> shift < 256), 8)
+    return (numbers >> shift).astype(np.uint8)
+
+
+def _check_upper_bits(picture: UInt8Array, inverted: bool, name: str) -> None:
+    """Refuse a picture of the upper 8 of 16 bits that is black, or white where 0 is white, for want of the lower ones.
+
+    Raises:
+        PictureError: if it is.
+    """
+    if (255 - int(picture.min()) if inverted else int(picture.max())) <= _BLACK:
+        raise PictureError(
+            f"{name} has numbers of 16 bits and uses the lowest 12 at most, of which nothing would be seen, as only the upper 8 "
+            "are read from this kind of file; save it with 8 bits."
+        )
 
 
 def _first_frame(data: bytes, name: str, kinds: str, upright: bool = False) -> UInt8Array:
@@ -145,15 +181,19 @@ def _first_frame(data: bytes, name: str, kinds: str, upright: bool = False) -> U
     try:
         with Image.open(io.BytesIO(data)) as animation:
             frame = ImageOps.exif_transpose(animation) if upright else animation
+            bits, inverted, _ = _layout(data)
             if frame.mode.startswith("I;16") and (grey := _eight_bits(np.asarray(frame).astype(np.uint16))) is not None:
-                return np.repeat(grey[..., None], 3, axis=2)
-            return np.asarray(frame.convert("RGB"))
+                return np.repeat((255 - grey if inverted else grey)[..., None], 3, axis=2)
+            picture = np.asarray(frame.convert("RGB"))
     except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
         tiff = ", or compressed in a way that is not read here" if data.startswith(_TIFF) else ""
         raise PictureError(
             f"{name} is cut short or damaged{tiff}; expected a whole {kinds} file, so "
             + ("save it with deflate or LZW, or copy it again." if tiff else "copy it again.")
         ) from error
+    if bits == 16:
+        _check_upper_bits(picture, inverted, name)
+    return picture
 
 
 def header_error(file: BinaryIO) -> str | None:

@@ -83,14 +83,74 @@ def test_further_kinds_are_read_by_every_version_of_opencv(suffix: str, monkeypa
             images.decode_picture(whole.getvalue()[:800], "a")
 
 
-@pytest.mark.parametrize("bits", [8, 10, 12, 14, 16])
+@pytest.mark.parametrize(("bits", "shift"), [(8, 0), (10, 4), (12, 4), (14, 8), (16, 8)])
 @pytest.mark.parametrize("suffix", [".tif", ".png"])
 @pytest.mark.parametrize("channels", [1, 3])
-def test_few_bits_in_numbers_of_sixteen_are_no_black_picture(bits: int, suffix: str, channels: int) -> None:
-    picture = small_worlds.place(3)[..., :channels]
+def test_few_bits_in_numbers_of_sixteen_are_no_black_picture(bits: int, shift: int, suffix: str, channels: int) -> None:
+    picture = small_worlds.place(3)[..., :channels].astype(np.uint16)
     picture[0, 0] = 255
-    data = cv2.imencode(suffix, picture.astype(np.uint16)[..., ::-1] << (bits - 8))[1].tobytes()
-    np.testing.assert_array_equal(images.decode_picture(data, "a"), np.broadcast_to(picture, (*picture.shape[:2], 3)))
+    numbers = picture << (bits - 8)
+    data = cv2.imencode(suffix, numbers[..., ::-1])[1].tobytes()
+    np.testing.assert_array_equal(
+        images.decode_picture(data, "a"), np.broadcast_to(numbers >> shift, (*picture.shape[:2], 3))
+    )
+
+
+def test_one_bright_pixel_makes_no_picture_of_a_sensor_darker() -> None:
+    numbers = small_worlds.place(3).astype(np.uint16) * 3 + 256
+    seen = []
+    for brightest in (1023, 1024, 4095):
+        numbers[0, 0] = brightest
+        seen.append(images.decode_picture(cv2.imencode(".png", numbers)[1].tobytes(), "a")[1:])
+    assert (seen[0] == seen[1]).all()
+    assert (seen[0] == seen[2]).all()
+
+
+@pytest.mark.parametrize("tiled", [False, True])
+@pytest.mark.parametrize("compress", ["deflate", "zstd"])
+@pytest.mark.parametrize(
+    ("channels", "interleave", "photometric"),
+    [(1, "band", "minisblack"), (1, "pixel", "miniswhite"), (3, "band", "rgb"), (3, "pixel", "rgb")],
+)
+def test_sixteen_bits_keep_planes_apart_and_white_white(
+    channels: int, interleave: str, photometric: str, compress: str, tiled: bool, tmp_path: Path
+) -> None:
+    truth = small_worlds.place(3)[..., :channels]
+    inverted = photometric == "miniswhite"
+    # Few bits cannot be read of colours in planes, of colours that only Pillow decompresses, nor where 0 is white.
+    refused = (channels == 3 and (interleave == "band" or compress == "zstd")) or (inverted and compress == "deflate")
+    for bits in (16, 12):
+        numbers = (255 - truth if inverted else truth).astype(np.uint16) << (bits - 8)
+        write_tiff(
+            tmp_path / "a.tif", numbers, interleave=interleave, photometric=photometric, compress=compress, tiled=tiled
+        )
+        if refused and bits == 12:
+            with pytest.raises(PictureError, match=r"a\.tif has numbers of 16 bits and uses the lowest 12 at most"):
+                images.load_picture(tmp_path / "a.tif")
+            continue
+        shown = images.load_picture(tmp_path / "a.tif").astype(int)
+        assert np.abs(shown - truth).max() <= 1
+
+
+def write_tiff(file: Path, numbers: np.ndarray, **options: object) -> None:
+    rasterio = pytest.importorskip("rasterio")
+    height, width, count = numbers.shape
+    if options["tiled"]:
+        options |= {"blockxsize": 32, "blockysize": 32}
+    shape = {"width": width, "height": height, "count": count}
+    placed = rasterio.Affine(1, 0, 5, 0, -1, 5)
+    with rasterio.open(file, "w", driver="GTiff", dtype=numbers.dtype, transform=placed, **shape, **options) as written:
+        written.write(np.moveaxis(numbers, 2, 0))
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".png"])
+def test_few_bits_of_colours_are_refused_as_released(suffix: str, tmp_path: Path) -> None:
+    picture = small_worlds.place(3).astype(np.uint16)
+    for bits in (12, 16):
+        cv2.imwrite(str(tmp_path / f"{bits}{suffix}"), picture[..., ::-1] << (bits - 8))
+    np.testing.assert_array_equal(images.load_without_orientation(tmp_path / f"16{suffix}"), picture)
+    with pytest.raises(PictureError, match="save it with 8 bits"):
+        images.load_without_orientation(tmp_path / f"12{suffix}")
 
 
 def test_a_tiff_that_opencv_does_not_decompress_is_read_upright(tmp_path: Path) -> None:
