@@ -220,16 +220,17 @@ class EvaluationOfArrays(EvaluationOfSource):
     ranking: RankingOptions = field(default_factory=RankingOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
-        from lpn.retrieval.evaluate import evaluate_saved
+        from lpn.retrieval.evaluate import evaluate_descriptors
 
         source, protocol = self.source, self.ranking.protocol()
         if source.paths is None:
             raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
         arrays = source.load()
-        if not arrays.labelled.all():
+        by_metres = not arrays.labelled.any() and arrays.all_positions is not None and not protocol.average
+        if not (by_metres or arrays.labelled.all()):
             raise InputError(
-                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {source.paths.name}, so "
-                "nobody knows what is right; add their labels."
+                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {source.paths.name} that "
+                "tells what is right; add their labels."
             )
         positions = [*arrays.query_positions, *arrays.positions]
         if 0 < (unknown := positions.count(None)) < len(positions):
@@ -239,8 +240,16 @@ class EvaluationOfArrays(EvaluationOfSource):
                 len(positions),
                 source.paths.name,
             )
-        result = evaluate_saved(arrays.result, protocol, arrays.all_positions)
-        return f"{arrays.result.name} on {source.gallery.name}", result
+        saved = arrays.result
+        result = evaluate_descriptors(
+            (saved.query, saved.gallery),
+            (saved.query_labels, saved.gallery_labels),
+            arrays.truth(),
+            saved.task,
+            protocol,
+            arrays.all_positions,
+        )
+        return f"{saved.name} on {source.gallery.name}", result
 
 
 @dataclass(kw_only=True)

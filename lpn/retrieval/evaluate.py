@@ -422,15 +422,8 @@ def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]
     }
 
 
-def evaluate_saved(
-    saved: PublishedResult,
-    protocol: Protocol | None = None,
-    positions: tuple[Sequence[geo.Position], Sequence[geo.Position]] | None = None,
-) -> Result:
+def evaluate_saved(saved: PublishedResult, protocol: Protocol | None = None) -> Result:
     """Evaluate the descriptors of a published result, see `lpn.retrieval.published_results`.
-
-    Args:
-        positions: of the queries and of the gallery, for errors in metres.
 
     Raises:
         DataError: when no query has a label of the gallery.
@@ -438,7 +431,7 @@ def evaluate_saved(
     """
     saved.check_labels()
     return evaluate_descriptors(
-        (saved.query, saved.gallery), (saved.query_labels, saved.gallery_labels), None, saved.task, protocol, positions
+        (saved.query, saved.gallery), (saved.query_labels, saved.gallery_labels), None, saved.task, protocol
     )
 
 

@@ -71,7 +71,7 @@ class PlainArrays:
         root: the folder that paths are relative to.
         queries, gallery: the pictures.
         query_positions, positions: where they were taken; None for those that the list leaves out.
-        labelled: the queries with a label, (Q,).
+        labelled: the queries with a label, (Q,); none where labels fit nothing, and positions are complete.
         identity: digest of the descriptors.
     """
 
@@ -156,8 +156,7 @@ def load_arrays(
         ]
         for side, of in lines.items()
     }
-    known = np.array([bool(line.label) for line in lines["query"]], bool)
-    _check_labels(lines, labels, known)
+    known = _known(lines, labels)
     listed = {side: tuple(line.file for line in of) for side, of in lines.items()}
     result = PublishedResult(
         _name(sides["query"]),
@@ -184,15 +183,26 @@ def load_arrays(
     )
 
 
-def _check_labels(lines: dict[Role, list[_Line]], labels: dict[Role, Any], known: BoolArray) -> None:
-    """Refuse labels of which no query has one of the gallery's, as 0001 beside 1 or 1.0 beside 1: nothing would be right."""
+def _known(lines: dict[Role, list[_Line]], labels: dict[Role, Any]) -> BoolArray:
+    """Return the queries with a label, (Q,); none where no query has a label of the gallery, as 0001 beside 1.
+
+    Raises:
+        DataError: if no query has a label of the gallery, and positions, which would measure errors without labels, are not
+            complete.
+    """
+    known = np.array([bool(line.label) for line in lines["query"]], bool)
     told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]
-    if known.any() and told and not np.isin(labels["query"][known], labels["gallery"]).any():
-        own = lines["query"][int(np.flatnonzero(known)[0])].label
-        raise DataError(
-            f"None of the queries has a label of the gallery: the first of their labels are {printable(own)[:80]!r} and "
-            f"{printable(told[0])[:80]!r}. Labels are compared as texts, so write both sides alike."
-        )
+    if not known.any() or not told or np.isin(labels["query"][known], labels["gallery"]).any():
+        return known
+    own = lines["query"][int(np.flatnonzero(known)[0])].label
+    found = (
+        f"None of the queries has a label of the gallery: the first of their labels are {printable(own)[:80]!r} and "
+        f"{printable(told[0])[:80]!r}. Labels are compared as texts, so write both sides alike"
+    )
+    if any(line.position is None for of in lines.values() for line in of):
+        raise DataError(f"{found}, or give the positions of all pictures, from which errors in metres follow.")
+    log.warning("%s; the truth of all queries counts as unknown, and errors in metres come from the positions.", found)
+    return np.zeros_like(known)
 
 
 def _name(file: Path) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -171,6 +172,32 @@ def test_the_command_evaluates_plain_arrays(
     assert "give it as --paths" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("label", ["query,own ", "query,"])
+def test_complete_positions_measure_metres_without_labels(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], label: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    out, paths = tmp_path / "figures.json", write_list(tmp_path)
+    given = ["evaluate", "arrays", "--queries", str(files[0]), "--gallery", str(files[1]), "--paths", str(paths)]
+    assert main([*given, "--json", str(out)]) == 0
+    labelled = json.loads(out.read_text())
+    own = label != "query,"
+    paths.write_text(
+        "\n".join(
+            line.replace("query,place ", label) if own else re.sub("query,place .", "query,", line)
+            for line in paths.read_text().splitlines()
+        )
+    )
+    capsys.readouterr()
+    assert main([*given, "--json", str(out)]) == 0
+    assert ("None of the queries has a label of the gallery" in capsys.readouterr().err) == own
+    figures = json.loads(out.read_text())
+    assert figures["recall@1"] is figures["ap"] is None
+    assert figures["median error m"] == labelled["median error m"]
+    assert main([*given, "--average-queries"]) == 2
+    assert "5 of 5 queries have no label in paths.csv that tells what is right" in capsys.readouterr().err
+
+
 def rewrite(change: Callable[[str], str]) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
         file = folder / "paths.csv"
@@ -205,7 +232,7 @@ def put(name: str, content: Callable[[], object]) -> Callable[[Path], None]:
         (put("query.npy", lambda: b"nonsense"), "query.npy is no array that NumPy saved"),
         (put("query.npy", lambda: np.array([{}], object)), r"query.npy holds Python objects.*'float32'"),
         (
-            rewrite(lambda text: text.replace("query,place ", "query,0")),
+            rewrite(lambda text: text.replace("query,place ", "query,0").replace("46.100,7.1", ",")),
             "the first of their labels are '00' and 'place 0'",
         ),
         (
