@@ -16,6 +16,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.homography import corner_pixels
 from lpn.maps import window as windows
+from lpn.maps.datums import datum_notes
 from lpn.maps.elevation import Elevation
 from lpn.maps.frame import LocalFrame
 from lpn.maps.place import MapPlace
@@ -104,6 +105,7 @@ class Map:
         self._check_pixels()
         self._boxes = boxes
         self._coverage = coverage
+        self._datum_notes = datum_notes((sheet.name, sheet.crs) for sheet in self.sheets)
         self._sums: Float64Array | None = None
         self._lock, self._overview_lock = Lock(), Lock()
         self._overview: tuple[UInt8Array, BoolArray] | None = None
@@ -125,6 +127,7 @@ class Map:
     def notes(self) -> list[str]:
         """Sentences about how the sheets and the elevation are read."""
         notes = [note for sheet in self.sheets for note in sheet.raster.notes]
+        notes += self._datum_notes
         return notes + ([] if self.elevation is None else self.elevation.notes)
 
     @property

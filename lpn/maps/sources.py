@@ -32,17 +32,6 @@ _MAX_KML = 1 << 20
 # Files of a folder that are taken as sheets.
 _SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".vrt", ".mbtiles", ".sqlitedb", ".img")
 
-# Old datums by their names in WKT, with the error in metres of EPSG's transformations to WGS 84 that need no grid of the country;
-# 0 where there is none.
-_DATUMS = {
-    "North_American_Datum_1927": 20, "Ordnance_Survey_of_Great_Britain_1936": 2, "Deutsches_Hauptdreiecksnetz": 3,
-    "System_of_the_Unified_Trigonometrical_Cadastral_Network": 6, "European_Datum_1950": 10, "Pulkovo_1942": 5,
-    "Pulkovo_1942_58": 10, "Pulkovo_1942_83": 5, "Tokyo": 9, "Nouvelle_Triangulation_Francaise": 2,
-    "Australian_Geodetic_Datum_1966": 5, "Australian_Geodetic_Datum_1984": 5, "New_Zealand_Geodetic_Datum_1949": 5,
-    "Monte_Mario": 4, "South_American_Datum_1969": 10, "Provisional_South_American_Datum_1956": 20, "Cape": 15,
-    "Corrego_Alegre_1970-72": 5, "Beijing_1954": 15, "Xian_1980": 0, "New_Beijing": 0,
-}  # fmt: skip
-
 
 @dataclass(frozen=True)
 class MapOptions:
@@ -108,35 +97,7 @@ def raster_sheet(
 ) -> Sheet:
     """Open a sheet whose georeference is known; `path` is the source itself, or a copy of it."""
     raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name)
-    raster.notes += datum_notes(crs, printable(source.name))
     return Sheet(source.name, raster, crs, matrix)
-
-
-def datum_notes(crs: Any, name: str) -> list[str]:
-    """Return a sentence about a map on an old datum, from which the way to WGS 84 is not exact; none about others.
-
-    Args:
-        name: the file's, for the sentence.
-    """
-    wkt = crs.to_wkt()
-    found = re.search(r'\bDATUM\["([^"]+)",SPHEROID\["([^"]+)"', wkt)
-    if found is None:
-        return []
-    datum, ellipsoid = found.groups()
-    metres = _DATUMS.get(datum)
-    if metres is None and (
-        "TOWGS84[" in wkt or not datum.startswith("Unknown") or ellipsoid.startswith(("GRS", "WGS"))
-    ):
-        return []
-    off = (
-        "more than 100 m, as no way from it to WGS 84 is known here"
-        if not metres
-        else (f"some {metres} m, unless PROJ's grids of its country are installed")
-    )
-    return [
-        f"{name} lies on the datum {printable(datum.replace('_', ' '))}, and its places may be off by {off}. Deliver it on "
-        "WGS 84, or tell its --error."
-    ]
 
 
 def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import re
 import shutil
 import zipfile
 from pathlib import Path
@@ -13,8 +14,9 @@ from PIL import Image
 
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.maps import Map, MapOptions, Window, open_map
+from lpn.maps.datums import datum_notes
 from lpn.maps.folder import build_map
-from lpn.maps.sources import datum_notes, parse_crs
+from lpn.maps.sources import parse_crs
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 WORLD = f"0.5\n0\n0\n-0.5\n{EAST + 0.25}\n{NORTH - 0.25}\n"
@@ -688,6 +690,11 @@ def test_coordinates_of_pixel_centres_are_those_of_the_corner(tmp_path: Path) ->
         ("EPSG:26732", "lies on the datum North American Datum 1927, and its places may be off by some 20 m"),
         ("EPSG:2334", "lies on the datum Xian 1980, and its places may be off by more than 100 m"),
         ("+proj=utm +zone=32 +ellps=bessel +units=m", "by more than 100 m, as no way from it to WGS 84 is known"),
+        ("EPSG:4807", "by some 2 m"),
+        ("EPSG:4818", "by some 6 m"),
+        ("EPSG:4806", "by some 4 m"),
+        ("EPSG:4004", "Not specified based on Bessel 1841 ellipsoid, and its places may be off by more than 100 m"),
+        ("EPSG:4019", ""),
         ("+proj=utm +zone=32 +ellps=bessel +towgs84=598,74,418,0.2,0,-2.5,6.7", ""),
         ("EPSG:25832", ""),
         ("EPSG:3857", ""),
@@ -695,12 +702,17 @@ def test_coordinates_of_pixel_centres_are_those_of_the_corner(tmp_path: Path) ->
     ],
 )
 def test_a_map_on_an_old_datum_tells_how_far_off_it_may_be(crs: str, words: str) -> None:
-    notes = datum_notes(parse_crs(crs), "a.tif")
+    notes = datum_notes([("a.tif", parse_crs(crs))])
     assert (words in notes[0]) if words else not notes
 
 
-def test_the_note_about_an_old_datum_is_in_the_map(tmp_path: Path) -> None:
-    file = write_geotiff(tmp_path / "a.tif", smooth(120, 160), "EPSG:31467", (0.5, 0, 3_500_000, 0, -0.5, 5_400_000))
-    made = build_map([file], tmp_path / "map")
-    assert "Deutsches Hauptdreiecksnetz" in made.notes[0]
+def test_a_map_has_one_note_for_all_sheets_on_an_old_datum(tmp_path: Path) -> None:
+    files = [
+        write_geotiff(tmp_path / f"{name}.tif", smooth(120, 160), "EPSG:31467", (0.5, 0, x, 0, -0.5, 5_400_000))
+        for name, x in (("a", 3_500_000), ("b", 3_500_050))
+    ]
+    made = build_map(files, tmp_path / "map")
+    (note,) = (note for note in made.notes if "Deutsches Hauptdreiecksnetz" in note)
+    assert re.match(r"2 sheets, such as [ab]\.tif, lie on", note)
     assert open_map(tmp_path / "map").notes == made.notes
+    assert any(note.startswith("a.tif lies on the datum") for note in open_map(files[0]).notes)
