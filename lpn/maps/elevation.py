@@ -251,10 +251,13 @@ def write_elevation(
                 crs=source.crs, transform=transform, tiled=True, compress="deflate", predictor=3, BIGTIFF="IF_SAFER",
             ) as written,
         ):  # fmt: skip
+            undeclared = 0
             for left, top, columns, rows in _blocks(box[2], box[3]):
                 heights = source.cut(file, (box[0] + left, box[1] + top, columns, rows))
                 # A value for unknown heights that the file does not declare, on so few pixels that the check above saw none.
-                heights[(heights < _LOWEST) | (heights > _HIGHEST)] = np.nan
+                impossible = (heights < _LOWEST) | (heights > _HIGHEST)
+                undeclared += int(np.count_nonzero(impossible))
+                heights[impossible] = np.nan
                 written.write(heights, 1, window=library.windows.Window(left, top, columns, rows))
             written.units = ("metre",)
     except _gdal.failures(OSError) as error:
@@ -272,6 +275,12 @@ def write_elevation(
         )
     part.replace(out)
     notes = list(source.notes)
+    if undeclared:
+        where = "1 pixel" if undeclared == 1 else f"{undeclared} pixels"
+        notes.append(
+            f"{source.path.name} has no height of the earth's surface ({_LOWEST:.0f} to {_HIGHEST:.0f} m) at {where}; heights "
+            "there count as unknown."
+        )
     if share < _WHOLE:
         notes.append(f"{source.path.name} covers {share:.0%} of the map; matches on the rest have no height.")
     return Elevation(out, source.path.name, notes)
