@@ -9,6 +9,7 @@ gallery_path, query_path      (G,) and (Q,) texts, padded with spaces; may be ab
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -221,19 +222,22 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
 
 
 def _tell_other_folders(saved: PublishedResult) -> None:
-    """Warn where most paths lie in the folder of their label, and some do not: their order is not that of the rows."""
-    numbers = [
-        (path.split("/")[-2], label)
-        for paths, labels in ((saved.query_paths, saved.query_labels), (saved.gallery_paths, saved.gallery_labels))
-        for path, label in zip(paths or (), labels.tolist(), strict=paths is not None)
-        if "/" in path and label != -1
-    ]
-    wrong = [folder for folder, label in numbers if not (folder.isdecimal() and int(folder) == label)]
-    if 0 < 2 * len(wrong) < len(numbers):
+    """Warn where folders hold pictures of one label and a few of others: the order of the paths is not that of the rows.
+
+    A folder in which no label has half of the paths is none of a place.
+    """
+    labels_of: dict[str, Counter[int]] = {}
+    for paths, labels in ((saved.query_paths, saved.query_labels), (saved.gallery_paths, saved.gallery_labels)):
+        for path, label in zip(paths or (), labels.tolist(), strict=paths is not None):
+            if "/" in path and label != -1:
+                labels_of.setdefault(path.split("/")[-2], Counter())[label] += 1
+    others = {folder: counts.total() - max(counts.values()) for folder, counts in labels_of.items()}
+    mixed = [folder for folder, other in others.items() if 0 < 2 * other <= labels_of[folder].total()]
+    if mixed:
         log.warning(
-            "%d of %d paths in %s lie in a folder of another number than their label, such as %s: if the paths are in another "
-            "order than the descriptors, wrong pictures are shown.",
-            len(wrong), len(numbers), saved.name, printable(wrong[0]),
+            "%d paths in %s lie in a folder of another label, such as %s: if the paths are in another order than the "
+            "descriptors, wrong pictures are shown.",
+            sum(others[folder] for folder in mixed), saved.name, printable(mixed[0]),
         )  # fmt: skip
 
 
