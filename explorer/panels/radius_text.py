@@ -21,11 +21,14 @@ _NEARLY_ALL = 3
 
 
 def with_radius(text: str, answer: StageRecord | None, workspace: Workspace) -> str:
-    """Return a text in which an answer's radius, where it is first told, explains itself."""
+    """Return a text in which an answer's radius, where it is first told, explains itself and says if it is not confirmed."""
     if answer is None or answer.radius is None:
         return text
     before, told, after = text.partition(_radius(answer))
-    return Markup("{}{}{}").format(before, explained(told, _meaning(answer, workspace)), after) if told else text
+    if not told:
+        return text
+    unconfirmed = " (not confirmed)" if confirmed(workspace) is False else ""
+    return Markup("{}{}{}{}").format(before, explained(told, _meaning(answer, workspace)), unconfirmed, after)
 
 
 def reach(radius: float) -> float:
@@ -80,12 +83,12 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
         return Markup(
             "<strong>It should lie within {}</strong>, as {} should; {} here lie that near to their {}."
         ).format(where, of, near, _truths(workspace))
-    off = "" if workspace.flight.rendered else ", which may be off, too"
+    off = "" if workspace.flight.rendered else " The tags may be off, too."
     # The headline above has a tick, which stands for the ground and not for the radius.
     unknown = "Nobody knows how exact that is" if doubted else "It is found on the map; nobody knows how exactly"
-    return Markup("<strong>{}:</strong> {} should lie within {}, but only {} here lie that near to their {}{}.").format(
-        unknown, of, where, near, _truths(workspace), off
-    )
+    return Markup(
+        "<strong>{}:</strong> only {} photos here lie within the estimated {} of their {}, where nearly all should.{}"
+    ).format(unknown, near, limit, _truths(workspace), off)
 
 
 def confirmed(workspace: Workspace) -> bool | None:

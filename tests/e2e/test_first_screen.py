@@ -431,7 +431,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(sentence).to_contain_text("On this map.", timeout=3000 * PATIENCE)
     expect(sentence).to_contain_text("your picture fits the map; its GPS tag lies ")
     expect(first).to_contain_text(
-        "99 of 100 photos should lie within 18.5 m of the true place on earth, but only 19 of 30 here"
+        "only 19 of 30 photos here lie within the estimated 18.5 m of their GPS tags, where nearly all should"
     )
     expect(captions.nth(2)).to_contain_text("On the map")
     # The opened details and the focus outlast the answer.

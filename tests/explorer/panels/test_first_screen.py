@@ -10,6 +10,7 @@ from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
+from unittest.mock import Mock
 
 import cv2
 import msgspec
@@ -637,8 +638,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert re.search(r"The chosen piece is \d+ m wide; by its details, the photo's middle lies on it\.", said)
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
-        "✓ By its details: placed, ± 6.1 m on earth . ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for 86; the check of "
-        "this flight does not confirm it. 268 details of the photo lie where the map has them. Its GPS tag, the "
+        "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
+        "86; the check of this flight does not confirm it. 268 details of the photo lie where the map has them. Its GPS tag, the "
         "white circle, lies 10 m from there. "
         "The photo's middle lies at 30.171" in said
     )
@@ -689,8 +690,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "268 details of the photo lie where the map has them.",
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
-        "It is found on the map; nobody knows how exactly: 99 of 100 photos should lie within 18.2 m of the true place on earth, "
-        "but only 19 of 30 here lie that near to their GPS tags, which may be off, too.",
+        "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie within the estimated 18.2 m of their "
+        "GPS tags, where nearly all should. The tags may be off, too.",
         "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle.",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
         "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
@@ -721,7 +722,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert "Contents" not in experts
     bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
-    assert "on earth , but away from its middle it does not fit the map." in unfit
+    assert "on earth (not confirmed), but away from its middle it does not fit the map." in unfit
     (misfit,) = (one.sentence for one in disagreements(flight.frames) if (one.frame, one.other) == (bent, "map"))
     assert misfit.startswith("Away from its middle, the photo lies 6.")
     assert misfit in unfit
@@ -753,7 +754,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "Away from its middle, only 1 place of the photo could be found on the map. At least 3 such places are needed to check "
         "that the photo fits there, too." in said
     )
-    assert re.search(r"✓ By its details: placed, ± [\d.]+ m on earth , at least its middle\.", said)
+    assert re.search(r"✓ By its details: placed, ± [\d.]+ m on earth \(not confirmed\), at least its middle\.", said)
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
@@ -767,8 +768,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "100 m." in of_wrong
     )
     assert (
-        "✓ By its details: placed. It is found on the map; nobody knows how exactly: 99 of 100 photos should lie within 18.2 m"
-        in of_wrong
+        "✓ By its details: placed. It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie within the "
+        "estimated 18.2 m" in of_wrong
     )
     assert "±" not in of_wrong
     navigation, shown = Navigation(workspace, lambda *_: None), [state]
@@ -811,12 +812,12 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     for index, headline, by_look in (
         (
             placed,
-            "✓ By its details: placed, ± 6.1 m on earth . The model's own guess, by its look alone, was wrong, ",
+            "✓ By its details: placed, ± 6.1 m on earth (not confirmed). The model's own guess, by its look alone, was wrong, ",
             "✗ By its look: wrong, judged by its details.",
         ),
         (
             doubted,
-            "? By its details: placed, ± 6.1 m on earth , but its GPS tag disagrees.",
+            "? By its details: placed, ± 6.1 m on earth (not confirmed), but its GPS tag disagrees.",
             "? By its look: wrong, if its details are right.",
         ),
     ):
@@ -889,10 +890,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             assert_ungraded(html)
         for html in (columns, listed):
             assert "the piece where details place the photo" in text(html)
-        of_stage: list[StateAnalysis] = []
-        views = SimpleNamespace(_workspace=workspace, stage=SimpleNamespace(show=of_stage.append))
-        ClientViews._draw_stage(cast(Any, views), analysis)
-        assert of_stage[0].chosen.true is None
+        views = Mock(_workspace=workspace)
+        ClientViews._draw_stage(views, analysis)
+        assert views.stage.show.call_args.args[0].chosen.true is None
         drawn = exported._slide(cast(Any, SimpleNamespace(workspace=workspace)), Step(""), analysis, print)
         assert drawn.right is None
         of_slide = [*drawn.analysis.matches, drawn.analysis.chosen, *(match for match, *_ in drawn.ranked)]
