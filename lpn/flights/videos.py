@@ -67,8 +67,8 @@ def read_frames(
         every: seconds from one frame to the next, 0.04 or more. The sharpest of the first second from there on is taken.
         every_metres: metres flown from one frame to the next, in place of `every`; needs positions.
         telemetry: of the video.
-        of_log: the telemetry is that of a log, whose field of view lies across the width of the picture before it is turned.
-            That of subtitles lies across the longer side.
+        of_log: the telemetry is that of a log. A log's field of view lies across the width of the picture before it is
+            turned, and that of subtitles across the longer side.
 
     Raises:
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
