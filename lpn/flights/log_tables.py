@@ -21,8 +21,6 @@ _COMMA_DECIMAL = re.compile(r"[^\d,.]*\d{1,3},\d+[^\d,.]*")
 # Names of WGS 84 in the first line of a geo.txt, whose positions are in degrees then.
 _GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
-# MAVLink's heading if unknown, in hundredths of degrees or in degrees.
-_NO_HEADING = (65535.0, 655.35)
 _PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
 
 
@@ -48,8 +46,7 @@ class LogTable:
         at = self.columns.places.get(what)
         # Programs that fear formulas write an apostrophe before a minus sign.
         text = "" if at is None else cell_at(cells, at).removeprefix("'")
-        unknown = text.casefold() in _UNKNOWN or (what == "heading" and values.number(text, self.commas) in _NO_HEADING)
-        return "" if unknown else text
+        return "" if text.casefold() in _UNKNOWN else text
 
 
 def table_of(text: str, name: str) -> LogTable:

@@ -40,6 +40,8 @@ _MOST_BYTES = 200_000_000
 _HEADINGS, _TILTS = ("heading", "gimbal_heading", "direction"), ("gimbal_pitch", "gimbal_roll", "nose", "bank")
 _MOST_DEGREES = {**dict.fromkeys(_HEADINGS, 3600.0), **dict.fromkeys(_TILTS, 360.0), "fov": 180.0}
 _MOST_WHOLE = 1080.0
+# MAVLink's heading if unknown, in hundredths of degrees or in degrees.
+_NO_HEADING = (65535.0, 655.35)
 # A gimbal whose least pitch in a log is larger was told by another convention.
 _LOOKS_UP = 30.0
 _SCALED = 1e7
@@ -250,6 +252,8 @@ class _Cells:
             raise DataError(
                 f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
             )
+        if what == "heading" and value in _NO_HEADING:
+            return None
         # A unit in the cell counts in place of the column's.
         value = value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
         return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _MOST_DEGREES[what] else value
