@@ -29,8 +29,8 @@ from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flights import cameras, values
 from lpn.flights.base import HeadingSource
-from lpn.flights.log_tables import LogTable, cell_at, table_of
-from lpn.flights.log_times import clocks_of, elapsed_of, number_or_nan
+from lpn.flights.log_tables import LogTable, table_of
+from lpn.flights.log_times import clocks_of, elapsed_of
 from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
@@ -45,6 +45,8 @@ _NO_HEADING = (65535.0, 655.35)
 # A gimbal whose least pitch in a log is larger was told by another convention.
 _LOOKS_UP = 30.0
 _SCALED = 1e7
+# The name of MAVLink's heading, which is in hundredths of degrees, also as GLOBAL_POSITION_INT.hdg.
+_MAVLINK_HEADING = re.compile(r"(?:.*[^a-z])?hdg", re.IGNORECASE | re.DOTALL)
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
 # A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180. A column of angles is left out if
@@ -101,7 +103,7 @@ def read_log(file: Path) -> Log:
         )
     table = _with_hemispheres(table_of(values.decoded(data, name), name), name)
     places, notes, is_scaled = _positions(table, name)
-    table = _with_possible_angles(_with_mavlink_units(table) if is_scaled else table, name)
+    table = _with_possible_angles(_with_mavlink_units(table, name, is_scaled), name)
     clocks, zoned, clock_notes = clocks_of(table, name)
     times = elapsed_of(table)
     rows = []
@@ -370,28 +372,47 @@ def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, flo
     return places, notes, is_scaled
 
 
-def _with_mavlink_units(table: LogTable) -> LogTable:
-    """Read a column of large whole numbers as MAVLink's units: heights in millimetres, headings in hundredths of degrees."""
-    factors = dict(table.columns.factors)
-    for what, most, factor in (
-        ("altitude", 1000, 0.001),
-        ("height_above_takeoff", 1000, 0.001),
-        ("heading", 360, 0.01),
-    ):
-        if what in table.columns.places:
-            cells = [number_or_nan(cell_at(row, table.columns.places[what])) for _, row in table.rows]
-            known = np.array([cell for cell in cells if not math.isnan(cell)])
-            if len(known) and (known == np.floor(known)).all() and np.abs(known).max() > most:
-                factors[what] *= factor
-    return replace(table, columns=replace(table.columns, factors=factors))
+def _with_mavlink_units(table: LogTable, name: str, is_scaled: bool) -> LogTable:
+    """Read columns of whole numbers in MAVLink's units: heights in millimetres, headings in hundredths of degrees.
+
+    Where positions are not scaled, only a column `hdg` is read so, if half of its numbers exceed a turn; a note says so.
+    """
+    factors, notes = dict(table.columns.factors), list(table.notes)
+    header = table.header[table.columns.places["heading"]] if "heading" in table.columns.places else ""
+    is_hdg = _MAVLINK_HEADING.fullmatch(header) is not None
+    if is_scaled:
+        units = (
+            ("altitude", 1000.0, 0.001),
+            ("height_above_takeoff", 1000.0, 0.001),
+            ("heading", 0.0 if is_hdg else 360.0, 0.01),
+        )
+        factors |= {what: factor for what, most, factor in units if _share_of_large(table, what, most) > 0}
+    elif is_hdg and _share_of_large(table, "heading", 360.0) >= 0.5:
+        factors["heading"] = 0.01
+        notes.append(f"The column {printable(header)} of {name} counts as hundredths of degrees, as in MAVLink.")
+    return replace(table, columns=replace(table.columns, factors=factors), notes=notes)
+
+
+def _share_of_large(table: LogTable, what: str, most: float) -> float:
+    """Return the share of a column's numbers that are larger than `most`; 0 unless all are whole, and the column has no unit."""
+    if what not in table.columns.places or what in table.columns.with_unit:
+        return 0.0
+    numbers = _column(table, what)
+    known = numbers[~np.isnan(numbers)]
+    return float((np.abs(known) > most).mean()) if len(known) and (known == np.floor(known)).all() else 0.0
+
+
+def _column(table: LogTable, what: str) -> Float64Array:
+    """Return a column's values, (N,), as `_Cells.value` does; NaN for those that are unknown or no numbers."""
+    return np.array([_Cells(table, cells, "").value_or_nan(what) for _, cells in table.rows], np.float64)
 
 
 def _with_possible_angles(table: LogTable, name: str) -> LogTable:
     """Leave out angles that are no degrees, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
     columns = dict(table.columns.places)
-    notes, rows = list(table.notes), [(line, list(cells)) for line, cells in table.rows]
+    notes, rows = list(table.notes), list(table.rows)
     for what in [what for what in _MOST_DEGREES if what in columns]:
-        angles = np.array([_Cells(table, cells, "").value_or_nan(what) for _, cells in table.rows], np.float64)
+        angles = _column(table, what)
         known = angles[~np.isnan(angles)]
         whole = what in _HEADINGS and bool((known == np.floor(known)).all())
         most = _MOST_WHOLE if whole else _MOST_DEGREES[what]
@@ -410,7 +431,8 @@ def _with_possible_angles(table: LogTable, name: str) -> LogTable:
                     f"line {table.rows[beyond[0]][0]}."
                 )
             for i in beyond:
-                rows[i][1][columns[what]] = ""
+                line, cells = rows[i]
+                rows[i] = line, [*cells[: columns[what]], "", *cells[columns[what] + 1 :]]
             continue
         notes.append(f"The {column} was left out: it {why}.")
         del columns[what]

@@ -238,7 +238,15 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
     ),
     "hundredths.csv": (
         "name,lat,lon,hdg\nDJI_0001.JPG,33.4,-70.5,90\nDJI_0002.JPG,33.4,-70.5,9000\n",
-        (33.4, -70.5, None, None, None, None, None), "The column hdg of hundredths.csv was left out: it holds 9000",
+        (33.4, -70.5, None, None, 0.9, None, None), "The column hdg of hundredths.csv counts as hundredths of degrees",
+    ),
+    "units.csv": (
+        "lat_degE7,lon [degE7],alt [mm],relative_alt (mm),hdg [cdeg]\n334000000,-705000000,1500000,60000,120\n",
+        (33.4, -70.5, 60.0, 1500.0, 1.2, None, None), "",
+    ),
+    "scaled_positions.csv": (
+        "lat,lon,alt [m],relative_alt [mm],heading [deg]\n334000000,-705000000,1500,60000,365\n",
+        (33.4, -70.5, 60.0, 1500.0, 5.0, None, None), "count as degrees times 1e7",
     ),
     "unknown_heading.csv": (
         "name,lat,lon,relative_alt,hdg\n1.JPG,334000000,-705000000,60000,65535\n2.JPG,334000000,-705000000,60000,9000\n",
@@ -480,7 +488,9 @@ ANGLES: dict[str, tuple[str, list[str], list[float | None], str]] = {
     "unknown": ("hdg", ["65535.0", "90", "655.35", "65535"], [None, 90.0, None, None], ""),
     "a unit in the cell": ("heading (rad)", ["90°", "1.5707963267948966"], [90.0, 90.0], ""),
     "pitch": ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
-    "hundredths": ("hdg", ["9000", "9010", "9005"], [None] * 3, "was left out: it holds 9010, which is no angle in degrees"),
+    "hundredths": ("yaw", ["9000", "9010", "9005"], [None] * 3, "was left out: it holds 9010, which is no angle in degrees"),
+    "MAVLink's hundredths": ("hdg", ["120", "65535", "720"], [1.2, None, 7.2], "hdg of log.csv counts as hundredths of degrees"),
+    "MAVLink's name": ("M_T.hdg", ["90", "360", "271"], [90.0, 0.0, 271.0], ""),
     "errors": ("gimbal_pitch", ["-90"] * 8 + ["-9999"] * 2, [None] * 10, "was left out: it holds -9999"),
 }  # fmt: skip
 
@@ -492,6 +502,11 @@ def test_angles_are_told_from_numbers_that_are_none(tmp_path: Path, name: str) -
     found = [row.entry.pitch if "pitch" in column else row.entry.heading for row in log.rows]
     assert found == [None if angle is None else pytest.approx(angle) for angle in expected]
     assert any(note in line for line in log.notes) if note else not log.notes
+
+
+def test_mavlink_s_heading_beside_its_positions_is_in_hundredths_near_north_too(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path, "lat,lon,hdg\n473000000,85000000,120\n473000000,85000000,200\n"))
+    assert [row.entry.heading for row in log.rows] == [1.2, 2.0]
 
 
 def test_a_gimbal_s_angles_from_0_to_360_are_those_about_0(tmp_path: Path) -> None:
