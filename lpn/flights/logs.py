@@ -50,8 +50,8 @@ _MAVLINK_HEADING = re.compile(r"(?:.*[^a-z])?hdg", re.IGNORECASE | re.DOTALL)
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
 # A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180. A column of angles is left out if
-# a larger share is beyond the limit.
-_MOST_BEYOND = 0.1
+# a larger share is beyond the limit, except for a single one of `_SEVERAL` or more.
+_MOST_BEYOND, _SEVERAL = 0.1, 3
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
 _LEAST_SCALED = 2e7
 
@@ -418,7 +418,7 @@ def _with_possible_angles(table: LogTable, name: str) -> LogTable:
         most = _MOST_WHOLE if whole else _MOST_DEGREES[what]
         beyond, possible = np.flatnonzero(np.abs(angles) > most), known[np.abs(known) <= most]
         column = f"column {printable(table.header[columns[what]])} of {name}"
-        if len(beyond) > _MOST_BEYOND * len(known):
+        if len(beyond) > max(_MOST_BEYOND * len(known), 1 if len(known) >= _SEVERAL else 0):
             why = f"holds {max(known.tolist(), key=abs):g}, which is no angle in degrees"
         elif what == "gimbal_pitch" and len(possible) and possible.min() > _LOOKS_UP:
             why = (

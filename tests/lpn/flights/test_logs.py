@@ -485,6 +485,12 @@ ANGLES: dict[str, tuple[str, list[str], list[float | None], str]] = {
         "yaw", ["10"] * 15 + ["-9999"] + ["20"] * 4, [10.0] * 15 + [None] + [20.0] * 4,
         "1 of 20 values of the column yaw of log.csv are no angles in degrees and were not used, first in line 17.",
     ),
+    "one error of a few": (
+        "yaw", ["10", "-9999", "20"], [10.0, None, 20.0],
+        "1 of 3 values of the column yaw of log.csv are no angles in degrees and were not used, first in line 3.",
+    ),
+    "one error of two": ("yaw", ["10", "9000"], [None] * 2, "was left out: it holds 9000, which is no angle in degrees"),
+    "two errors of a few": ("yaw", ["10", "9000", "20", "8000"], [None] * 4, "was left out: it holds 9000"),
     "unknown": ("hdg", ["65535.0", "90", "655.35", "65535"], [None, 90.0, None, None], ""),
     "a unit in the cell": ("heading (rad)", ["90°", "1.5707963267948966"], [90.0, 90.0], ""),
     "pitch": ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
