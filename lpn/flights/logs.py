@@ -35,11 +35,11 @@ from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
-# The largest size of angles in degrees. Headings may go on counting from turn to turn; those that are all whole numbers and
-# have more than three turns are hundredths of degrees.
+# The least and the largest angle in degrees. Headings may go on counting from turn to turn, but whole numbers that pass three
+# turns are more likely hundredths of degrees.
 _HEADINGS, _TILTS = ("heading", "gimbal_heading", "direction"), ("gimbal_pitch", "gimbal_roll", "nose", "bank")
-_MOST_DEGREES = {**dict.fromkeys(_HEADINGS, 3600.0), **dict.fromkeys(_TILTS, 360.0), "fov": 180.0}
-_MOST_WHOLE = 1080.0
+_TURNS, _WHOLE_TURNS, _TURN = (-3600.0, 3600.0), (-1080.0, 1080.0), (-360.0, 360.0)
+_RANGES = {**dict.fromkeys(_HEADINGS, _TURNS), **dict.fromkeys(_TILTS, _TURN), "fov": cameras.FOV_RANGE}
 # MAVLink's heading if unknown, in hundredths of degrees or in degrees.
 _NO_HEADING = (65535.0, 655.35)
 # A gimbal whose least pitch in a log is larger was told by another convention.
@@ -258,7 +258,7 @@ class _Cells:
             return None
         # A unit in the cell counts in place of the column's.
         value = value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
-        return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _MOST_DEGREES[what] else value
+        return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _TURN[1] else value
 
     def value_or_nan(self, what: str) -> float:
         """Return a value as `value` does; NaN if it is unknown or no number."""
@@ -408,18 +408,22 @@ def _column(table: LogTable, what: str) -> Float64Array:
 
 
 def _with_possible_angles(table: LogTable, name: str) -> LogTable:
-    """Leave out angles that are no degrees, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
+    """Leave out angles out of their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
     columns = dict(table.columns.places)
     notes, rows = list(table.notes), list(table.rows)
-    for what in [what for what in _MOST_DEGREES if what in columns]:
+    for what in [what for what in _RANGES if what in columns]:
         angles = _column(table, what)
         known = angles[~np.isnan(angles)]
         whole = what in _HEADINGS and bool((known == np.floor(known)).all())
-        most = _MOST_WHOLE if whole else _MOST_DEGREES[what]
-        beyond, possible = np.flatnonzero(np.abs(angles) > most), known[np.abs(known) <= most]
+        least, most = _WHOLE_TURNS if whole else _RANGES[what]
+        beyond, possible = np.flatnonzero((angles < least) | (angles > most)), known[(known >= least) & (known <= most)]
+        one, several = "angle in degrees", "angles in degrees"
+        if what == "fov":
+            extent = f"of view from {least:g} to {most:g} degrees"
+            one, several = f"field {extent}", f"fields {extent}"
         column = f"column {printable(table.header[columns[what]])} of {name}"
         if len(beyond) > max(_MOST_BEYOND * len(known), 1 if len(known) >= _SEVERAL else 0):
-            why = f"holds {max(known.tolist(), key=abs):g}, which is no angle in degrees"
+            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, which is no {one}"
         elif what == "gimbal_pitch" and len(possible) and possible.min() > _LOOKS_UP:
             why = (
                 f"looks up by {possible.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
@@ -427,7 +431,7 @@ def _with_possible_angles(table: LogTable, name: str) -> LogTable:
         else:
             if len(beyond):
                 notes.append(
-                    f"{len(beyond)} of {len(known)} values of the {column} are no angles in degrees and were not used, first in "
+                    f"{len(beyond)} of {len(known)} values of the {column} are no {several} and were not used, first in "
                     f"line {table.rows[beyond[0]][0]}."
                 )
             for i in beyond:

@@ -619,7 +619,8 @@ def _fov_across(known: _Metadata, original: float, original_height: float) -> fl
 
 
 def _possible(fov: float) -> float | None:
-    return fov if 0.1 <= fov <= 170.0 else None
+    least, most = cameras.FOV_RANGE
+    return fov if least <= fov <= most else None
 
 
 def _times(known: _Metadata) -> tuple[float | None, float | None]:

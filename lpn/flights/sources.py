@@ -18,7 +18,7 @@ from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.core.numbers import distance
 from lpn.datasets.base import files_below
-from lpn.flights import logs, subtitles, track_files, vehicle_logs, videos
+from lpn.flights import cameras, logs, subtitles, track_files, vehicle_logs, videos
 from lpn.flights.base import Flight, Frame, HeadingSource, local_metres
 from lpn.flights.clock_fit import ClockFit, fit_clocks
 from lpn.flights.folder import FRAMES, check_folder, write_flight
@@ -75,7 +75,7 @@ class FlightOptions:
         for name, low, high in (
             ("every", _LEAST_EVERY, 86_400.0),
             ("every_metres", 0.1, 1e6),
-            ("fov", 0.1, 170.0),
+            ("fov", *cameras.FOV_RANGE),
             ("pitch", -180, 90),
         ):
             value = getattr(self, name)

@@ -11,6 +11,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
+from lpn.flights.folder import read_flight
 from lpn.flights.logs import for_video, moments, nearest_in_folders, path_parts, read_log, rows_by_name
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
@@ -513,6 +514,32 @@ def test_angles_are_told_from_numbers_that_are_none(tmp_path: Path, name: str) -
 def test_mavlink_s_heading_beside_its_positions_is_in_hundredths_near_north_too(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, "lat,lon,hdg\n473000000,85000000,120\n473000000,85000000,200\n"))
     assert [row.entry.heading for row in log.rows] == [1.2, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected", "told"),
+    [
+        (
+            ["0", "0"],
+            [None, None],
+            "column fov of log.csv was left out: it holds 0, which is no field of view from 0.1 to 170",
+        ),
+        (
+            ["70", "-70", "84"],
+            [70.0, None, 84.0],
+            "1 of 3 values of the column fov of log.csv are no fields of view from 0.1",
+        ),
+        (["175", "170", "0.1"], [None, 170.0, 0.1], "not used, first in line 2."),
+    ],
+)
+def test_a_field_of_view_that_no_camera_has_is_not_used(
+    tmp_path: Path, numbers: list[str], expected: list[float | None], told: str
+) -> None:
+    photos = [write_photo(tmp_path / f"{i}.jpg", exif(47.3, 8.5)) for i in range(len(numbers))]
+    rows = "".join(f"{i}.jpg,47.3,8.5,{number}\n" for i, number in enumerate(numbers))
+    flight = make_flight([*photos, written(tmp_path, f"name,lat,lon,fov\n{rows}")], tmp_path / "flight")
+    assert [frame.fov for frame in read_flight(tmp_path / "flight").frames] == expected
+    assert any(told in note for note in flight.notes)
 
 
 def test_a_gimbal_s_angles_from_0_to_360_are_those_about_0(tmp_path: Path) -> None:
