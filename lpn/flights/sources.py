@@ -454,8 +454,13 @@ def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
 
 
 def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    """Return a photo with a log's values; its angles are turned with the picture, or left out if their source is worse."""
+    """Return a photo with a log's values; its angles are turned with the picture, or left out if their source is worse.
+
+    The field of view lies across the picture before it is turned, as a video's does.
+    """
     frame, oddities = photo.frame, photo.oddities
+    if "fov" in values and photo.turns % 2:
+        values = values | {"fov": cameras.fov_across(values["fov"], frame.width / frame.height)}
     if "heading" in values:
         sources = get_args(HeadingSource)  # best first
         ours, theirs = frame.heading_source, values["heading_source"]

@@ -100,6 +100,15 @@ def test_a_log_s_heading_turns_with_the_picture(tmp_path: Path, orientation: int
         assert any("by its EXIF orientation" in note for note in flight.notes) == (orientation != 1)
 
 
+@pytest.mark.parametrize(("orientation", "fov"), [(1, 45.0), (3, 45.0), (6, 34.51), (8, 34.51)])
+def test_a_log_s_field_of_view_turns_with_the_picture(tmp_path: Path, orientation: int, fov: float) -> None:
+    photo = write_photo(tmp_path / "a.jpg", exif(main={ExifTags.Base.Orientation: orientation}), size=(64, 48))
+    log = written(tmp_path, "filename,latitude,longitude,hfov\na.jpg,47,8,45\n")
+    frame = make_flight([photo, log], tmp_path / "flight").frames[0]
+    assert frame.width / frame.height == pytest.approx(4 / 3 if orientation < 5 else 3 / 4)
+    assert frame.fov == pytest.approx(fov, abs=0.01)
+
+
 def test_airdata_s_feet_become_metres_and_its_recordings_begin_with_the_video(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, AIRDATA))
     assert log.utc
