@@ -24,7 +24,7 @@ from lpn.flights.clock_fit import ClockFit, fit_clocks
 from lpn.flights.folder import FRAMES, check_folder, write_flight
 from lpn.flights.lenses import Lens, read_camera
 from lpn.flights.logs import Log, LogRow
-from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_angles
+from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_values
 from lpn.flights.posed_samples import flight_of_samples
 from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
@@ -454,13 +454,8 @@ def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
 
 
 def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    """Return a photo with a log's values; its angles are turned with the picture, or left out if their source is worse.
-
-    The field of view lies across the picture before it is turned, as a video's does.
-    """
+    """Return a photo with a log's values, turned as the picture is; angles whose source is worse are left out."""
     frame, oddities = photo.frame, photo.oddities
-    if "fov" in values and photo.turns % 2:
-        values = values | {"fov": cameras.fov_across(values["fov"], frame.width / frame.height)}
     if "heading" in values:
         sources = get_args(HeadingSource)  # best first
         ours, theirs = frame.heading_source, values["heading_source"]
@@ -471,10 +466,8 @@ def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
                 f"keeps the heading of its {ours}, which is better than that of the {theirs} in the log",
             )
         elif photo.turns:
-            angles = upright_angles(values["heading"], values.get("pitch"), values.get("roll"), photo.turns)
-            values = values | dict(zip(_ANGLES, (*angles, theirs), strict=True))
             oddities = tuple(dict.fromkeys((*oddities, turned_oddity(photo.turns))))
-    return replace(photo, frame=replace(frame, **values), oddities=oddities)
+    return replace(photo, frame=replace(frame, **upright_values(values, photo.turns, frame)), oddities=oddities)
 
 
 def _flight_of_videos(
@@ -493,7 +486,7 @@ def _flight_of_videos(
         try:
             telemetry, known_subtitles, subtitle_notes = _telemetry(video, files, flight_logs, number, options)
             part = videos.read_frames(
-                video, folder, options.every, options.every_metres, telemetry, of_log=known_subtitles is None
+                video, folder, options.every, options.every_metres, telemetry, known_subtitles is not None
             )
         except DataError as error:
             broken.append(str(error))
