@@ -311,12 +311,13 @@ class _Cells:
 
 
 def _with_hemispheres(table: LogTable, name: str) -> LogTable:
-    """Leave out of `negative` each column in which a number has a sign; a note names the others."""
-    negative = [
-        what
-        for what in sorted(table.columns.negative)
-        if not any(values.plain(table.text(cells, what)).strip().startswith(("-", "+")) for _, cells in table.rows)
-    ]
+    """Leave out of `negative` each column in which a number has a sign, or all have letters; a note names the others."""
+    negative = []
+    for what in sorted(table.columns.negative):
+        texts = [text for _, cells in table.rows if (text := table.text(cells, what))]
+        is_signed = any(values.plain(text).strip().startswith(("-", "+")) for text in texts)
+        if not is_signed and not all(map(values.letter_of, texts)):
+            negative.append(what)
     notes = [
         f"The numbers in the column {printable(table.header[table.columns.places[what]])} of {name} have no signs, and count as "
         "negative, as its name says."

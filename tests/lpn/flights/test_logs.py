@@ -464,6 +464,12 @@ def test_a_name_that_explains_the_signs_changes_none(tmp_path: Path, sides: str)
     assert not any("count as negative" in note for note in log.notes)
 
 
+def test_letters_in_the_cells_are_believed_before_a_name(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path, "name,lat,Longitude W\na.jpg,33.4,70.5 E\nb.jpg,33.4,70.5 W\nc.jpg,33.4,\n"))
+    assert [row.entry.longitude for row in log.rows] == [70.5, -70.5, None]
+    assert not any("count as negative" in note for note in log.notes)
+
+
 def test_a_column_of_letters_is_believed_before_a_name(tmp_path: Path) -> None:
     header = "name,Latitude S,GPSLatitudeRef,Longitude W,GPSLongitudeRef\n"
     log = read_log(written(tmp_path, f"{header}a.jpg,33.4,North,70.5,East\nb.jpg,33.4,South,70.5,West\n"))
