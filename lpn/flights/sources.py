@@ -14,7 +14,7 @@ from typing import Any, get_args
 import numpy as np
 
 from lpn.core import images
-from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.core.numbers import distance
 from lpn.datasets.base import files_below
@@ -165,14 +165,16 @@ def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str
     for file in files:
         try:
             read[file] = read_any_log(file)
-        except DataError as error:
+        except OtherKindError:
             # Cards of DJI's cameras have .bin files of satellites beside the photos.
-            if file.suffix.lower() not in (".txt", ".log") and not (
-                file.suffix.lower() == ".bin" and "begins with" in str(error)
-            ):
+            if file.suffix.lower() not in (".txt", ".log", ".bin"):
                 raise
             others.append(file)
-            notes += [] if str(error).endswith(("among them.", "column names.", "of ArduPilot.")) else [str(error)]
+        except DataError as error:
+            if file.suffix.lower() not in (".txt", ".log"):
+                raise
+            others.append(file)
+            notes.append(str(error))
     return read, others, notes
 
 
