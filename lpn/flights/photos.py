@@ -528,6 +528,8 @@ def upright_values(
 ) -> dict[str, Any]:
     """Return telemetry of a frame with its angles turned as the picture is, and with the field of view across its width.
 
+    A frame whose lens is known keeps that one's field of view, with which its distortion is removed.
+
     Args:
         values: named as in `Frame`; None where unknown.
         turns: quarter turns clockwise from the picture as it was taken to the frame.
@@ -541,7 +543,9 @@ def upright_values(
             name: angle for name, angle in zip(("heading", "pitch", "roll"), angles, strict=True) if angle is not None
         }
     is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
-    if is_across_height and (fov := values.get("fov")) is not None:
+    if frame.lens is not None:
+        upright.pop("fov", None)
+    elif is_across_height and (fov := values.get("fov")) is not None:
         upright["fov"] = cameras.fov_across(fov, frame.width / frame.height)
     return upright
 

@@ -469,6 +469,8 @@ def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
             )
         elif photo.turns:
             oddities = tuple(dict.fromkeys((*oddities, turned_oddity(photo.turns))))
+    if "fov" in values and frame.lens is not None:
+        oddities = (*oddities, "keeps the field of view of its lens, and not that in the log")
     return replace(photo, frame=replace(frame, **upright_values(values, photo.turns, frame)), oddities=oddities)
 
 
