@@ -246,7 +246,8 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
 
     Args:
-        flight_logs: their values replace those of the photos, except for a heading whose source is worse than the photo's.
+        flight_logs: their values replace those of the photos, except for a heading whose source is worse than the photo's, and
+            the field of view of a photo whose lens is known.
 
     Raises:
         DataError: if no photo can be read, or one is given twice.
