@@ -458,12 +458,12 @@ def _because(
     located = workspace.located(analysis)
     details = workspace.details(analysis)
     if analysis.registered is not None and not analysis.registered.answer.accepted:
-        sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
+        sentences.append(f"Nothing shows that {lead.answer} is of the same place.")
     errs = not lead.of_answer
     if located is not None and analysis.registered is not None:
         answer = judge.window_of(task, analysis.matches[0].index)
         errs = (judge.off_window(located, answer) or 0.0) > 0
-    off_map = place_text.off_map(task.gallery[analysis.chosen.index])
+    off_map = place_text.off_map(task.gallery[analysis.chosen.index], lead.answer)
     if off_map and errs:
         sentences.append(off_map)
     for side in (sign, -sign):

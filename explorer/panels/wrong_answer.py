@@ -151,7 +151,7 @@ def _reasons(
     task, answer = analysis.task, analysis.matches[0].index
     tile = task.gallery[answer]
     reasons = []
-    if off_map := place_text.off_map(tile):
+    if off_map := place_text.off_map(tile, "this answer"):
         reasons.append(off_map)
     if disputed:
         reasons.append(

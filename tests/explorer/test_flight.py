@@ -32,8 +32,9 @@ from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.flight_window.own_picture import own_picture
 from explorer.opening import open_flight_over
-from explorer.panels import answer_text, first_screen, judge, pages
+from explorer.panels import answer_text, first_screen, judge, pages, place_text
 from explorer.panels.navigation import Navigation
+from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
@@ -346,6 +347,21 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert re.search(r"speak for the most similar piece,\s+<span", reasons), "the answer has one name"
         assert "for this answer" not in reasons
     refused = shown(other)[0]
+    with monkeypatch.context() as patch:
+        patch.setattr(place_text, "share_off_map", lambda _: 0.25)
+        for before in (analysis, refused):
+            after = StateAnalyser(workspace).analyse(replace(before.state, why=True), 3)
+            reasons = first_screen.page(replace(after, own_photo=before.own_photo), workspace).replace(
+                "\N{NO-BREAK SPACE}", " "
+            )
+            assert "25 % of the most similar piece is off the map" in reasons
+            assert "this answer" not in re.sub('="[^"]*"', "", reasons), "the answer has one name"
+    assert "Nothing shows that the most similar piece is of the same place." in reasons
+    for selected in (None, int(analysis.matches[2].index)):
+        looked_at = replace(analysis.state, first_screen=False, selected=selected)
+        lead = part_bars(StateAnalyser(workspace).analyse(looked_at, 3), workspace.part_names)[1]
+        assert lead is not None
+        assert "the most similar piece" in (lead.leader, lead.follower)
     assert workspace.flight is not None
     assert analysis.registered is not None
     stages = analysis.registered.located.stages
