@@ -289,11 +289,11 @@ def page(
 def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
     look = answer_text.plain_verdict(analysis, workspace)
     right, state = look[0], analysis.state
-    of_flight = workspace.flight is not None and state.upload is None
     disputed = (
-        of_flight
+        workspace.flight is not None
+        and state.upload is None
         and right is not None
-        and judge.is_disputed(workspace, analysis.task, state.query, analysis.matches[0].index, right)
+        and judge.is_disputed(workspace.flight, analysis.task, state.query, analysis.matches[0].index, right)
     )
     look_errs = right is False and not disputed
     look, concluded = answer_text.flight_verdict(analysis, workspace, look)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from explorer.panels.radius_text import confirmed
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.core.arrays import BoolArray, Int64Array
 from lpn.locate.belief import Belief, belief
-from lpn.locate.located import Judge, LocatedFrame
+from lpn.locate.located import Judge, LocatedFlight, LocatedFrame
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.tasks.task import Task
@@ -42,7 +45,7 @@ def is_sure(analysis: StateAnalysis, workspace: Workspace) -> bool:
         return False
     first = analysis.matches[0]
     return first.true is None or not is_doubtful(
-        workspace, analysis.task, analysis.state.query, first.index, first.true
+        workspace.flight, analysis.task, analysis.state.query, first.index, first.true
     )
 
 
@@ -59,7 +62,21 @@ def shown(analysis: StateAnalysis, workspace: Workspace) -> StateAnalysis:
     )
 
 
-def is_doubtful(workspace: Workspace, task: Task, query: int, answer: int, right: bool) -> bool:
+def doubtful(flight: LocatedFlight, task: Task, answers: Int64Array, ranks: Int64Array) -> BoolArray:
+    """Return the photos of a flight whose judge is in doubt, or by whose judge no piece is right, (Q,).
+
+    Args:
+        answers: each photo's first tile, (Q,).
+        ranks: 0-based ranks of the first right tiles, -1 without one, (Q,).
+    """
+    pairs = zip(answers.tolist(), ranks.tolist(), strict=True)
+    return np.array(
+        [rank < 0 or is_doubtful(flight, task, query, answer, rank == 0) for query, (answer, rank) in enumerate(pairs)],
+        bool,
+    )
+
+
+def is_doubtful(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
     """Return whether the grade of a flight's photo is in doubt.
 
     Its details are doubtful judges where its tag, its neighbours, or the map contradict them, and so is its tag where the details
@@ -69,13 +86,11 @@ def is_doubtful(workspace: Workspace, task: Task, query: int, answer: int, right
         answer: the first tile's position in the gallery.
         right: it is right by the judge.
     """
-    flight = workspace.flight
-    assert flight is not None
     by_details = flight.judge_of(query) == "its details" and _contradicted(belief(flight.frames[query]))
-    return by_details or is_disputed(workspace, task, query, answer, right)
+    return by_details or is_disputed(flight, task, query, answer, right)
 
 
-def is_disputed(workspace: Workspace, task: Task, query: int, answer: int, right: bool) -> bool:
+def is_disputed(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
     """Return whether the details of a flight's photo contradict its judge on an answer.
 
     They place the photo's middle on an answer that is wrong, or off a right one. They do neither without an accepted
@@ -84,8 +99,7 @@ def is_disputed(workspace: Workspace, task: Task, query: int, answer: int, right
     Args:
         answer, right: see `is_doubtful`.
     """
-    assert workspace.flight is not None
-    located = workspace.flight.frames[query]
+    located = flight.frames[query]
     off = off_window(located, window_of(task, answer))
     return off is not None and abs(off) >= located.stages["registration"].own_radius and (off <= 0) is not right
 

@@ -54,29 +54,16 @@ class Navigation:
 
         Those of a flight that its other methods do not mend are first, and those whose judge is doubtful last.
         """
-        flight = self._workspace.flight
+        flight, ranking = self._workspace.flight, self._workspace.rankings[state.ranking_key]
 
         def choose(state: SessionState, failed: BoolArray) -> SessionState | None:
-            order = None
-            if flight is not None:
-                doubtful = self._doubtful(state, failed)
-                order = np.array(
-                    [2 if i in doubtful else int(belief(one).sign is True) for i, one in enumerate(flight.frames)]
-                )
-            return session_state.next_failure(state, failed, order)
+            if flight is None or ranking.result is None:
+                return session_state.next_failure(state, failed)
+            doubtful = judge.doubtful(flight, ranking.task, ranking.result.ranking.best, ranking.ranks)
+            mended = [belief(located).sign is True for located in flight.frames]
+            return session_state.next_failure(state, failed, np.where(doubtful, 2, mended))
 
         return self._failure(state, choose)
-
-    def _doubtful(self, state: SessionState, failed: BoolArray) -> set[int]:
-        """Return the failures of a flight whose judge is doubtful, or by whose judge no piece is right."""
-        ranking = self._workspace.rankings[state.ranking_key]
-        assert ranking.result is not None
-        best, ranks = ranking.result.ranking.best, ranking.ranks
-        return {
-            query
-            for query in np.flatnonzero(failed).tolist()
-            if ranks[query] < 0 or judge.is_doubtful(self._workspace, ranking.task, query, int(best[query]), False)
-        }
 
     def _failure(
         self, state: SessionState, choose: Callable[[SessionState, BoolArray], SessionState | None]
