@@ -51,7 +51,11 @@ def colours(findings: Findings, name: str) -> Colours:
     if name == OUTCOME:
         outcomes = findings.outcomes
         codes = np.where(outcomes.known, outcomes.failed, UNKNOWN).astype(np.uint8)
-        return Colours(codes, [theme.css(theme.TRUE_COLOUR), theme.css(theme.FALSE_COLOUR)], ["found", "failed"])
+        labels = {"found": theme.TRUE_COLOUR, "failed": theme.FALSE_COLOUR}
+        if findings.doubtful is not None and (doubtful := findings.doubtful & outcomes.known).any():
+            codes[doubtful] = len(labels)
+            labels["by a doubtful judge"] = theme.UNKNOWN_COLOUR
+        return Colours(codes, list(map(theme.css, labels.values())), list(labels))
     column = findings.table.column(name)
     return _of_numbers(column) if column.kind == "number" else _of_words(column)
 
@@ -157,8 +161,11 @@ def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:
 
 
 def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
-    """Return one byte for each query, of `SELECTED`, `FAILED`, and `CHOSEN`, given the selected queries and the chosen rows."""
-    failed = findings.outcomes.failed
+    """Return one byte for each query, of `SELECTED`, `FAILED`, and `CHOSEN`, given the selected queries and the chosen rows.
+
+    A failure by a doubtful judge is none.
+    """
+    failed = findings.outcomes.failed & (True if findings.doubtful is None else ~findings.doubtful)
     selected = np.isin(np.arange(len(failed)), rows)
     marked = np.isin(np.arange(len(failed)), chosen)
     return bytes((SELECTED * selected + FAILED * failed + CHOSEN * marked).astype(np.uint8).tobytes())

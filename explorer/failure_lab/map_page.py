@@ -157,7 +157,7 @@ class MapPage:
             "map": lab.map,
             "address": self._feeds.address,
             "queries": len(points.queries),
-            "flags": self._publish("flags", findings.outcomes, lambda: map_data.flags(findings, rows, chosen)),
+            "flags": self._publish("flags", findings, lambda: map_data.flags(findings, rows, chosen)),
             "codes": self._publish("codes", (findings, colour), colours.codes.tobytes),
             "colour": colour,
             "palette": colours.palette,

@@ -555,7 +555,7 @@
         return one;
       };
       const crosses = order[3].length > 0; // of queries that share their place there are none
-      const entries = labels.map((label, code) => entry(data.palette[code], label + ": " + counts[code].toLocaleString("en"), data.colour || code === 0 || !crosses ? "●" : "✕"));
+      const entries = labels.map((label, code) => entry(data.palette[code], label + ": " + counts[code].toLocaleString("en"), data.colour || code !== 1 || !crosses ? "●" : "✕"));
       if (ends) {
         const bar = document.createElement("i");
         bar.className = "scale";
