@@ -22,7 +22,7 @@ from explorer.cli import Explore
 from explorer.client.address import opened_alone
 from explorer.client.views import ClientViews
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window import comparison, model_comparison, sweep_page
+from explorer.explain_window import activation, comparison, model_comparison, sweep_page
 from explorer.failure_lab import map_data, table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
@@ -891,7 +891,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         listed = pages.matches(below, workspace, ["first", "last"])
         for html in (sweep, columns, listed, pages.verdict(analysis, workspace)):
             assert_ungraded(html)
-        for html in (columns, listed):
+        heat = activation.page(analysis, workspace, workspace.tile(analysis.task, positive.index))
+        assert_ungraded(heat)
+        for html in (columns, listed, heat):
             assert "the piece where details place the photo" in text(html)
         views = Mock(_workspace=workspace)
         ClientViews._draw_stage(views, analysis)
