@@ -77,7 +77,8 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
             where, of
         )
     assert workspace.flight is not None
-    summary = workspace.flight.summaries()["registration"]
+    summary = workspace.flight.registration_summary
+    assert summary is not None
     near = f"{round(summary.calibration[3] / 100 * summary.answered)} of {summary.answered}"
     if sure:
         return Markup(
@@ -149,5 +150,5 @@ def check(workspace: Workspace) -> str:
 
 def _calibration(workspace: Workspace) -> Mapping[int, float] | None:
     """Return the percentages of a flight's registrations within 1, 2, and 3 radii of their tags; None where none has both."""
-    summary = None if workspace.flight is None else workspace.flight.summaries().get("registration")
+    summary = None if workspace.flight is None else workspace.flight.registration_summary
     return None if summary is None else summary.calibration or None

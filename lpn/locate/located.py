@@ -383,6 +383,11 @@ class LocatedFlight:
             summaries[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
         return summaries
 
+    @cached_property
+    def registration_summary(self) -> measures.ErrorSummary | None:
+        """That of the registration, see `summaries`; None while no frame is registered."""
+        return self.summaries().get("registration")
+
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
