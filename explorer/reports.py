@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import viser
 
+from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
 from explorer.compute.request_context import QueuedModel
-from explorer.panels import judge
 from explorer.workspace import StateAnalysis, Workspace
 from lpn import report
 from lpn.core.arrays import Float32Array

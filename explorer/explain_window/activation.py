@@ -7,7 +7,7 @@ import json
 import numpy as np
 from markupsafe import Markup
 
-from explorer.panels import judge
+from explorer import judge
 from explorer.stage.pictures import draw_parts
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace

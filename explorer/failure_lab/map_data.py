@@ -161,11 +161,8 @@ def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:
 
 
 def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
-    """Return one byte for each query, of `SELECTED`, `FAILED`, and `CHOSEN`, given the selected queries and the chosen rows.
-
-    A failure by a doubtful judge is none.
-    """
-    failed = findings.outcomes.failed & (True if findings.doubtful is None else ~findings.doubtful)
+    """Return one byte for each query, of `SELECTED`, `FAILED`, and `CHOSEN`, given the selected queries and the chosen rows."""
+    failed = findings.failed
     selected = np.isin(np.arange(len(failed)), rows)
     marked = np.isin(np.arange(len(failed)), chosen)
     return bytes((SELECTED * selected + FAILED * failed + CHOSEN * marked).astype(np.uint8).tobytes())
@@ -174,7 +171,7 @@ def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
 def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[int]]:
     """Return [query, tile] of selected failures and their answers on the ground, none if there are many."""
     outcomes = findings.outcomes
-    misses = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
+    misses = rows[findings.failed[rows] & (outcomes.answer[rows] >= 0)]
     if points.ground is None or len(misses) > _MAX_LINES:
         return []
     placed = np.isfinite(points.tiles[:, 0])

@@ -184,7 +184,8 @@ class MapPage:
             }
         if query is not None:
             outcomes = findings.outcomes
-            data["query"] = [query, int(outcomes.answer[query]), int(outcomes.true[query])]
+            marked = () if findings.is_doubtful(query) else (outcomes.answer, outcomes.true)
+            data["query"] = [query, *(int(tiles[query]) for tiles in marked)]
         return data
 
     def _of_map(self, findings: Findings, lab: LabState, number: int, points: MapPoints) -> dict[str, Any]:

@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
+from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.lab_choices import MapKind
-from explorer.panels import judge
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis import embedding_map, named_views
 from lpn.analysis.named_views import NamedView
@@ -86,7 +86,7 @@ class Findings:
         part_names: the names of the parts that `outcomes` numbers.
         notes_error: why the notes cannot be used, in one sentence; empty if they can.
         flight: the flight whose answers `table` has; None without one.
-        doubtful: the photos of a flight whose judge is in doubt, see `explorer.panels.judge.doubtful`, (Q,); None without one.
+        doubtful: the photos of a flight whose judge is in doubt, see `explorer.judge.doubtful`, (Q,); None without one.
         second: the second model's ranks; None without one, and until they are known.
     """
 
@@ -102,6 +102,11 @@ class Findings:
     def is_doubtful(self, row: int) -> bool:
         """Return whether the judge of a query is in doubt, so that nothing is marked as right or wrong."""
         return self.doubtful is not None and self.outcomes.known[row] and bool(self.doubtful[row])
+
+    @property
+    def failed(self) -> BoolArray:
+        """The queries that failed by a judge that is not in doubt, (Q,)."""
+        return self.outcomes.failed if self.doubtful is None else self.outcomes.failed & ~self.doubtful
 
     def verdict(self, row: int) -> bool | None:
         """Return whether a query is found; None if its truth is not known, or its judge is in doubt."""
@@ -174,8 +179,8 @@ class FailureLab:
         with self._lock:
             findings = self._findings.get(task)
             if findings is not None and flight is not None and findings.flight is not flight:
-                table, outcomes = findings.table.with_columns(stage_columns(flight)), findings.outcomes
-                doubtful = judge.doubtful(flight, findings.task, outcomes.answer, outcomes.rank)
+                table = findings.table.with_columns(stage_columns(flight))
+                doubtful = judge.doubtful(flight, self._workspace.rankings[task])
                 findings = self._findings[task] = replace(findings, table=table, flight=flight, doubtful=doubtful)
             if findings is None:
                 return None

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
-from explorer.panels import judge, place_text
+from explorer.panels import place_text
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
@@ -480,7 +481,7 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     For a right answer, that is the hardest negative; for a wrong one, the nearest positive; without a truth, the next tile.
 
     Args:
-        judged: what the right piece is called where its judge is doubtful, see `explorer.panels.judge.judged_piece`.
+        judged: what the right piece is called where its judge is doubtful, see `explorer.judge.judged_piece`.
     """
     first, others, answer = analysis.matches[0], analysis.matches[1:], answer_name(analysis)
     rival: Match | None

@@ -14,10 +14,10 @@ import viser
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from explorer import lab_choices, session_state
+from explorer import judge, lab_choices, session_state
 from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
-from explorer.panels import answer_text, judge, place_text, wrong_answer
+from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
 from explorer.panels.navigation import Navigation
 from explorer.panels.radius_text import check

@@ -8,8 +8,8 @@ from random import Random
 
 import numpy as np
 
-from explorer import session_state
-from explorer.panels import judge, wrong_answer
+from explorer import judge, session_state
+from explorer.panels import wrong_answer
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
@@ -57,9 +57,9 @@ class Navigation:
         flight, ranking = self._workspace.flight, self._workspace.rankings[state.ranking_key]
 
         def choose(state: SessionState, failed: BoolArray) -> SessionState | None:
-            if flight is None or ranking.result is None:
+            doubtful = judge.doubtful(flight, ranking)
+            if flight is None or doubtful is None:
                 return session_state.next_failure(state, failed)
-            doubtful = judge.doubtful(flight, ranking.task, ranking.result.ranking.best, ranking.ranks)
             mended = [belief(located).sign is True for located in flight.frames]
             return session_state.next_failure(state, failed, np.where(doubtful, 2, mended))
 

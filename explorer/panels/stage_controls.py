@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from explorer import session_state
+from explorer import judge, session_state
 from explorer.layout import Box, ScreenLayout
-from explorer.panels import answer_text, judge, messages, pages
+from explorer.panels import answer_text, messages, pages
 from explorer.panels.messages import StageMessage
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange

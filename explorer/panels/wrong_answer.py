@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explorer.panels import judge, place_text
+from explorer import judge
+from explorer.panels import place_text
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers

@@ -214,7 +214,7 @@ def tag_positions(frames: Iterable[LocatedFrame]) -> Float64Array:
     return np.array([UNKNOWN if frame.tag is None else frame.tag for frame in frames], np.float64).reshape(-1, 2)
 
 
-@dataclass
+@dataclass(eq=False)
 class LocatedFlight:
     """A flight over a map, located.
 

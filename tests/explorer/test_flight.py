@@ -20,9 +20,9 @@ import pytest
 
 import explorer.app
 import lpn
-from explorer import opening, session_state
+from explorer import judge, opening, session_state
 from explorer.browse.feeds import Feeds
-from explorer.browse.query_list import entries
+from explorer.browse.query_list import entries, graded
 from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.compute import own_photos
 from explorer.compute.own_photos import OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
@@ -32,7 +32,7 @@ from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.flight_window.own_picture import own_picture
 from explorer.opening import open_flight_over
-from explorer.panels import answer_text, first_screen, judge, pages, place_text
+from explorer.panels import answer_text, first_screen, pages, place_text
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
@@ -181,7 +181,9 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
     assert answer_text.verdict(analysis, workspace)[:2] == (None, "Nearest tile")
-    assert [right is None for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5])].count(False) == 1
+    assert [
+        right is None for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5], graded(workspace.rankings[TASK]))
+    ].count(False) == 1
     assert all(workspace.thumbnail_file(task.queries[query])[:2] == b"\xff\xd8" for query in (0, 2, 5))
     with pytest.raises(PictureError, match="is not a picture"):
         StateAnalyser(workspace).analyse(_state(workspace, 2), 3)

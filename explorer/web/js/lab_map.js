@@ -348,7 +348,7 @@
       drawPictures(pen);
       drawLabels(pen);
       if (data.query && x(data.query[0]) === x(data.query[0])) {
-        const [query, answer, positive] = data.query;
+        const [query, answer = -1, positive = -1] = data.query; // a doubtful judge marks no tile
         const tiles = [];
         if (!number && answer >= 0 && answer !== positive) tiles.push([answer, wrong]);
         if (positive >= 0 && !data.ground) tiles.push([positive, right]);

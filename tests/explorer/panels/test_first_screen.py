@@ -17,7 +17,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from explorer import reports, session_state
+from explorer import judge, reports, session_state
+from explorer.browse.query_list import entries, graded
 from explorer.cli import Explore
 from explorer.client.address import opened_alone
 from explorer.client.views import ClientViews
@@ -30,7 +31,7 @@ from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, first_screen, judge, pages
+from explorer.panels import answer_text, first_screen, pages
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
@@ -921,6 +922,13 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert [colours.labels[colours.codes[i]] for i in (doubted, placed)] == ["by a doubtful judge", "failed"]
     flags = np.frombuffer(map_data.flags(findings, np.arange(30), np.array([])), np.uint8)
     assert [bool(flags[i] & map_data.FAILED) for i in (doubted, placed)] == [False, True]
+    ground = lab.points("ground", state.task, lab)
+    assert ground.wait(PATIENCE)
+    assert ground.value is not None
+    joined = [query for query, _ in map_data.lines(findings, ground.value, np.arange(30))]
+    assert (doubted in joined, placed in joined) == (False, True)
+    ranking = workspace.rankings[state.task]
+    assert [sign for *_, sign in entries(ranking, [doubted, placed], graded(ranking, flight))] == [None, 0]
     for make in (
         lambda: reports.of_analysis(workspace, analysis),
         lambda: reports.of_selection(workspace, findings.task, [doubted], "one", doubtful=[doubted]),

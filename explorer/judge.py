@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from explorer.panels.radius_text import confirmed
+from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.core.arrays import BoolArray, Int64Array
+from lpn.core.arrays import BoolArray
 from lpn.locate.belief import Belief, belief
 from lpn.locate.located import Judge, LocatedFlight, LocatedFrame
+from lpn.locate.measures import CONFIRMED_SHARE
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.tasks.task import Task
@@ -62,16 +64,19 @@ def shown(analysis: StateAnalysis, workspace: Workspace) -> StateAnalysis:
     )
 
 
-def doubtful(flight: LocatedFlight, task: Task, answers: Int64Array, ranks: Int64Array) -> BoolArray:
+def doubtful(flight: LocatedFlight | None, ranking: RankingJob) -> BoolArray | None:
     """Return the photos of a flight whose judge is in doubt, or by whose judge no piece is right, (Q,).
 
-    Args:
-        answers: each photo's first tile, (Q,).
-        ranks: 0-based ranks of the first right tiles, -1 without one, (Q,).
+    None without a flight, and until all photos are ranked.
     """
-    pairs = zip(answers.tolist(), ranks.tolist(), strict=True)
+    if flight is None or ranking.result is None:
+        return None
+    pairs = zip(ranking.result.ranking.best.tolist(), ranking.ranks.tolist(), strict=True)
     return np.array(
-        [rank < 0 or is_doubtful(flight, task, query, answer, rank == 0) for query, (answer, rank) in enumerate(pairs)],
+        [
+            rank < 0 or is_doubtful(flight, ranking.task, query, answer, rank == 0)
+            for query, (answer, rank) in enumerate(pairs)
+        ],
         bool,
     )
 
@@ -119,6 +124,18 @@ def window_of(task: Task, index: int) -> Window | None:
     """Return where a tile lies on the map; None where it is no piece of one."""
     cut = task.gallery[index].cut
     return cut.window if isinstance(cut, WindowCut) else None
+
+
+def confirmed(workspace: Workspace) -> bool | None:
+    """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
+    shares = calibration(workspace)
+    return None if shares is None else shares[3] >= CONFIRMED_SHARE
+
+
+def calibration(workspace: Workspace) -> Mapping[int, float] | None:
+    """Return the percentages of a flight's registrations within 1, 2, and 3 radii of their tags; None where none has both."""
+    summary = None if workspace.flight is None else workspace.flight.registration_summary
+    return None if summary is None else summary.calibration or None
 
 
 def _contradicted(verdict: Belief) -> bool:
