@@ -107,8 +107,8 @@ class App:
         ready: StateAnalysis | None = None,
         own: HandedOver | None = None,
     ) -> ClientSession:
-        left = None if replaced is None else replaced.left
-        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready, own, left)
+        left, before = (None, None) if replaced is None else (replaced.left, replaced.kept)
+        session = ClientSession(client, services, self._show_other, search, self._open_quick, ready, own, left, before)
         with self._lock:
             if self._sessions.get(client.client_id) is replaced:  # else its page has changed its workspace already
                 self._sessions[client.client_id] = session

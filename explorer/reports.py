@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 
 import viser
 
+from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
 from explorer.compute.request_context import QueuedModel
 from explorer.workspace import StateAnalysis, Workspace
@@ -55,7 +56,8 @@ def of_analysis(
     state, task = analysis.state, analysis.task
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
-    options = report.Options(change=state.change, compared_tile=analysis.chosen.index, said=said)
+    doubtful = () if judge.is_sure(analysis, workspace) else (state.query,)
+    options = report.Options(change=state.change, compared_tile=analysis.chosen.index, said=said, doubtful=doubtful)
     return f"{safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
 
@@ -66,16 +68,18 @@ def of_selection(
     chosen: str,
     progress: Callable[[int, int], None] | None = None,
     model: Model | None = None,
+    doubtful: Collection[int] = (),
 ) -> tuple[str, bytes]:
     """Report on several queries of a task; returns the file's name and contents.
 
     Args:
         chosen: a description of the selection.
+        doubtful: see `report.Options`.
 
     Raises:
         LPNError: when there are too many queries, or a file of the data set cannot be read.
     """
-    options = report.Options(selection=chosen)
+    options = report.Options(selection=chosen, doubtful=doubtful)
     return f"{safe_file_name(task.name)}.html", report.build(
         _with_notes(workspace, task, model or workspace.model), queries, options, progress
     )

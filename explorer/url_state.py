@@ -121,9 +121,10 @@ class UrlState:
 
     def write(self, state: SessionState) -> str:
         """Return the query string of a state, without "?" and without defaults."""
-        return _query_string(
+        pairs: list[tuple[str, str]] = [
             (parameter.key, value) for parameter in self._parameters if (value := parameter.write(state)) is not None
-        )
+        ]
+        return urlencode(pairs, quote_via=quote, safe="/,~")
 
     def read(
         self, text: str, state: SessionState, own: Callable[[str], OwnPicture | None] = lambda _: None
@@ -205,24 +206,6 @@ class UrlState:
             return _parameters_of(text).keys() & (set(self.keys) - {"theme", "words"})
         except ValueError:
             return set()
-
-    def screen_and_words(self, text: str) -> tuple[bool, bool]:
-        """Return if a query string of any workspace is of a first screen, and if its words are plain.
-
-        Args:
-            text: untrusted.
-        """
-        values = _parameters_of(text)
-        return values.get("screen") == "first", values.get("words") == "plain"
-
-    def in_words(self, text: str, dark: bool, plain: bool) -> str:
-        """Return a query string with another theme, and with other words.
-
-        Args:
-            text: untrusted.
-        """
-        values = {"theme": "dark" if dark else "light", "words": "plain" if plain else "expert"}
-        return f"?{_query_string({**_parameters_of(text), **values}.items())}"
 
     def workspace_key(self, text: str) -> str:
         """Return the key of the workspace that a query string names; the workspace `DATA` needs no name.
@@ -367,10 +350,6 @@ def _parameters_of(text: str) -> dict[str, str]:
     if len(text) > _MAX_LENGTH:
         raise ValueError
     return dict(parse_qsl(text.removeprefix("?"), True, max_num_fields=_MOST_PARAMETERS))
-
-
-def _query_string(pairs: Iterable[tuple[str, str]]) -> str:
-    return urlencode(list(pairs), quote_via=quote, safe="/,~")
 
 
 def _write_words(state: SessionState) -> str | None:

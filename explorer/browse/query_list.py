@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from explorer import session_state
+from explorer import judge, session_state
 from explorer.browse.feeds import Feeds
 from explorer.browse.messages import PickQuery
 from explorer.compute.ranking_job import RankingJob
@@ -15,7 +15,8 @@ from explorer.session_state import StateChange
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import BoolArray, Int64Array
+from lpn.locate.located import LocatedFlight
 
 # An entry of the list: the query, its name, and 1 if it was found, 0 if it failed, None while that is not known.
 Entry = tuple[int, str, int | None]
@@ -41,11 +42,11 @@ class QueryList:
         """Show the queries that the state's search text leaves, and mark the state's query."""
         state, task = analysis.state, analysis.task
         ranking = self._workspace.rankings[task.key]
-        key = task.key, state.find, ranking.result
+        key = task.key, state.find, ranking.result, self._workspace.flight
         if self._key != key:
             self._key = key
             self._listed = np.array(session_state.matching_names(task.query_names, state.find), np.int64)
-            self._feed = publish(self._feeds, self, ranking, self._listed)
+            self._feed = publish(self._feeds, self, ranking, self._listed, self._workspace.flight)
             self._count.show(render("browse/count", listed=len(self._listed), total=len(task.queries)))
         position = -1 if state.upload else position_of(state.query, self._listed)
         data = {
@@ -77,26 +78,36 @@ class QueryList:
             )
 
 
-def publish(feeds: Feeds, owner: object, ranking: RankingJob, queries: Int64Array) -> str:
-    """Publish a list of queries, given by their positions in the list's order; the list is that of this moment's ranking."""
-    ranked = ranking.result is not None
+def publish(
+    feeds: Feeds, owner: object, ranking: RankingJob, queries: Int64Array, flight: LocatedFlight | None = None
+) -> str:
+    """Publish a list of queries, given by their positions in the list's order; the list is that of this moment's ranking.
+
+    Args:
+        flight: the flight whose photos they are; None of other queries.
+    """
+    of_all = graded(ranking, flight)
     return feeds.publish_list(
-        owner, "queries", len(queries), lambda start, end: entries(ranking, queries[start:end].tolist(), ranked)
+        owner, "queries", len(queries), lambda start, end: entries(ranking, queries[start:end].tolist(), of_all)
     )
 
 
-def entries(ranking: RankingJob, queries: Sequence[int], ranked: bool = True) -> list[Entry]:
-    """Return the list's entries of some queries; without `ranked`, none of them tells an outcome."""
-    task = ranking.task
-    known, failed = task.known, ranking.failed if ranked and ranking.result is not None else None
+def entries(ranking: RankingJob, queries: Sequence[int], of_all: BoolArray) -> list[Entry]:
+    """Return the list's entries of some queries, given which of all are `graded`, (Q,)."""
+    names, failed = ranking.task.query_names, ranking.failed if of_all.any() else None
     return [
-        (
-            query,
-            task.query_names[query],
-            None if failed is None or (known is not None and not known[query]) else int(not failed[query]),
-        )
+        (query, names[query], None if failed is None or not of_all[query] else int(not failed[query]))
         for query in queries
     ]
+
+
+def graded(ranking: RankingJob, flight: LocatedFlight | None = None) -> BoolArray:
+    """Return the queries whose outcome is known, and by no doubtful judge, (Q,)."""
+    known, doubtful = ranking.task.known, judge.doubtful(flight, ranking)
+    outcomes = np.full(len(ranking.task.queries), ranking.result is not None)
+    if known is not None:
+        outcomes &= known
+    return outcomes if doubtful is None else outcomes & ~doubtful
 
 
 def position_of(query: int, ascending: Int64Array) -> int:

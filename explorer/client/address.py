@@ -28,9 +28,11 @@ class PageAddress:
         show_other: replaces the session by one of another workspace, given its key and the query string of its address.
         search: a query string in place of that of the page's address.
         wake: wakes the session's worker.
+        before: what the page showed of another workspace, which this one replaces; None for a page that is opened.
 
     Attributes:
         waiting: the page has yet to send its address, or that is yet to be read.
+        leads_elsewhere: the page's address names another workspace, which is being opened.
     """
 
     def __init__(
@@ -43,15 +45,15 @@ class PageAddress:
         show_other: Callable[[str, str], None],
         search: str | None,
         wake: Callable[[], None],
+        before: SessionState | None = None,
     ) -> None:
         self._workspace, self._url_state, self._views = workspace, url_state, views
         self._lock, self._state = lock, state
         # An address without a scoring means the one that the task was opened with.
         opened = workspace.tasks[state().task].scoring
         self._plain = replace(state(), scoring=opened)
-        self._show_other, self._search, self._wake = show_other, search, wake
-        self._greeted, self.waiting = False, True
-        self._leads_elsewhere = False  # the page's address names another workspace, which is being opened
+        self._show_other, self._search, self._wake, self._before = show_other, search, wake, before
+        self._greeted, self.waiting, self.leads_elsewhere = False, True, False
         self._timeout = DelayedCall(_ADDRESS_TIMEOUT, self._stop_waiting)
 
     def greet(self, greeting: Greeting) -> None:
@@ -66,23 +68,29 @@ class PageAddress:
             self._views.fit(greeting.small)
             search = greeting.search if self._search is None else self._search
             if (other := self._url_state.other_workspace(search)) is not None:
-                self._leads_elsewhere, self.waiting = True, False
+                self.leads_elsewhere, self.waiting = True, False
                 self._show_other(other, search)
                 return
-            before = self._state()
-        start = self._plain if self._url_state.names_a_state(search) else before
-        start = in_words(replace(start, dark=not greeting.light), greeting.plain, greeting.start_plain)
+            start = self._state()
+            before, self._before = self._before, None  # it may hold an own picture
+        if self._url_state.names_a_state(search):
+            start = self._plain
+        if before is None:
+            start = in_words(replace(start, dark=not greeting.light), greeting.plain, greeting.start_plain)
         # A page that comes back from another workspace holds its own pictures still.
         try:
             state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
         except BaseException:
             self._stop_waiting()
             raise
-        if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
-            state = replace(state, dark=greeting.theme == "dark")
         state = opened_alone(self._url_state, self._workspace, search, state)
-        # The words that a link asks for are those of what it opens.
-        state = in_words(state, state.plain, state.start_plain if state.first_screen else greeting.start_plain)
+        if before is not None:
+            state = as_before(state, before)
+        else:
+            if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
+                state = replace(state, dark=greeting.theme == "dark")
+            # The words that a link asks for are those of what it opens.
+            state = in_words(state, state.plain, state.start_plain if state.first_screen else greeting.start_plain)
         with self._lock:
             now = self._state()
             self.waiting = False  # the worker may have been woken meanwhile, and would have drawn another state first
@@ -94,10 +102,9 @@ class PageAddress:
 
     def go_back(self, search: str) -> None:
         """Show what an earlier address of the page's history shows."""
-        key, before = self._url_state.workspace_key(search), self._state()
+        key = self._url_state.workspace_key(search)
         if key != self._workspace.key and key in self._workspace.choices:
-            words = self._kept_words(before, *self._url_state.screen_and_words(search))
-            self._show_other(key, self._url_state.in_words(search, before.dark, words))
+            self._show_other(key, search)
         elif problems := self.show(search):
             self._views.panels.notify_error("Not all of what was shown can be shown again", " ".join(problems))
 
@@ -111,35 +118,18 @@ class PageAddress:
         state, problems = self._url_state.read(search, replace(self._plain, **kept), self._views.panels.query.find_own)
         if state.task != before.task and not state.lab:  # filter, columns, and rows are those of the other task
             state = replace(state, laboratory=lab_choices.for_any_task(before.laboratory))
-        plain = self._kept_words(before, state.first_screen, state.plain)
-        self._views.show_state(in_words(replace(state, dark=before.dark), plain, before.start_plain))
+        self._views.show_state(as_before(state, before))
         return problems
-
-    @staticmethod
-    def _kept_words(before: SessionState, first: bool, plain: bool) -> bool:
-        """Return if plain words go on when a page that is as `before` goes back to an address.
-
-        The first screen's words are not those of the workbench that lies before or behind it in the history.
-
-        Args:
-            first: the address is of a first screen.
-            plain: the address has plain words.
-        """
-        if first:
-            return before.start_plain
-        return plain if before.first_screen else before.plain
 
     def show_other(self, key: str) -> None:
         """Show another workspace, if there is one of this key."""
         state = self._state()
         if key in self._workspace.choices and key != self._workspace.key:
-            words = "plain" if state.plain else "expert"
-            screen = f"&screen=first&words={words}" if state.first_screen else ""
-            self._show_other(key, f"?show={key}&theme={'dark' if state.dark else 'light'}{screen}")
+            self._show_other(key, f"?show={key}{'&screen=first' if state.first_screen else ''}")
 
     def write(self, state: SessionState) -> None:
         """Let the page's address name a state, with what the windows show by now."""
-        if not self._greeted or self._leads_elsewhere:  # the page would lose its own address
+        if not self._greeted or self.leads_elsewhere:  # the page would lose its own address
             return
         with self._lock:  # otherwise the worker could replace a newer address of the laboratory by an older one
             whole_state = session_state.with_windows(state, self._state())
@@ -147,7 +137,7 @@ class PageAddress:
 
     def stay(self) -> None:
         """Let the address name this workspace; the one that it named cannot be opened."""
-        self._leads_elsewhere = False
+        self.leads_elsewhere = False
 
     def leave(self) -> None:
         """Wait no more for a page that has left."""
@@ -166,3 +156,12 @@ def opened_alone(url_state: UrlState, workspace: Workspace, search: str, state: 
         return state
     first = bool(workspace.about) or state.first_screen
     return replace(state, flight=not first, first_screen=first)
+
+
+def as_before(state: SessionState, before: SessionState) -> SessionState:
+    """Return what an address shows in the theme and the words of what the page showed before.
+
+    The words of a workbench are its address's if the first screen was shown before: that has words of its own.
+    """
+    plain = state.plain if before.first_screen else before.plain
+    return in_words(replace(state, dark=before.dark), plain, before.start_plain)

@@ -14,7 +14,7 @@ import viser
 from explorer import session_state
 from explorer.browse.own_pictures import HandedOver
 from explorer.client import messages
-from explorer.client.address import PageAddress, opened_alone
+from explorer.client.address import PageAddress, as_before, opened_alone
 from explorer.client.messages import PageMessage
 from explorer.client.services import WorkspaceServices
 from explorer.client.views import ClientViews
@@ -57,6 +57,7 @@ class ClientSession:
         ready: the analysis of a state that the page may open with, see `preview`.
         own: the pictures that the page's session before this one handed over.
         left: the task and the query at which the page left each workspace, by its key.
+        before: what the page showed before, see `kept`.
 
     Attributes:
         views: all that the page shows.
@@ -72,6 +73,7 @@ class ClientSession:
         ready: StateAnalysis | None = None,
         own: HandedOver | None = None,
         left: Mapping[str, tuple[str, int]] | None = None,
+        before: SessionState | None = None,
     ) -> None:
         workspace = services.workspace
         self._on_shown, self._ready, self._previewed = on_shown, ready, threading.Event()
@@ -111,6 +113,7 @@ class ClientSession:
                 lambda key, search: show_other(self, key, search),
                 search,
                 self._worker.wake,
+                before,
             )
             self._worker.wake()  # most pages open with this state: it is analysed while the browser draws the controls
 
@@ -187,9 +190,8 @@ class ClientSession:
         Building that session takes the page seconds. None if either of the two is not on its first screen.
         """
         workspace, shown = services.workspace, self._state
-        start = replace(self._opening_state(workspace), dark=shown.dark)
-        start = session_state.in_words(start, shown.plain, shown.start_plain)
-        state = opened_alone(services.url_state, workspace, search, services.url_state.read(search, start)[0])
+        read = services.url_state.read(search, self._opening_state(workspace))[0]
+        state = as_before(opened_alone(services.url_state, workspace, search, read), shown)
         if not (shown.first_screen and state.first_screen):
             return None
         requests = RequestContext(workspace.inference)
@@ -209,6 +211,11 @@ class ClientSession:
     def left(self) -> Mapping[str, tuple[str, int]]:
         """The task and the query at which the page left each workspace, by its key, with those that it shows now."""
         return {**self._left, self._workspace.key: (self._state.task, self._state.query)}
+
+    @property
+    def kept(self) -> SessionState | None:
+        """What the page shows, whose theme and words go on in another workspace; None if its address has opened that one."""
+        return None if self._built_address.leads_elsewhere else self._state
 
     def wait_for(self, label: str) -> viser.NotificationHandle:
         """Say that another workspace is being opened, and show this one until then."""

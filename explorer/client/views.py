@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import viser
 
+from explorer import judge
 from explorer.browse.messages import BrowseMessage
 from explorer.client.services import WorkspaceServices
 from explorer.compute.request_context import RequestContext
@@ -19,7 +20,7 @@ from explorer.failure_lab.messages import LabMessage
 from explorer.failure_lab.window import FailureLabWindow
 from explorer.flight_window.messages import FlightMessage
 from explorer.flight_window.window import FlightWindow
-from explorer.panels import answer_text, judge, shortcuts
+from explorer.panels import answer_text, shortcuts
 from explorer.panels.first_screen import FirstScreen, page
 from explorer.panels.glossary import Glossary
 from explorer.panels.messages import PartsMessage, StageMessage

@@ -7,11 +7,13 @@ import json
 import numpy as np
 from markupsafe import Markup
 
+from explorer import judge
 from explorer.stage.pictures import draw_parts
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.drawing import heatmaps
 from lpn.drawing.heatmaps import PictureActivation
+from lpn.drawing.words import say
 from lpn.explain.part_activation import part_activation
 from lpn.retrieval import DescribedPicture
 
@@ -25,9 +27,9 @@ def page(analysis: StateAnalysis, workspace: Workspace, true_tile: DescribedPict
         true_tile: shown as a third row.
     """
     task, state = analysis.task, analysis.state
-    rows = [("query", analysis.query, task.query_view), ("tile", analysis.tile, task.gallery_view)]
+    rows = [(say("query"), analysis.query, task.query_view), (say("tile"), analysis.tile, task.gallery_view)]
     if true_tile is not None:
-        rows.append(("true tile", true_tile, task.gallery_view))
+        rows.append((judge.judged_piece(analysis, workspace) or say("positive"), true_tile, task.gallery_view))
     pictures = []
     for name, described, view in rows:
         if described.trace is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from explorer.panels import judge
+from explorer import judge
 from explorer.stage.pictures import draw_parts, lead_cells, lead_colours, no_place
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace

@@ -9,10 +9,10 @@ from typing import Literal
 import numpy as np
 from markupsafe import Markup
 
+from explorer import judge
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
-from explorer.panels import judge
 from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
 from explorer.web.render import call, render, run, send

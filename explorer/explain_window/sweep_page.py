@@ -45,7 +45,7 @@ def page(
         total: number of points of the whole sweep.
         stopped: the sweep was cancelled or failed before its last point.
         whole: what is known of the whole task with turned queries; None to leave it out.
-        judged: what the right piece is called where its judge is doubtful, see `explorer.panels.judge.judged_piece`.
+        judged: what the right piece is called where its judge is doubtful, see `explorer.judge.judged_piece`.
     """
     angle = analysis.state.angle
     turns = {

@@ -12,7 +12,7 @@ from typing import Any
 
 import viser
 
-from explorer import reports, session_state
+from explorer import judge, reports, session_state
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.turned_jobs import TurnedJobs
@@ -22,7 +22,6 @@ from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.explain_window.whole_task import TurnChoice, WholeTask
-from explorer.panels import judge
 from explorer.panels.first_screen import said
 from explorer.reports import Reporter
 from explorer.session_state import StateChange, WhyTab

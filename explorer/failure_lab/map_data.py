@@ -51,7 +51,11 @@ def colours(findings: Findings, name: str) -> Colours:
     if name == OUTCOME:
         outcomes = findings.outcomes
         codes = np.where(outcomes.known, outcomes.failed, UNKNOWN).astype(np.uint8)
-        return Colours(codes, [theme.css(theme.TRUE_COLOUR), theme.css(theme.FALSE_COLOUR)], ["found", "failed"])
+        labels = {"found": theme.TRUE_COLOUR, "failed": theme.FALSE_COLOUR}
+        if findings.doubtful is not None and (doubtful := findings.doubtful & outcomes.known).any():
+            codes[doubtful] = len(labels)
+            labels["by a doubtful judge"] = theme.UNKNOWN_COLOUR
+        return Colours(codes, list(map(theme.css, labels.values())), list(labels))
     column = findings.table.column(name)
     return _of_numbers(column) if column.kind == "number" else _of_words(column)
 
@@ -158,7 +162,7 @@ def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:
 
 def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
     """Return one byte for each query, of `SELECTED`, `FAILED`, and `CHOSEN`, given the selected queries and the chosen rows."""
-    failed = findings.outcomes.failed
+    failed = findings.failed
     selected = np.isin(np.arange(len(failed)), rows)
     marked = np.isin(np.arange(len(failed)), chosen)
     return bytes((SELECTED * selected + FAILED * failed + CHOSEN * marked).astype(np.uint8).tobytes())
@@ -167,7 +171,7 @@ def flags(findings: Findings, rows: Int64Array, chosen: Int64Array) -> bytes:
 def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[int]]:
     """Return [query, tile] of selected failures and their answers on the ground, none if there are many."""
     outcomes = findings.outcomes
-    misses = rows[outcomes.failed[rows] & (outcomes.answer[rows] >= 0)]
+    misses = rows[findings.failed[rows] & (outcomes.answer[rows] >= 0)]
     if points.ground is None or len(misses) > _MAX_LINES:
         return []
     placed = np.isfinite(points.tiles[:, 0])

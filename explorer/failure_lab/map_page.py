@@ -157,7 +157,7 @@ class MapPage:
             "map": lab.map,
             "address": self._feeds.address,
             "queries": len(points.queries),
-            "flags": self._publish("flags", findings.outcomes, lambda: map_data.flags(findings, rows, chosen)),
+            "flags": self._publish("flags", findings, lambda: map_data.flags(findings, rows, chosen)),
             "codes": self._publish("codes", (findings, colour), colours.codes.tobytes),
             "colour": colour,
             "palette": colours.palette,
@@ -184,7 +184,8 @@ class MapPage:
             }
         if query is not None:
             outcomes = findings.outcomes
-            data["query"] = [query, int(outcomes.answer[query]), int(outcomes.true[query])]
+            marked = () if findings.is_doubtful(query) else (outcomes.answer, outcomes.true)
+            data["query"] = [query, *(int(tiles[query]) for tiles in marked)]
         return data
 
     def _of_map(self, findings: Findings, lab: LabState, number: int, points: MapPoints) -> dict[str, Any]:

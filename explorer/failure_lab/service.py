@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.lab_choices import MapKind
 from explorer.workspace import LazyWorkspace, Workspace
@@ -85,6 +86,7 @@ class Findings:
         part_names: the names of the parts that `outcomes` numbers.
         notes_error: why the notes cannot be used, in one sentence; empty if they can.
         flight: the flight whose answers `table` has; None without one.
+        doubtful: the photos of a flight whose judge is in doubt, see `explorer.judge.doubtful`, (Q,); None without one.
         second: the second model's ranks; None without one, and until they are known.
     """
 
@@ -94,7 +96,21 @@ class Findings:
     part_names: list[str]
     notes_error: str
     flight: LocatedFlight | None = None
+    doubtful: BoolArray | None = None
     second: SecondRanks | None = None
+
+    def is_doubtful(self, row: int) -> bool:
+        """Return whether the judge of a query is in doubt, so that nothing is marked as right or wrong."""
+        return self.doubtful is not None and self.outcomes.known[row] and bool(self.doubtful[row])
+
+    @property
+    def failed(self) -> BoolArray:
+        """The queries that failed by a judge that is not in doubt, (Q,)."""
+        return self.outcomes.failed if self.doubtful is None else self.outcomes.failed & ~self.doubtful
+
+    def verdict(self, row: int) -> bool | None:
+        """Return whether a query is found; None if its truth is not known, or its judge is in doubt."""
+        return None if self.is_doubtful(row) else self.outcomes.verdict(row)
 
     def note(self, row: int) -> Note:
         """Return the tags and the note of a query."""
@@ -164,7 +180,8 @@ class FailureLab:
             findings = self._findings.get(task)
             if findings is not None and flight is not None and findings.flight is not flight:
                 table = findings.table.with_columns(stage_columns(flight))
-                findings = self._findings[task] = replace(findings, table=table, flight=flight)
+                doubtful = judge.doubtful(flight, self._workspace.rankings[task])
+                findings = self._findings[task] = replace(findings, table=table, flight=flight, doubtful=doubtful)
             if findings is None:
                 return None
             before = self._compared.get((task, beside))

@@ -35,6 +35,7 @@ _HINTS = {
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
+_DOUBTFUL = "By a doubtful judge, so it is marked as neither right nor wrong"
 # The verdicts on photos of a flight in plain words.
 PLAIN_VERDICTS = {
     "registered": "placed by its details",
@@ -311,7 +312,8 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
         revision=revision,
         thumbnail=workspace.thumbnail(picture),
         name=picture.name,
-        right=findings.outcomes.verdict(row),
+        right=findings.verdict(row),
+        doubtful=findings.is_doubtful(row),
         rank=rank,
         answer=answer,
         margin="" if np.isnan(margin) else signed(margin, _DIGITS),
@@ -329,11 +331,11 @@ def _answer(findings: Findings, row: int) -> str:
 
 def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit: float) -> _Cell:
     """Format a cell; `limit` is the margin at the end of the margins' scale."""
-    text, outcomes = column.text(row), findings.outcomes
-    if column.name in ("rank", RANK_A):
-        return _Cell("number", text or "–", right=outcomes.verdict(row))
-    if column.name == RANK_B and findings.second is not None:
-        return _Cell("number", text or "–", right=bool(findings.second.hits[row]) if outcomes.known[row] else None)
+    text, outcomes, right = column.text(row), findings.outcomes, findings.verdict(row)
+    if column.name in ("rank", RANK_A, RANK_B):
+        if column.name == RANK_B and findings.second is not None and right is not None:
+            right = bool(findings.second.hits[row])
+        return _Cell("number", text or "–", _DOUBTFUL if findings.is_doubtful(row) else "", right=right)
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":
@@ -349,7 +351,7 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
     if column.name == "margin":
         value = float(column.values[row])
         start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50
-        colour = theme.css(theme.verdict_colour(value >= 0))
+        colour = theme.css(theme.verdict_colour(None if findings.is_doubtful(row) else value >= 0))
         return _Cell("number margin", signed(value, _DIGITS), bar=(start, width, colour))
     if column.name == "distance":
         text = f"{float(column.values[row]):,.0f}"

@@ -455,7 +455,7 @@ def _camera_and_ground(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Acc
 
 def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyLine], str]:
     """Return whether the radii hold against the tags, and a clause if they do not; both are empty where no tag tells."""
-    summary = flight.summaries().get("registration")
+    summary = flight.registration_summary
     if summary is None or not summary.calibration:
         return [], ""
     right = ", ".join(f"{share:.0f}" for share in RIGHT_CALIBRATION.values())

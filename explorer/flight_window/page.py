@@ -343,7 +343,7 @@ def lists(view: FlightView) -> dict[str, str]:
     notes = [*flight.notes, *flight.flight.notes, *flight.basemap.notes]
     if view.corrections_error:
         notes.append(f"Corrections are left out: {view.corrections_error}")
-    summary = flight.summaries().get("registration")
+    summary = flight.registration_summary
     proof = None if summary is None else summary.calibration_sentence("registration")
     audit = " ".join(filter(None, ("" if flight.audit is None else flight.audit.sentence, proof)))
     if plain():  # the figures stand above the map

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
+from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
-from explorer.panels import judge, place_text
+from explorer.panels import place_text
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
@@ -51,17 +52,17 @@ class Lead:
         terms: each part's term of the lead in d², (n,); positive where the part speaks for the leader.
         other: the tile that the answer is compared with, in words.
         index: that tile's position in the gallery.
+        answer: the answer, in words.
         of_answer: the leader is the answer; otherwise it is the other tile.
         sure: one of the two is known to be the right picture, and is the leader.
-        answer: the answer, in words.
     """
 
     terms: FloatingArray
     other: str
     index: int
+    answer: str
     of_answer: bool = True
     sure: bool = True
-    answer: str = "this answer"
 
     @property
     def total(self) -> float:
@@ -480,13 +481,13 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     For a right answer, that is the hardest negative; for a wrong one, the nearest positive; without a truth, the next tile.
 
     Args:
-        judged: what the right piece is called where its judge is doubtful, see `explorer.panels.judge.judged_piece`.
+        judged: what the right piece is called where its judge is doubtful, see `explorer.judge.judged_piece`.
     """
-    first, others = analysis.matches[0], analysis.matches[1:]
+    first, others, answer = analysis.matches[0], analysis.matches[1:], answer_name(analysis)
     rival: Match | None
     if first.true is False and (rival := analysis.positive) is not None:
         name = judged or "the right picture"
-        return Lead(first.contributions - rival.contributions, name, rival.index, of_answer=False)
+        return Lead(first.contributions - rival.contributions, name, rival.index, answer, of_answer=False)
     if first.true:
         rival = next((match for match in others if not match.true), None)
         name = "the best piece of another place" if judged else "the best wrong picture"
@@ -494,10 +495,13 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
         rival, name = next(iter(others), None), "the next best picture"
     if rival is None:
         return None
-    of_answer = Lead(rival.contributions - first.contributions, name, rival.index, sure=bool(first.true))
-    # An own picture has an answer by its details beside that by its look.
+    return Lead(rival.contributions - first.contributions, name, rival.index, answer, sure=bool(first.true))
+
+
+def answer_name(analysis: StateAnalysis) -> str:
+    """Return what the model's answer is called; an own picture on a map has another one by its details."""
     own_on_map = analysis.state.upload is not None and _window(analysis) is not None
-    return replace(of_answer, answer="the most similar piece") if own_on_map else of_answer
+    return "the most similar piece" if own_on_map else "this answer"
 
 
 def trust(analysis: StateAnalysis, workspace: Workspace) -> str:

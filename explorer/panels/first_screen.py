@@ -14,10 +14,10 @@ import viser
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from explorer import lab_choices, session_state
+from explorer import judge, lab_choices, session_state
 from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
-from explorer.panels import answer_text, judge, place_text, wrong_answer
+from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
 from explorer.panels.navigation import Navigation
 from explorer.panels.radius_text import check
@@ -289,11 +289,11 @@ def page(
 def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
     look = answer_text.plain_verdict(analysis, workspace)
     right, state = look[0], analysis.state
-    of_flight = workspace.flight is not None and state.upload is None
     disputed = (
-        of_flight
+        workspace.flight is not None
+        and state.upload is None
         and right is not None
-        and judge.is_disputed(workspace, analysis.task, state.query, analysis.matches[0].index, right)
+        and judge.is_disputed(workspace.flight, analysis.task, state.query, analysis.matches[0].index, right)
     )
     look_errs = right is False and not disputed
     look, concluded = answer_text.flight_verdict(analysis, workspace, look)
@@ -458,12 +458,12 @@ def _because(
     located = workspace.located(analysis)
     details = workspace.details(analysis)
     if analysis.registered is not None and not analysis.registered.answer.accepted:
-        sentences.append("Nothing shows that this answer is of the same place; it is merely the most alike.")
+        sentences.append(f"Nothing shows that {lead.answer} is of the same place.")
     errs = not lead.of_answer
     if located is not None and analysis.registered is not None:
         answer = judge.window_of(task, analysis.matches[0].index)
         errs = (judge.off_window(located, answer) or 0.0) > 0
-    off_map = place_text.off_map(task.gallery[analysis.chosen.index])
+    off_map = place_text.off_map(task.gallery[analysis.chosen.index], lead.answer)
     if off_map and errs:
         sentences.append(off_map)
     for side in (sign, -sign):

@@ -8,8 +8,8 @@ from random import Random
 
 import numpy as np
 
-from explorer import session_state
-from explorer.panels import judge, wrong_answer
+from explorer import judge, session_state
+from explorer.panels import wrong_answer
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
@@ -54,29 +54,16 @@ class Navigation:
 
         Those of a flight that its other methods do not mend are first, and those whose judge is doubtful last.
         """
-        flight = self._workspace.flight
+        flight, ranking = self._workspace.flight, self._workspace.rankings[state.ranking_key]
 
         def choose(state: SessionState, failed: BoolArray) -> SessionState | None:
-            order = None
-            if flight is not None:
-                doubtful = self._doubtful(state, failed)
-                order = np.array(
-                    [2 if i in doubtful else int(belief(one).sign is True) for i, one in enumerate(flight.frames)]
-                )
-            return session_state.next_failure(state, failed, order)
+            doubtful = judge.doubtful(flight, ranking)
+            if flight is None or doubtful is None:
+                return session_state.next_failure(state, failed)
+            mended = [belief(located).sign is True for located in flight.frames]
+            return session_state.next_failure(state, failed, np.where(doubtful, 2, mended))
 
         return self._failure(state, choose)
-
-    def _doubtful(self, state: SessionState, failed: BoolArray) -> set[int]:
-        """Return the failures of a flight whose judge is doubtful, or by whose judge no piece is right."""
-        ranking = self._workspace.rankings[state.ranking_key]
-        assert ranking.result is not None
-        best, ranks = ranking.result.ranking.best, ranking.ranks
-        return {
-            query
-            for query in np.flatnonzero(failed).tolist()
-            if ranks[query] < 0 or judge.is_doubtful(self._workspace, ranking.task, query, int(best[query]), False)
-        }
 
     def _failure(
         self, state: SessionState, choose: Callable[[SessionState, BoolArray], SessionState | None]

@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-from explorer import session_state
+from explorer import judge, session_state
 from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.panels import answer_text, judge
+from explorer.panels import answer_text
 from explorer.panels.radius_text import with_radius
 from explorer.stage import pair_picture
 from explorer.web.render import render

@@ -71,10 +71,10 @@ def share_off_map(tile: Picture) -> float:
     return 1 - shown if shown < _WHOLE else 0.0
 
 
-def off_map(tile: Picture) -> str:
-    """Say which share of a piece of a map, the answer, is off the map; "" if none is."""
+def off_map(tile: Picture, answer: str) -> str:
+    """Say which share of a piece of a map, which is called `answer`, is off the map; "" if none is."""
     share = share_off_map(tile)
-    return f"{100 * share:.0f} % of this answer is off the map, and black to the model." if share > 0 else ""
+    return f"{100 * share:.0f} % of {answer} is off the map, and black to the model." if share > 0 else ""
 
 
 def criterion(workspace: Workspace, task: Task) -> str:

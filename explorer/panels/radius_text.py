@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from markupsafe import Markup
 
+from explorer.judge import calibration, confirmed
 from explorer.web.terms import explained
 from explorer.workspace import Workspace
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
@@ -13,7 +12,7 @@ from lpn.core.texts import listed
 from lpn.drawing.words import plain
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord
-from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
+from lpn.locate.measures import RIGHT_CALIBRATION
 from lpn.maps.tag_placed import placing_sentence
 
 # Radii of 1 sigma within which nearly all places lie, which plain words tell in place of the radius.
@@ -77,7 +76,8 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
             where, of
         )
     assert workspace.flight is not None
-    summary = workspace.flight.summaries()["registration"]
+    summary = workspace.flight.registration_summary
+    assert summary is not None
     near = f"{round(summary.calibration[3] / 100 * summary.answered)} of {summary.answered}"
     if sure:
         return Markup(
@@ -89,12 +89,6 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
     return Markup(
         "<strong>{}:</strong> only {} photos here lie within the estimated {} of their {}, where nearly all should.{}"
     ).format(unknown, near, limit, _truths(workspace), off)
-
-
-def confirmed(workspace: Workspace) -> bool | None:
-    """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
-    calibration = _calibration(workspace)
-    return None if calibration is None else calibration[3] >= CONFIRMED_SHARE
 
 
 def _truths(workspace: Workspace) -> str:
@@ -129,12 +123,10 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
 
 def check(workspace: Workspace) -> str:
     """Return how many of the flight's places lie within 1, 2, and 3 radii of their GPS tags; "" where none has both."""
-    calibration = _calibration(workspace)
-    if calibration is None:
+    measured = calibration(workspace)
+    if measured is None:
         return ""
-    shares, right = (
-        f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (calibration, RIGHT_CALIBRATION)
-    )
+    shares, right = (f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (measured, RIGHT_CALIBRATION))
     text = (
         f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {_truths(workspace)}, where "
         f"{right} should."
@@ -145,9 +137,3 @@ def check(workspace: Workspace) -> str:
         f"{text} So the check does not confirm the radius: tags that are late or wrong would do the same, and so would a radius "
         "that is too small."
     )
-
-
-def _calibration(workspace: Workspace) -> Mapping[int, float] | None:
-    """Return the percentages of a flight's registrations within 1, 2, and 3 radii of their tags; None where none has both."""
-    summary = None if workspace.flight is None else workspace.flight.summaries().get("registration")
-    return None if summary is None else summary.calibration or None

@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from explorer import session_state
+from explorer import judge, session_state
 from explorer.layout import Box, ScreenLayout
-from explorer.panels import answer_text, judge, messages, pages
+from explorer.panels import answer_text, messages, pages
 from explorer.panels.messages import StageMessage
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState, StateChange
@@ -58,7 +58,9 @@ def part_bars(
     first = analysis.matches[0]
     if chosen.index not in (first.index, None if lead is None else lead.index):
         terms = chosen.contributions - first.contributions
-        lead = answer_text.Lead(terms, "this tile", chosen.index, sure=bool(first.true))
+        lead = answer_text.Lead(
+            terms, "this tile", chosen.index, answer_text.answer_name(analysis), sure=bool(first.true)
+        )
     full = (_UNLIKE if chosen.constants is None else _UNLIKE_CSLS) * float(analysis.ranking.weights.max())
     most = max([*chosen.contributions.tolist(), *([] if lead is None else (2 * abs(lead.terms)).tolist())])
     while most > full:

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from explorer.panels import judge, place_text
+from explorer import judge
+from explorer.panels import place_text
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers
@@ -151,7 +152,7 @@ def _reasons(
     task, answer = analysis.task, analysis.matches[0].index
     tile = task.gallery[answer]
     reasons = []
-    if off_map := place_text.off_map(tile):
+    if off_map := place_text.off_map(tile, "this answer"):
         reasons.append(off_map)
     if disputed:
         reasons.append(

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from markupsafe import Markup
 
-from explorer import session_state
+from explorer import judge, session_state
 from explorer.compute.request_context import QueuedModel
-from explorer.panels import answer_text, judge
+from explorer.panels import answer_text
 from explorer.reports import safe_file_name
 from explorer.session_state import SessionState
 from explorer.stage import pair_picture

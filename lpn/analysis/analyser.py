@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import date
 from typing import Generic, Literal, TypeVar
 
@@ -119,6 +119,16 @@ class Analysis:
     zoom: float
     pair_evidence: PairEvidence | None
     seconds: float
+
+    def ungraded(self) -> Analysis:
+        """Return the analysis as of a query whose place is not known."""
+        return replace(
+            self,
+            ranking=replace(self.ranking, relevant=None),
+            matches=[replace(match, true=None) for match in self.matches],
+            chosen=replace(self.chosen, true=None),
+            positive=None,
+        )
 
 
 class _LastValue(Generic[T]):

@@ -90,11 +90,11 @@ class ComparisonOfSources(ABC):
     def _ranked_sources(self, sources: Sequence[tuple[str, TaskSource]]) -> Iterator[RankedModel]:
         """Rank the first task of each source, under a name that tells it from the others."""
         from lpn.analysis.model_table import rank_task
-        from lpn.sources.opened import open_task
+        from lpn.sources.opened import open_first_task
 
         _check_several(len(sources))
         for name, source in sources:
-            yield rank_task(open_task(source), name)
+            yield rank_task(open_first_task(source), name)
 
 
 @dataclass(frozen=True, kw_only=True)

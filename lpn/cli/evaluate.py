@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.descriptors.weather import WeatherName
 from lpn.sources import Arrays, Data, Flown, Indexed, KindOption, PoolingOption, ProviderOption, Published
-from lpn.sources.opened import open_task
+from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -265,7 +265,7 @@ class EvaluationOfIndex(EvaluationWithAnswers):
         return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)
 
     def _task(self) -> Task:
-        return open_task(self.source)
+        return open_first_task(self.source)
 
     def _data(self) -> Path | None:
         return self.source.data
@@ -510,7 +510,7 @@ class EvaluateCommand(EvaluationWithAnswers):
         return model, dataset, [task, *reverse], title
 
     def _task(self) -> Task:
-        return open_task(self.source)
+        return open_first_task(self.source)
 
     def _data(self) -> Path | None:
         return self.source.data

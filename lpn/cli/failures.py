@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import NAMED, Data, TaskSource
-from lpn.sources.opened import open_task, open_with_notes
+from lpn.sources.opened import open_first_task, open_with_notes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -106,7 +106,7 @@ class FailuresCommand(FailuresOfSource):
                     raise InputError(f"{option} needs --beside.")
             return table
         model = replace(self.source.model, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
-        second = open_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
+        second = open_first_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
         return table.with_columns(compared_ranks(table, second.outcomes.rank))
 
 

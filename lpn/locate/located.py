@@ -214,7 +214,7 @@ def tag_positions(frames: Iterable[LocatedFrame]) -> Float64Array:
     return np.array([UNKNOWN if frame.tag is None else frame.tag for frame in frames], np.float64).reshape(-1, 2)
 
 
-@dataclass
+@dataclass(eq=False)
 class LocatedFlight:
     """A flight over a map, located.
 
@@ -382,6 +382,11 @@ class LocatedFlight:
             scores = [located.windows[0].score if located.windows else math.nan for located in known]
             summaries[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
         return summaries
+
+    @cached_property
+    def registration_summary(self) -> measures.ErrorSummary | None:
+        """That of the registration, see `summaries`; None while no frame is registered."""
+        return self.summaries().get("registration")
 
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.

@@ -1,6 +1,6 @@
 """A self-contained HTML file about some queries: pictures inside, no network, no script; it prints on A4.
 
-task = lpn.tasks.opening.open_task(model, "lpn.onnx", dataset)
+task = lpn.tasks.opening.describe_task(model, "lpn.onnx", dataset)
 write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -74,6 +74,7 @@ class Options:
         compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
         said: the screen's words on a single query; they stand first.
+        doubtful: queries for which no tile is right for certain; they are not graded.
     """
 
     matches: int = 5
@@ -83,6 +84,7 @@ class Options:
     compared_tile: int | None = None
     selection: str = ""
     said: Said | None = None
+    doubtful: Collection[int] = ()
 
     def __post_init__(self) -> None:
         if self.matches < 1:
@@ -115,6 +117,7 @@ class Case:
 
     Attributes:
         known: True if the query's place is known, even if the gallery has no tile of it.
+        doubtful: see `Options`; its place counts as not known.
         facts: names and values of the query's metadata.
         picture: the query's picture on which parts are drawn, see `Model.as_partitioned`.
         areas: of its parts; None if neither a partition nor its cells are known.
@@ -133,6 +136,7 @@ class Case:
 
     name: str
     known: bool
+    doubtful: bool
     facts: list[tuple[str, str]]
     picture: UInt8Array
     areas: PartAreas | None
@@ -180,6 +184,9 @@ class Cases:
         weights = None if task.weights is None else tuple(task.part_weights.tolist())
         request = QueryRequest(query, options.change, weights, compare=options.compared_tile)
         analysis = self._analyser.analyse(task, request, options.matches)
+        doubtful = index in options.doubtful
+        if doubtful:
+            analysis = analysis.ungraded()
         ranking, chosen, positive, matches = analysis.ranking, analysis.chosen, analysis.positive, analysis.matches
         if positive is not None and positive.rank > len(matches):
             matches.append(positive)
@@ -194,6 +201,7 @@ class Cases:
         case = Case(
             name=analysis.name,
             known=ranking.relevant is not None,
+            doubtful=doubtful,
             facts=self._facts(index),
             picture=self._partitioned(analysis.query.picture, 0),
             areas=self._areas(analysis.query, 0),

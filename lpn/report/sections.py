@@ -71,7 +71,10 @@ def summary(case: Case, task: Task) -> tuple[str, str]:
     if not case.known:
         gap = case.matches[0].gap
         apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
-        return "Nearest tile", f"Its true place is not known here; {apart}."
+        why = (
+            "It is not graded, as no tile is right for certain" if case.doubtful else "Its true place is not known here"
+        )
+        return "Nearest tile", f"{why}; {apart}."
     error_m = case.errors_m[0] if case.errors_m else None
     return verdicts.verdict(case.matches[0], case.positive, case.hardest_negative, task.part_names, error_m)[1:]
 

@@ -60,7 +60,7 @@ def weighted(task: Task, weights: Sequence[float] | None) -> Task:
     return replace(task, weights=weights)
 
 
-def open_task(source: TaskSource, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> Task:
+def open_first_task(source: TaskSource, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> Task:
     """Open the first task of a source, with a bar on the terminal for work that takes long.
 
     Args:
@@ -73,7 +73,7 @@ def open_task(source: TaskSource, names: Sequence[str] = (), weights: Sequence[f
 def open_with_notes(
     source: TaskSource, file: Path | None, names: Sequence[str] = (), weights: Sequence[float] | None = None
 ) -> Task:
-    """Open the first task of a source with a person's tags and notes, see `open_task`.
+    """Open the first task of a source with a person's tags and notes, see `open_first_task`.
 
     Args:
         file: of the notes, read first; None takes notes.csv in the folder of the queries.
@@ -85,7 +85,7 @@ def open_with_notes(
     from lpn.tasks import notes
 
     named = None if file is None else notes.read_notes(file)
-    task = open_task(source, names, weights)
+    task = open_first_task(source, names, weights)
     return replace(task, notes=notes.read_notes(own_file(task.root, notes.NAME)) if named is None else named)
 
 

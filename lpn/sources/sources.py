@@ -162,20 +162,20 @@ def open_data(
         model_name: the model's name to display.
         every: open every task that model and data set offer, in place of one.
         names, weights: see `TaskSource.open`.
-        on_progress: see `lpn.tasks.opening.open_task`, once for each task.
+        on_progress: see `lpn.tasks.opening.describe_task`, once for each task.
 
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
     """
     from lpn.core.views import views_of
-    from lpn.tasks.opening import calibrated, choose_task, offered_tasks, open_task
+    from lpn.tasks.opening import calibrated, choose_task, describe_task, offered_tasks
 
     first = choose_task(model, dataset, task)
     if names:
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
     calibration = calibrated(model, dataset) if calibrate else None
     tasks = [
-        open_task(model, model_name, dataset, name, weights, {}, calibration, on_progress)
+        describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
     if calibration is None:

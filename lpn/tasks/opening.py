@@ -31,7 +31,7 @@ from lpn.tasks.shipped_calibration import read_calibration
 _ROLES: tuple[Role, Role] = ("query", "gallery")
 
 
-def open_task(
+def describe_task(
     model: Model,
     model_name: str,
     dataset: Dataset,
@@ -127,13 +127,14 @@ def scored_tasks(
     Args:
         model: before the calibration.
         names: of the tasks.
-        on_progress: see `open_task`.
+        on_progress: see `describe_task`.
 
     Raises:
-        LPNError: as `open_task`.
+        LPNError: as `describe_task`.
     """
     tasks = [
-        open_task(model, model_name, dataset, name, calibration=calibration, on_progress=on_progress) for name in names
+        describe_task(model, model_name, dataset, name, calibration=calibration, on_progress=on_progress)
+        for name in names
     ]
     return tasks + [replace(task, neighbours=NEIGHBOURS) for task in tasks if len(task.queries) >= NEIGHBOURS]
 

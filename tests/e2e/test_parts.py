@@ -9,7 +9,7 @@ from playwright.sync_api import expect
 
 from lpn import datasets, load
 from lpn.analysis.part_weights import WeightedTask, part_combinations, weights_of
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from tests.e2e.conftest import ExplorerPage, RunningApp
 
 
@@ -21,7 +21,7 @@ def test_a_part_switched_off_shows_both_figures_and_their_difference(explorer: E
     page.get_by_role("checkbox", name="Part 2", exact=True).click()
     figures = panel.get_by_role("table", name="The whole task under these weights").locator("tr")
     expect(figures).to_have_count(3)
-    task = open_task(load(app.model), "lpn", datasets.open_dataset(app.data), "drone-to-satellite")
+    task = describe_task(load(app.model), "lpn", datasets.open_dataset(app.data), "drone-to-satellite")
     effect = WeightedTask(task).effect(weights_of((1, 3, 4), 4))
     expect(figures.nth(1)).to_contain_text(
         f"{effect.recall:.1f}{effect.equal_recall:.1f}{effect.recall_difference.value:+.1f}"
@@ -42,7 +42,7 @@ def test_all_combinations_are_tried_sorted_saved_and_taken(
     expect(rows).to_have_count(15)
     expect(panel).not_to_contain_text("…")
     tasks = ["drone-to-satellite", "satellite-to-drone"]
-    opened = [open_task(load(app.model), "lpn", datasets.open_dataset(app.data), name) for name in tasks]
+    opened = [describe_task(load(app.model), "lpn", datasets.open_dataset(app.data), name) for name in tasks]
     measured = [WeightedTask(task) for task in opened]
     effects = {parts: [one.effect(weights_of(parts, 4)) for one in measured] for parts in part_combinations(4)}
     for row, (parts, (first, second)) in zip(rows.all(), effects.items(), strict=True):

@@ -15,7 +15,7 @@ from playwright.sync_api import BrowserContext, Locator, Page, expect
 from lpn import datasets, explain, load, retrieval
 from lpn.core import images
 from lpn.explain import sweeps
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from lpn.tasks.turned import turned
 from tests.e2e.conftest import ExplorerPage, RunningApp, difference
 from tests.e2e.test_explorer import assert_shows, expected
@@ -164,7 +164,7 @@ def test_a_profile_is_computed_to_the_end_and_the_whole_task_is_measured_with_tu
     section = explorer.page.locator("#lpn-turned")
     section.get_by_role("button", name="As this query (90°)").click()
     expect(section).to_have_attribute("data-known", "2")
-    task = open_task(load(app.model), "lpn", datasets.open_dataset(app.data), "drone-to-satellite")
+    task = describe_task(load(app.model), "lpn", datasets.open_dataset(app.data), "drone-to-satellite")
     figures = explorer.page.locator("#lpn-turned-figures .figure")
     expected_figures = [
         f"{one.degrees:g}° {one.recall:.1f} ({one.ap:.1f})" for one in (turned(task, 0), turned(task, 90))

@@ -12,13 +12,13 @@ import lpn
 from lpn import report
 from lpn.datasets import open_dataset
 from lpn.report import Options
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 
 
 @pytest.fixture
 def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
     """A report of two queries with profiles."""
-    task = open_task(lpn.load(model_file), "model.onnx", open_dataset(data))
+    task = describe_task(lpn.load(model_file), "model.onnx", open_dataset(data))
     (tmp_path / "report.html").write_bytes(report.build(task, [0, 5], Options(profile=True, step=90)))
     return tmp_path / "report.html"
 

@@ -20,9 +20,9 @@ import pytest
 
 import explorer.app
 import lpn
-from explorer import opening, session_state
+from explorer import judge, opening, session_state
 from explorer.browse.feeds import Feeds
-from explorer.browse.query_list import entries
+from explorer.browse.query_list import entries, graded
 from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.compute import own_photos
 from explorer.compute.own_photos import OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
@@ -32,8 +32,9 @@ from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.flight_window.own_picture import own_picture
 from explorer.opening import open_flight_over
-from explorer.panels import answer_text, first_screen, judge, pages
+from explorer.panels import answer_text, first_screen, pages, place_text
 from explorer.panels.navigation import Navigation
+from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
@@ -180,7 +181,9 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
     assert answer_text.verdict(analysis, workspace)[:2] == (None, "Nearest tile")
-    assert [right is None for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5])].count(False) == 1
+    assert [
+        right is None for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5], graded(workspace.rankings[TASK]))
+    ].count(False) == 1
     assert all(workspace.thumbnail_file(task.queries[query])[:2] == b"\xff\xd8" for query in (0, 2, 5))
     with pytest.raises(PictureError, match="is not a picture"):
         StateAnalyser(workspace).analyse(_state(workspace, 2), 3)
@@ -346,6 +349,21 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert re.search(r"speak for the most similar piece,\s+<span", reasons), "the answer has one name"
         assert "for this answer" not in reasons
     refused = shown(other)[0]
+    with monkeypatch.context() as patch:
+        patch.setattr(place_text, "share_off_map", lambda _: 0.25)
+        for before in (analysis, refused):
+            after = StateAnalyser(workspace).analyse(replace(before.state, why=True), 3)
+            reasons = first_screen.page(replace(after, own_photo=before.own_photo), workspace).replace(
+                "\N{NO-BREAK SPACE}", " "
+            )
+            assert "25 % of the most similar piece is off the map" in reasons
+            assert "this answer" not in re.sub('="[^"]*"', "", reasons), "the answer has one name"
+    assert "Nothing shows that the most similar piece is of the same place." in reasons
+    for selected in (None, int(analysis.matches[2].index)):
+        looked_at = replace(analysis.state, first_screen=False, selected=selected)
+        lead = part_bars(StateAnalyser(workspace).analyse(looked_at, 3), workspace.part_names)[1]
+        assert lead is not None
+        assert "the most similar piece" in (lead.leader, lead.follower)
     assert workspace.flight is not None
     assert analysis.registered is not None
     stages = analysis.registered.located.stages

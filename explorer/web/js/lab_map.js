@@ -348,7 +348,7 @@
       drawPictures(pen);
       drawLabels(pen);
       if (data.query && x(data.query[0]) === x(data.query[0])) {
-        const [query, answer, positive] = data.query;
+        const [query, answer = -1, positive = -1] = data.query; // a doubtful judge marks no tile
         const tiles = [];
         if (!number && answer >= 0 && answer !== positive) tiles.push([answer, wrong]);
         if (positive >= 0 && !data.ground) tiles.push([positive, right]);
@@ -555,7 +555,7 @@
         return one;
       };
       const crosses = order[3].length > 0; // of queries that share their place there are none
-      const entries = labels.map((label, code) => entry(data.palette[code], label + ": " + counts[code].toLocaleString("en"), data.colour || code === 0 || !crosses ? "●" : "✕"));
+      const entries = labels.map((label, code) => entry(data.palette[code], label + ": " + counts[code].toLocaleString("en"), data.colour || code !== 1 || !crosses ? "●" : "✕"));
       if (ends) {
         const bar = document.createElement("i");
         bar.className = "scale";

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Protocol
 from unittest.mock import Mock
-from urllib.parse import parse_qsl
 
 import pytest
 
@@ -30,13 +30,13 @@ def workspace(data: Path, model_file: Path) -> Workspace:
 class _Page:
     """A page that is greeted with an address, and what it shows."""
 
-    def __init__(self, workspace: Workspace, search: str) -> None:
+    def __init__(self, workspace: Workspace, search: str, before: SessionState | None = None) -> None:
         self.show_other = Mock()
         self.shown, views, self.links = [SessionState(TASK, 4)], Mock(), UrlState(workspace)
         views.show_state.side_effect = self.shown.append
         lock = threading.RLock()
         self.address = PageAddress(
-            workspace, self.links, views, lock, lambda: self.shown[-1], self.show_other, None, Mock()
+            workspace, self.links, views, lock, lambda: self.shown[-1], self.show_other, None, Mock(), before
         )
         self.address.greet(Greeting(search, plain=True))
 
@@ -49,12 +49,18 @@ class _Page:
         return f"?{self.links.write(self.state)}"
 
 
+class _OpenPage(Protocol):
+    """Opens a page; `before` is what it showed of another place."""
+
+    def __call__(self, search: str, before: SessionState | None = None) -> _Page: ...
+
+
 @pytest.fixture
-def open_page(workspace: Workspace) -> Iterator[Callable[[str], _Page]]:
+def open_page(workspace: Workspace) -> Iterator[_OpenPage]:
     pages: list[_Page] = []
 
-    def page(search: str) -> _Page:
-        pages.append(_Page(workspace, search))
+    def page(search: str, before: SessionState | None = None) -> _Page:
+        pages.append(_Page(workspace, search, before))
         return pages[-1]
 
     yield page
@@ -63,7 +69,7 @@ def open_page(workspace: Workspace) -> Iterator[Callable[[str], _Page]]:
 
 
 def test_back_and_forward_keep_the_words_of_the_first_screen_and_of_the_workbench(
-    open_page: Callable[[str], _Page],
+    open_page: _OpenPage,
 ) -> None:
     page = open_page("?screen=first")
     first = page.search
@@ -76,35 +82,74 @@ def test_back_and_forward_keep_the_words_of_the_first_screen_and_of_the_workbenc
         assert (page.state.first_screen, page.state.plain) == (plain, plain)
 
 
+@pytest.fixture
+def places(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Two places of one page, and a function that says which of them the next page is of."""
+    monkeypatch.setattr(workspace, "choices", {"here": "a city", "there": "another"})
+    return lambda key: monkeypatch.setattr(workspace, "key", key)
+
+
 @pytest.mark.parametrize("plain", [True, False])
 def test_back_to_another_place_keeps_words_and_theme(
     workspace: Workspace,
-    open_page: Callable[[str], _Page],
+    open_page: _OpenPage,
+    places: Callable[[str], None],
     monkeypatch: pytest.MonkeyPatch,
     plain: bool,
 ) -> None:
-    monkeypatch.setattr(workspace, "choices", {"here": "a city", "there": "a flight"})
-    monkeypatch.setattr(workspace, "key", "here")
-    page = open_page(f"?show=here&screen=first&words={'plain' if plain else 'expert'}&theme=light")
-    kept, old = f"theme=light&words={'plain' if plain else 'expert'}", "expert" if plain else "plain"
-    for search, expected in (
-        (f"?show=there&query=a%20b&screen=first&words={old}", f"?show=there&query=a%20b&screen=first&{kept}"),
-        ("?show=there&lab=1", "?show=there&lab=1&theme=light&words=expert"),
-        ("?show=there&flight=1&words=plain&theme=dark", "?show=there&flight=1&theme=light&words=plain"),
-    ):
+    words, old = ("plain", "expert") if plain else ("expert", "plain")
+
+    def back(shown: SessionState, search: str) -> SessionState:
+        """Return what a page shows that goes back from a state to an address of another place."""
+        places("here")
+        page = open_page("?show=here")
+        page.shown.append(shown)
         page.address.go_back(search)
         key, asked = page.show_other.call_args.args
         assert key == "there"
-        assert dict(parse_qsl(asked)) == dict(parse_qsl(expected)), (search, asked)
+        places("there")
+        return open_page(asked, shown).state
+
+    places("here")
+    first = open_page(f"?show=here&screen=first&words={words}&theme=light").state
+    assert (first.first_screen, first.plain, first.start_plain, first.dark) == (True, plain, plain, False)
+    kept = back(first, f"?show=there&query=0003&screen=first&words={old}&theme=dark")
+    assert (kept.first_screen, kept.plain, kept.start_plain, kept.dark) == (True, plain, plain, False)
+    for address, of_address in (("?show=there&lab=1", False), ("?show=there&lab=1&words=plain&theme=dark", True)):
+        kept = back(first, address)
+        assert (kept.lab, kept.plain, kept.dark) == (True, of_address, False)
+        assert session_state.to_first_screen(kept).plain is plain, "the first screen's words go on behind the workbench"
     # The workbench's words go on where it lies before and behind the step.
-    page.shown.append(replace(session_state.show_everything(page.state), plain=plain))
-    page.address.go_back(f"?show=there&lab=1&words={old}")
-    asked = dict(parse_qsl(page.show_other.call_args.args[1].removeprefix("?")))
-    assert asked == {"show": "there", "lab": "1", **dict(parse_qsl(kept))}
+    workbench = replace(session_state.show_everything(first), plain=plain)
+    assert back(workbench, f"?show=there&lab=1&words={old}").plain is plain
+    # An address of a place alone opens what it opens by itself, in the words of that screen.
+    monkeypatch.setattr(workspace, "flight", object())
+    for about in ("", "of a storm"):
+        monkeypatch.setattr(workspace, "about", about)
+        bare = back(replace(workbench, plain=not plain), "?show=there")
+        assert (bare.first_screen, bare.flight) == (bool(about), not about)
+        assert bare.plain is (plain if about else not plain)
+
+
+def test_the_button_of_another_place_keeps_words_and_theme(open_page: _OpenPage, places: Callable[[str], None]) -> None:
+    places("here")
+    page = open_page("?show=here&screen=first&words=expert")
+    for shown in (page.state, replace(session_state.show_everything(page.state), plain=True)):
+        places("here")
+        page.shown.append(replace(shown, dark=False))
+        page.address.show_other("there")
+        places("there")
+        other = open_page(page.show_other.call_args.args[1], page.state).state
+        assert (other.first_screen, other.plain, other.start_plain, other.dark) == (
+            shown.first_screen,
+            shown.plain,
+            False,
+            False,
+        )
 
 
 def test_a_first_screen_that_was_opened_with_expert_words_keeps_them_when_it_is_loaded_again(
-    open_page: Callable[[str], _Page],
+    open_page: _OpenPage,
 ) -> None:
     page = open_page("?screen=first&words=expert")
     assert (page.state.first_screen, page.state.plain) == (True, False)

@@ -37,6 +37,7 @@ from lpn.core.numbers import signed
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.drawing import verdicts
+from lpn.drawing.words import speaking
 from lpn.explain import counterfactual, sweeps
 from lpn.explain.counterfactual import Effect
 from tools.fixtures import small_worlds
@@ -121,6 +122,10 @@ def test_heatmaps_of_a_wrong_tile_have_those_of_the_true_one_below_and_lie_over_
     assert analysis.positive is not None
     html = activation.page(analysis, workspace, workspace.tile(analysis.task, analysis.positive.index))
     assert re.findall('data-side="([^"]*)"', html)[:3] == ["query", "tile", "true tile"]
+    with speaking(workspace.vocabulary(True)):
+        plain = activation.page(analysis, workspace, workspace.tile(analysis.task, analysis.positive.index))
+    assert re.findall('data-side="([^"]*)"', plain)[:3] == ["picture", "answer", "right picture"]
+    assert "Same scale for picture and answer" in plain
     assert html.count("data:image/png") == 2 * html.count("data-cells") == 24, "a heatmap and its colours"
     over = activation.page(analysed(workspace, query=late, heat_over=True), workspace)
     assert over.count("data:image/jpeg") == 2 + over.count("data-cells") == 10

@@ -29,7 +29,7 @@ from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Work
 from lpn.core.arrays import Int64Array
 from lpn.datasets import open_dataset
 from lpn.tasks import ranking_cache
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from tests.explorer.explain_window.test_window import WindowGui
 from tests.explorer.failure_lab.conftest import TASK
 from tools.fixtures.small_contracts import GateModel, RegionModel
@@ -51,7 +51,7 @@ def ranks(two: Workspace) -> tuple[Int64Array, Int64Array]:
     assert two.beside[0].workspace is not None
     models = two.model, two.beside[0].workspace.model
     dataset = open_dataset(two.root)
-    first, second = (open_task(m.model, "", dataset, TASK).outcomes.rank for m in models if m is not None)
+    first, second = (describe_task(m.model, "", dataset, TASK).outcomes.rank for m in models if m is not None)
     # The untrained networks happen to differ; the tests need that.
     assert ((first == 0) & (second > 0)).any()
     assert ((first > 0) & (second == 0)).any()
@@ -156,7 +156,7 @@ def test_ranks_are_those_of_the_model_that_is_compared(workspace: Workspace) -> 
     for beside, model in [*enumerate(others), (0, others[0])]:
         findings = service.findings(TASK, beside)
         assert findings is not None
-        ranks = open_task(model, "", dataset, TASK).outcomes.rank
+        ranks = describe_task(model, "", dataset, TASK).outcomes.rank
         np.testing.assert_array_equal(findings.table.columns["rank B"].values, ranks + 1)
         assert service.findings(TASK, beside) is findings
     # There is no third one.

@@ -17,17 +17,21 @@ import msgspec
 import numpy as np
 import pytest
 
-from explorer import reports, session_state
+from explorer import judge, reports, session_state
+from explorer.browse.query_list import entries, graded
 from explorer.cli import Explore
 from explorer.client.address import opened_alone
 from explorer.client.views import ClientViews
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window import comparison, model_comparison, sweep_page
+from explorer.explain_window import activation, comparison, model_comparison, sweep_page
+from explorer.failure_lab import map_data, table
+from explorer.failure_lab.service import FailureLab
+from explorer.failure_lab.state import LabState
 from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, first_screen, judge, pages
+from explorer.panels import answer_text, first_screen, pages
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
@@ -888,7 +892,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         listed = pages.matches(below, workspace, ["first", "last"])
         for html in (sweep, columns, listed, pages.verdict(analysis, workspace)):
             assert_ungraded(html)
-        for html in (columns, listed):
+        heat = activation.page(analysis, workspace, workspace.tile(analysis.task, positive.index))
+        assert_ungraded(heat)
+        for html in (columns, listed, heat):
             assert "the piece where details place the photo" in text(html)
         views = Mock(_workspace=workspace)
         ClientViews._draw_stage(views, analysis)
@@ -902,10 +908,39 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     with speaking(workspace.vocabulary(False)):
         assert not re.search("[✓✗]", pages.verdict(analysis, workspace))
         assert "wrong tile" not in comparison.page(analysis, workspace, compared, None, computing=False)
+    # Nor do the table, the map, and a report's part for experts.
+    lab = FailureLab(workspace)
+    assert lab.build(state.task, lab).wait(PATIENCE)
+    findings = lab.findings(state.task)
+    assert findings is not None
+    cells = table.visible_columns(findings, LabState(task=state.task))
+    row, sure_row = (line for _, line in table.lines(findings, cells, Mock(), np.array([doubted, placed])))
+    assert_ungraded(row + table.tip(findings, workspace, np.array([doubted]), 1))
+    assert 'title="By a doubtful judge' in row
+    assert "✗" in sure_row
+    colours = map_data.colours(findings, map_data.OUTCOME)
+    assert [colours.labels[colours.codes[i]] for i in (doubted, placed)] == ["by a doubtful judge", "failed"]
+    flags = np.frombuffer(map_data.flags(findings, np.arange(30), np.array([])), np.uint8)
+    assert [bool(flags[i] & map_data.FAILED) for i in (doubted, placed)] == [False, True]
+    ground = lab.points("ground", state.task, lab)
+    assert ground.wait(PATIENCE)
+    assert ground.value is not None
+    joined = [query for query, _ in map_data.lines(findings, ground.value, np.arange(30))]
+    assert (doubted in joined, placed in joined) == (False, True)
+    ranking = workspace.rankings[state.task]
+    assert [sign for *_, sign in entries(ranking, [doubted, placed], graded(ranking, flight))] == [None, 0]
+    for make in (
+        lambda: reports.of_analysis(workspace, analysis),
+        lambda: reports.of_selection(workspace, findings.task, [doubted], "one", doubtful=[doubted]),
+    ):
+        experts = make()[1].decode().partition("</style>")[2].partition("<section")[2]
+        assert "It is not graded, as no tile is right for certain" in text(experts)
+        assert not re.search(r'class="sign (true|false)"|"framed (true|false)"|true tile|[Ww]rong tile', experts)
     # A sure judge keeps its signs.
     sure = analyse(workspace, replace(state, query=placed, first_screen=False))
     assert judge.shown(sure, workspace) is sure
     assert "✗" in pages.matches(sure, workspace, [""] * 11)
+    assert 'class="sign false"' in reports.of_analysis(workspace, sure)[1].decode()
     with monkeypatch.context() as patch:
         patch.setattr(LocatedFlight, "judge_of", lambda *_: "its GPS tag")
         said = text(first_screen.page(analyse(workspace, replace(state, query=doubted)), workspace))

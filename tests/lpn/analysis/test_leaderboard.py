@@ -18,7 +18,7 @@ from lpn.descriptors.weather import WEATHERS
 from lpn.report import build_leaderboard
 from lpn.retrieval.protocol import Protocol
 from lpn.sources import Data, ModelOptions
-from lpn.sources.opened import open_task
+from lpn.sources.opened import open_first_task
 
 TASK = "drone-to-satellite"
 
@@ -61,7 +61,7 @@ def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_f
 
 def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: Path, data: Path) -> None:
     model, dataset = lpn.load(model_file), lpn.open_dataset(data)
-    task = open_task(Data(data=data, model=ModelOptions(model=model_file)))
+    task = open_first_task(Data(data=data, model=ModelOptions(model=model_file)))
     tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
     board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20)
     for part, protocol in (("all", Protocol()), ("2", Protocol(parts=(2,)))):

@@ -23,7 +23,7 @@ from lpn.datasets import Truth, open_dataset
 from lpn.models.base import normalise
 from lpn.retrieval import metrics
 from lpn.retrieval.part_ranks import PartRanks
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from lpn.tasks.query_outcomes import weight_factors
 
 WEIGHTS = ([1, 1, 1, 1], [1, 0, 1, 1], [0, 0, 0, 1], [0.3, 1, 0.7, 0.2])
@@ -86,7 +86,7 @@ def test_equal_tiles_and_equal_scores_rank_in_gallery_order() -> None:
 def test_an_effect_has_the_figures_of_evaluate_and_counts_the_queries_that_change(
     data: Path, model_file: Path, tmp_path: Path
 ) -> None:
-    task = open_task(lpn.load(model_file), "lpn", open_dataset(data))
+    task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
     measured, out = WeightedTask(task), tmp_path / "figures.json"
     for parts in ((1, 2), (4,)):
         effect = measured.effect(weights_of(parts, 4))
@@ -109,7 +109,7 @@ def test_an_effect_has_the_figures_of_evaluate_and_counts_the_queries_that_chang
 
 
 def test_progress_stops_the_comparison(data: Path, model_file: Path) -> None:
-    measured = WeightedTask(open_task(lpn.load(model_file), "lpn", open_dataset(data)))
+    measured = WeightedTask(describe_task(lpn.load(model_file), "lpn", open_dataset(data)))
 
     def stop(_: int, __: int) -> None:
         raise RuntimeError("stopped")
@@ -130,7 +130,7 @@ def test_combinations_are_all_of_four_parts_and_those_of_the_paper_beyond() -> N
 
 
 def test_the_table_is_saved_with_each_task_beside_the_other(data: Path, model_file: Path) -> None:
-    task = open_task(lpn.load(model_file), "lpn", open_dataset(data))
+    task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
     effect = WeightedTask(task).effect([1, 1, 0, 0])
     lines = combinations_csv({(1, 2): {"drone-to-satellite": effect}}).decode().splitlines()
     assert lines[0] == "parts,recall@1 drone-to-satellite,ap drone-to-satellite"
@@ -139,7 +139,7 @@ def test_the_table_is_saved_with_each_task_beside_the_other(data: Path, model_fi
 
 
 def test_a_model_of_one_part_says_why_it_has_no_combinations(data: Path, one_part_model_file: Path) -> None:
-    task = open_task(lpn.load(one_part_model_file), "whole", open_dataset(data))
+    task = describe_task(lpn.load(one_part_model_file), "whole", open_dataset(data))
     assert why_not(task) == "The model has one part, so there are no weights to compare."
     with pytest.raises(InputError, match="one part"):
         WeightedTask(task)

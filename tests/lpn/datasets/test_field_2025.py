@@ -22,7 +22,7 @@ from lpn.index.task import index_task
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 from lpn.tasks.answers import write_answers
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
@@ -179,7 +179,7 @@ def test_university160k_has_queries_in_the_order_of_its_list_and_no_truth(
 
 def test_university160k_is_opened_through_an_index(tmp_path: Path, model_file: Path) -> None:
     dataset, model = open_dataset(layouts.university160k(tmp_path / "University160k")), lpn.load(model_file)
-    whole = open_task(model, "model.onnx", dataset, "drone-to-satellite")
+    whole = describe_task(model, "model.onnx", dataset, "drone-to-satellite")
     index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
     index.add([tile.path.name for tile in whole.gallery], whole.gallery_descriptors)
     shared = SharedIndex(index)
@@ -205,7 +205,7 @@ def test_answers_of_university160k_are_names_in_the_order_of_its_list(
     command = ["evaluate", "--data", str(root), "--model", str(model_file)]
     assert main([*command, "--answers", str(out)]) == 0
     assert capsys.readouterr().out.endswith(f"{out} has the answers to 3 queries; a server takes it zipped.\n")
-    task = open_task(lpn.load(model_file), "model.onnx", open_dataset(root), "drone-to-satellite")
+    task = describe_task(lpn.load(model_file), "model.onnx", open_dataset(root), "drone-to-satellite")
     scores = np.einsum("qnd,gnd->qg", *task.sides())
     assert out.read_text() == "".join(
         "\t".join(np.array(["a7", "b7", "c7", "d7", "e7"])[np.argsort(-row)]) + "\n" for row in scores

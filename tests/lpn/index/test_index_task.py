@@ -24,7 +24,7 @@ from lpn.index.task import IndexTask, index_task
 from lpn.index.tile_pictures import TilePlaceholder
 from lpn.models.base import Model, normalise
 from lpn.tasks.gallery_task import GalleryTask
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from tools.fixtures import layouts, small_worlds
 
 # More tiles than a search returns.
@@ -49,7 +49,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(places: Path, model: Model) -> GalleryTask:
     """The task in memory."""
-    return open_task(model, "model.onnx", open_dataset(places), "drone-to-satellite")
+    return describe_task(model, "model.onnx", open_dataset(places), "drone-to-satellite")
 
 
 def _index(where: Path, whole: GalleryTask, engine: IndexEngine = "exact", positions: bool = True) -> SharedIndex:

@@ -28,7 +28,7 @@ from lpn.explain import counterfactual
 from lpn.report import Options, OwnPicture, Said, SaidPicture
 from lpn.retrieval import Ranking
 from lpn.tasks.notes import NAME as NOTES
-from lpn.tasks.opening import open_task
+from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task
 from tools.fixtures import small_worlds
 
@@ -77,7 +77,7 @@ def task(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory)
     """A task of the drawn data set under the small model."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(tmp_path_factory.mktemp("cache")))
-        return open_task(lpn.load(model_file), "model.onnx", open_dataset(data))
+        return describe_task(lpn.load(model_file), "model.onnx", open_dataset(data))
 
 
 def rank(task: Task, descriptor: Float32Array, query: int) -> Ranking:
@@ -183,7 +183,7 @@ def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: P
     path = next((root / "test" / "query_drone").rglob("*.png")).relative_to(root).as_posix()
     (root / "metadata.csv").write_text(f'path,<b>mood</b>\n{path},"{evil}"\n'.replace("<b>mood</b>", "mood & tone"))
     (root / NOTES).write_text(f'path,tags,note\n{path},odd,"{evil} & more"\n')
-    made = open_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
+    made = describe_task(lpn.load(model_file), "<i>m</i>.onnx", open_dataset(root))
     found = report.build(made, [made.table.paths.index(path)], Options(selection="<u>mine</u>"))
     page = Page(found)
     assert b"<script" not in found
@@ -195,7 +195,7 @@ def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: P
 
 def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_file: Path, tmp_path: Path) -> None:
     root = small_worlds.map_dataset(shutil.copytree(data, tmp_path / "places"))
-    made = open_task(lpn.load(model_file), "model.onnx", open_dataset(root))
+    made = describe_task(lpn.load(model_file), "model.onnx", open_dataset(root))
     text = Page(report.build(made, [worst(made)])).text
     metres = made.table.column("distance").values[worst(made)]
     assert f"The answer lies {metres:,.0f} m from the place photographed." in text

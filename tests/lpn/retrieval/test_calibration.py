@@ -31,7 +31,7 @@ from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
-from lpn.tasks.opening import calibrated, open_task
+from lpn.tasks.opening import calibrated, describe_task
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -186,7 +186,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     calibration = calibrated(model, dataset)
-    task = open_task(model, "model.onnx", dataset, TASK, calibration=calibration)
+    task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibration)
     expected = evaluate(model, dataset, TASK, Protocol(calibrate=True))
     assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
     moved = task.model
@@ -212,7 +212,7 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
 @pytest.mark.slow
 def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    task = open_task(model, "model.onnx", dataset, TASK, calibration=calibrated(model, dataset))
+    task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibrated(model, dataset))
     own = OwnPicture("mine", task.queries[0].load())
     case = Cases(task, Options()).make(own, lambda: None)
     np.testing.assert_array_equal(case.picture, task.queries[0].load_zoomed())

@@ -12,7 +12,7 @@ import lpn
 from lpn.cli import main
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
-from lpn.tasks.opening import calibrated, open_task
+from lpn.tasks.opening import calibrated, describe_task
 from lpn.tasks.turned import turned, why_not
 from tools.fixtures import small_worlds
 
@@ -21,7 +21,7 @@ from tools.fixtures import small_worlds
 def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_file: Path, tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "figures.json"
     model, dataset = lpn.load(model_file), open_dataset(data)
-    task = open_task(model, "lpn", dataset, calibration=calibrated(model, dataset) if options else None)
+    task = describe_task(model, "lpn", dataset, calibration=calibrated(model, dataset) if options else None)
     upright = turned(task, 0)
     assert [upright.recall, upright.ap] == pytest.approx([task.metrics["recall@1"], task.metrics["ap"]])
     counts: list[tuple[int, int]] = []
@@ -40,7 +40,7 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
 
 
 def test_a_stopped_turn_goes_on_where_it_was(data: Path, model_file: Path) -> None:
-    task = open_task(lpn.load(model_file), "lpn", open_dataset(data))
+    task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
 
     def stop(done: int, _: int) -> None:
         if done:
@@ -54,7 +54,7 @@ def test_a_stopped_turn_goes_on_where_it_was(data: Path, model_file: Path) -> No
 
 
 def test_descriptors_without_a_network_say_that_they_cannot_be_turned(data: Path, model_file: Path) -> None:
-    task = replace(open_task(lpn.load(model_file), "lpn", open_dataset(data)), model=None)
+    task = replace(describe_task(lpn.load(model_file), "lpn", open_dataset(data)), model=None)
     assert "without their network" in why_not(task)
     with pytest.raises(InputError, match="cannot be turned"):
         turned(task, 45)

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
-from explorer.panels.radius_text import confirmed
+import numpy as np
+
+from explorer.compute.ranking_job import RankingJob
 from explorer.workspace import StateAnalysis, Workspace
+from lpn.core.arrays import BoolArray
 from lpn.locate.belief import Belief, belief
-from lpn.locate.located import Judge, LocatedFrame
+from lpn.locate.located import Judge, LocatedFlight, LocatedFrame
+from lpn.locate.measures import CONFIRMED_SHARE
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.tasks.task import Task
@@ -42,7 +47,7 @@ def is_sure(analysis: StateAnalysis, workspace: Workspace) -> bool:
         return False
     first = analysis.matches[0]
     return first.true is None or not is_doubtful(
-        workspace, analysis.task, analysis.state.query, first.index, first.true
+        workspace.flight, analysis.task, analysis.state.query, first.index, first.true
     )
 
 
@@ -59,7 +64,24 @@ def shown(analysis: StateAnalysis, workspace: Workspace) -> StateAnalysis:
     )
 
 
-def is_doubtful(workspace: Workspace, task: Task, query: int, answer: int, right: bool) -> bool:
+def doubtful(flight: LocatedFlight | None, ranking: RankingJob) -> BoolArray | None:
+    """Return the photos of a flight whose judge is in doubt, or by whose judge no piece is right, (Q,).
+
+    None without a flight, and until all photos are ranked.
+    """
+    if flight is None or ranking.result is None:
+        return None
+    pairs = zip(ranking.result.ranking.best.tolist(), ranking.ranks.tolist(), strict=True)
+    return np.array(
+        [
+            rank < 0 or is_doubtful(flight, ranking.task, query, answer, rank == 0)
+            for query, (answer, rank) in enumerate(pairs)
+        ],
+        bool,
+    )
+
+
+def is_doubtful(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
     """Return whether the grade of a flight's photo is in doubt.
 
     Its details are doubtful judges where its tag, its neighbours, or the map contradict them, and so is its tag where the details
@@ -69,13 +91,11 @@ def is_doubtful(workspace: Workspace, task: Task, query: int, answer: int, right
         answer: the first tile's position in the gallery.
         right: it is right by the judge.
     """
-    flight = workspace.flight
-    assert flight is not None
     by_details = flight.judge_of(query) == "its details" and _contradicted(belief(flight.frames[query]))
-    return by_details or is_disputed(workspace, task, query, answer, right)
+    return by_details or is_disputed(flight, task, query, answer, right)
 
 
-def is_disputed(workspace: Workspace, task: Task, query: int, answer: int, right: bool) -> bool:
+def is_disputed(flight: LocatedFlight, task: Task, query: int, answer: int, right: bool) -> bool:
     """Return whether the details of a flight's photo contradict its judge on an answer.
 
     They place the photo's middle on an answer that is wrong, or off a right one. They do neither without an accepted
@@ -84,8 +104,7 @@ def is_disputed(workspace: Workspace, task: Task, query: int, answer: int, right
     Args:
         answer, right: see `is_doubtful`.
     """
-    assert workspace.flight is not None
-    located = workspace.flight.frames[query]
+    located = flight.frames[query]
     off = off_window(located, window_of(task, answer))
     return off is not None and abs(off) >= located.stages["registration"].own_radius and (off <= 0) is not right
 
@@ -105,6 +124,18 @@ def window_of(task: Task, index: int) -> Window | None:
     """Return where a tile lies on the map; None where it is no piece of one."""
     cut = task.gallery[index].cut
     return cut.window if isinstance(cut, WindowCut) else None
+
+
+def confirmed(workspace: Workspace) -> bool | None:
+    """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
+    shares = calibration(workspace)
+    return None if shares is None else shares[3] >= CONFIRMED_SHARE
+
+
+def calibration(workspace: Workspace) -> Mapping[int, float] | None:
+    """Return the percentages of a flight's registrations within 1, 2, and 3 radii of their tags; None where none has both."""
+    summary = None if workspace.flight is None else workspace.flight.registration_summary
+    return None if summary is None else summary.calibration or None
 
 
 def _contradicted(verdict: Belief) -> bool:
