@@ -13,7 +13,7 @@ from lpn.core.texts import listed
 from lpn.drawing.words import plain
 from lpn.locate.belief import on_what
 from lpn.locate.located import StageRecord
-from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
+from lpn.locate.measures import RIGHT_CALIBRATION
 from lpn.maps.tag_placed import placing_sentence
 
 # Radii of 1 sigma within which nearly all places lie, which plain words tell in place of the radius.
@@ -93,8 +93,7 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
 
 def confirmed(workspace: Workspace) -> bool | None:
     """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
-    calibration = _calibration(workspace)
-    return None if calibration is None else calibration[3] >= CONFIRMED_SHARE
+    return None if workspace.flight is None else workspace.flight.radii_confirmed().get("registration")
 
 
 def _truths(workspace: Workspace) -> str:

@@ -383,6 +383,13 @@ class LocatedFlight:
             summaries[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
         return summaries
 
+    def radii_confirmed(self) -> dict[str, bool]:
+        """Return by stage if its errors lie within three radii about as often as right radii would; stages that no tag checks are
+        left out.
+        """
+        checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
+        return {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
+
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
