@@ -329,7 +329,7 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
     """Return how well the place of the map itself is known, in a clause and with its source."""
     if flight.rendered:
         return "the map shows no real place", AccuracyLine(
-            "The map itself", "", "It is rendered, and shows no real place."
+            "The map itself", "", f"It is {say('rendered')}, and shows no real place."
         )
     if known.map_source:
         value = "" if known.place_error is None else f"± {known.place_error:.1f} m"

@@ -157,7 +157,11 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, altered: bool) -> st
     """Say how often the model is right, and if it is calibrated; of the user's own picture, how it is seen."""
     if analysis.state.upload:
         rendered = shows_rendered(workspace.root)
-        city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
+        city = (
+            f"The city is {words.say('rendered')}: a photo of a real place has no right answer in it."
+            if rendered
+            else ""
+        )
         return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace))))
     result = workspace.rankings[analysis.task.key].result
     text = answer_text.overall(result, altered)

@@ -407,7 +407,7 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
         above += ", with a camera that looks nearly straight down"
     city = ""
     if rendered:
-        city = " They show a rendered city: a photo of a real place has no right answer among them."
+        city = " They show a computer-generated city: a photo of a real place has no right answer among them."
     compared = (
         "" if workspace.own_photos is None else ", then compares its details with the map, which can take a minute"
     )
@@ -462,7 +462,7 @@ def _elsewhere(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say that no tile is near the GPS tag of the user's own picture; "" if one is, or without a tag."""
     nearest = _far_tag(analysis)
     if nearest is not None and shows_rendered(workspace.root):
-        return "These are of a rendered place, and your picture's GPS tag is of a real one"
+        return f"These are of a {words.say('rendered')} place, and your picture's GPS tag is of a real one"
     return "" if nearest is None else f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them"
 
 

@@ -363,6 +363,10 @@ def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: py
         with monkeypatch.context() as patch:
             patch.setattr(rendered, kind, lambda _: True)
             assert said in text(first_screen.page(analysis, workspace))
+            with speaking(workspace.vocabulary(True)):
+                page = text(first_screen.page(analysis, workspace))
+            assert "This is a computer-generated place, no real one" in page
+            assert "rendered" not in page, "plain words have another meaning for it"
 
 
 def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -391,7 +395,7 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     paragraphs = " ".join(told.sentences)
     assert "Altered by: turned 20°." in paragraphs
     assert "How far one would trust it, not knowing that it is wrong: among" in paragraphs
-    assert "This is a rendered place, no real one: a computer drew it from a plan" in paragraphs
+    assert "This is a computer-generated place, no real one: a computer drew it from a plan" in paragraphs
     assert "<" not in paragraphs
     assert [picture.caption for picture in told.pictures] == [
         "A picture from a drone",
@@ -609,7 +613,11 @@ def test_the_demo_s_tiles_show_what_the_plan_of_the_city_says() -> None:
 def test_what_only_the_city_has_opens_the_city(monkeypatch: pytest.MonkeyPatch) -> None:
     for options in ({"query": "0394/06"}, {"calibrate": True}, {"beside_weather": ("fog",)}):
         opening = Explore(**options).workspaces()
-        assert (opening.key, opening.label, [*opening.others]) == ("data", "a rendered city", ["place", "flight"])
+        assert (opening.key, opening.label, [*opening.others]) == (
+            "data",
+            "a computer-generated city",
+            ["place", "flight"],
+        )
     monkeypatch.setattr("explorer.cli.find_spec", lambda _: None)  # without the extra `maps`
     assert Explore().workspaces().key == "data"
     assert Explore(data=DEMO, model=DEMO / "lpn.onnx").workspaces().others == {}
@@ -621,8 +629,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     opening = Explore().workspaces()
     assert (opening.key, opening.label) == ("place", "a real flight")
     assert {key: other.label for key, other in opening.others.items()} == {
-        "data": "a rendered city",
-        "flight": "a rendered flight",
+        "data": "a computer-generated city",
+        "flight": "a computer-generated flight",
     }
     workspace = opening.open_workspace()
     assert workspace.registration is not None
