@@ -71,7 +71,7 @@ class AnswerLines:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """The other lines as paragraphs without HTML."""
+        """The other lines as paragraphs without HTML, but for `criterion`."""
         lines = (
             self.verdict[2],
             self.radius,
@@ -82,7 +82,6 @@ class AnswerLines:
             self.altered and f"Altered by: {', '.join(self.altered.values())}.",
             self.trust and f"{self.trust_name}: {self.trust}",
             f"{self.overall} {self.season}",
-            self.criterion,
             self.purpose,
         )
         return tuple(filter(None, (escape(line).striptags() for line in lines if line)))

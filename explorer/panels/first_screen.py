@@ -362,10 +362,20 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         )
         pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
     registered = workspace.details(analysis)
-    checks = (check(workspace), _dependent(workspace)) if registered is not None and registered.accepted else ()
-    sentences = (*lines.told, *filter(None, checks))
+    dependent, checked = "", ""
+    if registered is not None and registered.accepted:
+        dependent, checked = _dependent(workspace), check(workspace)
+    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
+    reasons = _because(analysis, workspace, lead, None if lead is None else _lead_cells(analysis, lead))
     return Said(
-        lines.question, lines.headline, sentences, tuple(pictures), _photo_facts(analysis), _map_facts(workspace)
+        lines.question,
+        lines.headline,
+        (*lines.told, *filter(None, [dependent])),
+        tuple(pictures),
+        _photo_facts(analysis),
+        _map_facts(workspace),
+        tuple((method, tuple(sentences)) for method, sentences in reasons),
+        tuple(filter(None, [lines.criterion, checked])),
     )
 
 

@@ -709,6 +709,14 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
+    with speaking(workspace.vocabulary(True)):
+        why = text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
+    methods = dict(told.reasons)
+    assert list(methods) == ["By its details", "By its look"]
+    for sentence in methods["By its look"]:
+        assert sentence in words, "a saved answer names the ring that the screen names"
+        assert sentence in why
+    assert "speaks most for this answer" in methods["By its look"][0]
     assert [picture.caption for picture in told.pictures] == [
         "A picture from a drone",
         "The model’s answer",
