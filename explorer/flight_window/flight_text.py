@@ -378,11 +378,13 @@ def _shift(errors: TagOffsets) -> AccuracyLine:
         sides = {"east": ("east", "west"), "north": ("north", "south")}
         told = (sides[axis][offsets.means[axis].mean < 0] for axis in proven)
         text += f" To the {' and the '.join(told)} that is more than chance explains, so a steady shift of map or tags is likely."
+        figure = f"{math.hypot(east.mean, north.mean):.1f} m"
     elif east.enough and north.enough:
-        text += " Chance explains as much, so no steady shift to one side is shown."
+        text += " Chance explains as much."
+        figure = "no steady shift found"
     else:
-        text += " No steady shift to one side is shown: there are too few independent photos to tell one from chance."
-    figure = f"{math.hypot(east.mean, north.mean):.1f} m" if proven else "not shown"
+        text += " There are too few independent photos to tell a steady shift from chance."
+        figure = "too few photos to tell"
     return AccuracyLine("Shift to one side", figure, f"{text} {offsets.counted_as}".rstrip())
 
 

@@ -315,7 +315,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         headline = "Its middle fits this map, places away from it do not"
     window = _window(analysis)
     off_answer = judge.off_window(own.located, window)
-    look = " Its look alone agrees."
+    look = " The piece that looks most like it lies there, too."
     if off_answer is None or answer.x is None or answer.y is None or window is None:
         look = ""
     elif off_answer > 0:
