@@ -96,7 +96,8 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
             return None, "Best match" if words.plain() else "Nearest tile", f"{known}; {gap}."
         if (of_map := _on_map(analysis, workspace)) is not None:
             right, headline, sentence = of_map
-            return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
+            beside = "" if analysis.registered is None else f" {gap[:1].upper()}{gap[1:]}."
+            return right, headline, f"{sentence}{beside}"
         elsewhere, far = _elsewhere(analysis, workspace), _far(analysis, workspace)
         place = (
             f"{elsewhere}, so no answer can be right" if elsewhere else _beside_tag(analysis, workspace, "this tile")
@@ -262,14 +263,16 @@ def _compared(analysis: StateAnalysis) -> bool:
 
 
 def _on_map(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str] | None:
-    """Return the verdict on an own picture whose details are, or were, compared with the map; None for every other picture."""
+    """Return the verdict on an own picture whose details are, or were, compared with the map; None for every other picture.
+
+    Until the comparison ends, the most similar piece is not told of: a piece of a foreign picture would be read as its place.
+    """
     if analysis.registered is not None:
         return _registered(analysis, workspace, analysis.registered)
     if not _compared(analysis):
         return None
-    text = f"This is the most similar of {analysis.task.tiles:,} {pictures_of(analysis.task)}."
-    beside = _elsewhere(analysis, workspace) or _beside_tag(analysis, workspace, "this one")
-    return None, "Being compared with the map", f"{text} {beside}." if beside else text
+    elsewhere = _elsewhere(analysis, workspace)
+    return None, "Being compared with the map", f"{elsewhere}." if elsewhere else ""
 
 
 def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) -> tuple[bool | None, str, str]:
@@ -302,7 +305,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         fits += f" to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
-        fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
+        fits += f"; its GPS tag lies {distance(error)} from that place{_usual(workspace)}"
     else:
         fits += "; it has no GPS tag that would say so, too"
     against, headline = "", checked("On this map", own.located, concluded.sign)
@@ -320,7 +323,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         look = ""
     elif off_answer > 0:
         metres = distance(math.hypot(answer.x - window.x, answer.y - window.y))
-        look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
+        look = f" Its look alone errs: the middle of the most similar piece lies {metres} from that place."
     beside = "".join(f" {text}" for text in doubts if text)
     return concluded.sign, headline, f"{fits}{against}.{beside}{look}{details}"
 

@@ -246,6 +246,7 @@ def page(
         state=state,
         name=analysis.name,
         lines=lines,
+        waits=lines.waits and not state.why,
         answer_name=place_text.piece(task.gallery[analysis.chosen.index]),
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
@@ -346,14 +347,16 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         SaidPicture(
             lines.query, f"{analysis.name}{middle}", _picture(analysis, workspace, analysis.query, task.query_view)
         ),
-        SaidPicture(
+    ]
+    if not lines.waits:
+        answer = SaidPicture(
             lines.answer,
             place_text.piece(task.gallery[chosen.index]),
             _picture(analysis, workspace, analysis.tile, task.gallery_view),
             _frame_sign(analysis, found),
             0.0 if turn is None else -turn.degrees,
-        ),
-    ]
+        )
+        pictures.append(answer)
     if laid is not None:
         pictures.append(SaidPicture(_ON_MAP, f"{laid.offset}, north up", laid.picture, laid.sign))
     elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
@@ -365,7 +368,7 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
     dependent, checked = "", ""
     if registered is not None and registered.accepted:
         dependent, checked = _dependent(workspace), check(workspace)
-    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
+    lead = None if lines.waits else answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
     reasons = _because(analysis, workspace, lead, None if lead is None else _lead_cells(analysis, lead))
     return Said(
         lines.question,

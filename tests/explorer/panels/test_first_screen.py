@@ -389,7 +389,13 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     )
     job.error = None
     assert "When this was saved, its details were still being compared with the map." in early
-    assert "2 of 8 tries" in text(first_screen.page(waiting, workspace))
+    comparing = first_screen.page(waiting, workspace)
+    assert "2 of 8 tries" in text(comparing)
+    assert "Its place is not known yet" in text(comparing)
+    assert comparing.count("data:image/jpeg") == 1, "no piece of the map is shown as its place before that ends"
+    assert "most similar" not in text(comparing).lower()
+    assert 'data-act="why"' not in comparing
+    assert [picture.caption for picture in first_screen.said(waiting, workspace).pictures] == ["Your picture"]
     assert told.headline == "✗ Wrong."
     assert told.sentences[0].startswith("The model compared")
     paragraphs = " ".join(told.sentences)
