@@ -175,8 +175,10 @@ class FirstScreen:
         state = analysis.state
         content = ""
         if state.first_screen:
-            position, held = (None, 0) if self._own is None else (self._own.position(state.upload), self._own.held)
-            content = page(analysis, self._workspace, stories, position, held)
+            position, held, brought = None, 0, False
+            if self._own is not None:
+                position, held, brought = self._own.position(state.upload), self._own.held, self._own.brought
+            content = page(analysis, self._workspace, stories, position, held, brought)
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
         self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
@@ -210,12 +212,14 @@ def page(
     stories: Sequence[str] = (),
     own_position: tuple[int, int] | None = None,
     own_held: int = 0,
+    own_brought: bool = False,
 ) -> str:
     """Return the screen's content as HTML.
 
     Args:
         own_position: of the own picture that is shown, and the number of those held; None without one.
         own_held: number of own pictures held.
+        own_brought: the one that was shown last was sent at another place.
     """
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
@@ -275,6 +279,7 @@ def page(
         stories=stories,
         own_position=own_position,
         own_held=own_held,
+        own_elsewhere=own_brought and rendered,
         no_link=answer_text.NO_LINK if state.upload else "",
         elsewhere=state.upload is not None
         and (headline in answer_text.ELSEWHERE or (own is not None and not own.answer.accepted)),

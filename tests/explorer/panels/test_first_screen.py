@@ -369,6 +369,19 @@ def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: py
             assert "rendered" not in page, "plain words have another meaning for it"
 
 
+def test_a_rendered_place_offers_no_picture_that_was_sent_at_another_one(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    analysis, back = query(workspace, True), "Back to your picture"
+    assert back in text(first_screen.page(analysis, workspace, own_held=1, own_brought=True)), "the place is real"
+    monkeypatch.setattr(rendered, "is_rendered", lambda _: True)
+    assert back in text(first_screen.page(analysis, workspace, own_held=1))
+    with speaking(workspace.vocabulary(True)):
+        page = text(first_screen.page(analysis, workspace, own_held=1, own_brought=True))
+    assert back not in page
+    assert "Your picture is kept, and is not searched here: this place is computer-generated." in page
+
+
 def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
     wrong = analyse(workspace, replace(query(workspace, False).state, angle=20.0))
     monkeypatch.setattr("lpn.analysis.answer_context._ALIKE", 5)
