@@ -388,6 +388,12 @@ class LocatedFlight:
         """That of the registration, see `summaries`; None while no frame is registered."""
         return self.summaries().get("registration")
 
+    @cached_property
+    def radii_confirmed(self) -> dict[str, bool]:
+        """By stage, whether its errors lie within three radii about as often as with right radii; without stages that no tag checks."""
+        checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
+        return {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
+
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
 
