@@ -32,8 +32,10 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
             connection.getresponse().read()
             connection.close()
         entered = f"{url}/?token=correct+horse+battery"
-        with WebSocketClient(entered) as one, WebSocketClient(entered) as other:
-            one.greet("?query=0003")
+        with WebSocketClient(entered) as one:
+            one.greet("?query=0003")  # a page that greets late has shown another picture before
+            explorer.until(lambda: "Browser 0: answer 1" in explorer.err)
+        with WebSocketClient(entered) as other:
             other.greet("?query=0004")
             other.set("Rotate", 30)
             other.wait(lambda: other.status("angle") == "30")
