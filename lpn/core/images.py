@@ -38,6 +38,10 @@ _JPEG = b"\xff\xd8"
 _TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 # Pillow reads these where OpenCV does not: GIF before OpenCV 4.11, and TIFF with further compressions.
 _BY_PILLOW = (b"GIF8", *_TIFF)
+# Pillow raises these on damaged files.
+_DAMAGED = (
+    OSError, ValueError, SyntaxError, EOFError, RuntimeError, OverflowError, MemoryError, LookupError, TypeError, struct.error
+)  # fmt: skip
 # The largest of the upper 8 bits, rounded, of numbers of 12: such a picture is black to the eye.
 _BLACK = 16
 # OpenCV's flags by the factor that they divide width and height by.
@@ -185,7 +189,7 @@ def _first_frame(data: bytes, name: str, kinds: str, upright: bool = False) -> U
             if frame.mode.startswith("I;16") and (grey := _eight_bits(np.asarray(frame).astype(np.uint16))) is not None:
                 return np.repeat((255 - grey if inverted else grey)[..., None], 3, axis=2)
             picture = np.asarray(frame.convert("RGB"))
-    except (OSError, ValueError, SyntaxError, EOFError, MemoryError) as error:
+    except _DAMAGED as error:
         tiff = ", or compressed in a way that is not read here" if data.startswith(_TIFF) else ""
         raise PictureError(
             f"{name} is cut short or damaged{tiff}; expected a whole {kinds} file, so "
@@ -209,17 +213,7 @@ def header_error(file: BinaryIO) -> str | None:
                 heights = header.format == "TIFF" and header.mode in ("I", "F")
     except Image.DecompressionBombError:
         return "has far too many pixels to be read"
-    except (
-        OSError,
-        ValueError,
-        SyntaxError,
-        RuntimeError,
-        OverflowError,
-        MemoryError,
-        LookupError,
-        TypeError,
-        struct.error,
-    ):
+    except _DAMAGED:
         file.seek(0)
         return other_kind(file.read(512)) or "is not a picture that can be read"
     if width * height > MAX_PIXELS:

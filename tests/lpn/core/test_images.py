@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -159,6 +160,20 @@ def test_a_tiff_that_opencv_does_not_decompress_is_read_upright(tmp_path: Path) 
     Image.fromarray(small_worlds.place(3)[:40]).save(tmp_path / "a.tif", compression="zstd", exif=exif)
     shown = images.load_picture(tmp_path / "a.tif")
     np.testing.assert_array_equal(shown, np.rot90(small_worlds.place(3)[:40], -1))
+
+
+@pytest.mark.parametrize("kind", [2, 16])
+def test_a_tiff_whose_pixels_lie_at_no_place_is_damaged(kind: int) -> None:
+    stream = io.BytesIO()
+    Image.fromarray(small_worlds.place(3)).save(stream, "TIFF")
+    data = bytearray(stream.getvalue())
+    entry = data.index(struct.pack("<HH", 273, 4))  # StripOffsets, as text or as a number of 64 bits
+    data[entry + 2] = kind
+    if kind == 16:
+        data[entry + 8 : entry + 12] = len(data).to_bytes(4, "little")
+        data += b"\xff" * 8
+    with pytest.raises(PictureError, match="a is cut short or damaged"):
+        images.decode_picture(bytes(data), "a")
 
 
 @pytest.mark.parametrize("kind", [np.float32, np.int32])
