@@ -325,7 +325,7 @@ class Explore(ExploreSource):
         return self.data is None and self.model is None
 
 
-_LABELS = {DATA: "a rendered city", "place": "a real flight", "flight": "a rendered flight"}
+_LABELS = {DATA: "a computer-generated city", "place": "a real flight", "flight": "a computer-generated flight"}
 _REAL = "real photos of a place that the model was not trained on, over a map of the flight's other photos"
 
 

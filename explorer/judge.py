@@ -12,7 +12,6 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import BoolArray
 from lpn.locate.belief import Belief, belief
 from lpn.locate.located import Judge, LocatedFlight, LocatedFrame
-from lpn.locate.measures import CONFIRMED_SHARE
 from lpn.maps import Window
 from lpn.maps.named_window import WindowCut
 from lpn.tasks.task import Task
@@ -128,8 +127,7 @@ def window_of(task: Task, index: int) -> Window | None:
 
 def confirmed(workspace: Workspace) -> bool | None:
     """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
-    shares = calibration(workspace)
-    return None if shares is None else shares[3] >= CONFIRMED_SHARE
+    return None if workspace.flight is None else workspace.flight.radii_confirmed.get("registration")
 
 
 def calibration(workspace: Workspace) -> Mapping[int, float] | None:

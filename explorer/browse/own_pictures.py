@@ -131,6 +131,8 @@ class OwnPictures:
         # Files of the batch in progress that were read, and all of them; the first picture of it.
         self._read = self._files = self._first = 0
         self._asked = 0
+        # The keys of pictures that the page had in another workspace.
+        self._brought: set[str] = set()
         # How often the pictures were closed.
         self._closed = 0
         self._left = False
@@ -208,6 +210,12 @@ class OwnPictures:
         """The number of pictures held."""
         return len(self._held)
 
+    @property
+    def brought(self) -> bool:
+        """Whether the picture that `reopen` shows was sent at another workspace."""
+        with self._lock:
+            return bool(self._held) and self._held[max(self._opened[1], 0)].key in self._brought
+
     def reopen(self, state: SessionState) -> SessionState | None:
         """Return the state of the picture that was opened last; None if none is held."""
         with self._lock:
@@ -245,6 +253,7 @@ class OwnPictures:
         """Hold the pictures that the same page had in another workspace, whose bytes are counted already."""
         with self._lock:
             self._held, self._opened = [*over.pictures, *self._held], (None, over.opened)
+            self._brought = {held.key for held in over.pictures}
         self._draw(-1)
 
     def leave(self) -> None:

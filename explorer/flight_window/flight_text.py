@@ -329,7 +329,7 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
     """Return how well the place of the map itself is known, in a clause and with its source."""
     if flight.rendered:
         return "the map shows no real place", AccuracyLine(
-            "The map itself", "", "It is rendered, and shows no real place."
+            "The map itself", "", f"It is {say('rendered')}, and shows no real place."
         )
     if known.map_source:
         value = "" if known.place_error is None else f"± {known.place_error:.1f} m"
@@ -378,11 +378,13 @@ def _shift(errors: TagOffsets) -> AccuracyLine:
         sides = {"east": ("east", "west"), "north": ("north", "south")}
         told = (sides[axis][offsets.means[axis].mean < 0] for axis in proven)
         text += f" To the {' and the '.join(told)} that is more than chance explains, so a steady shift of map or tags is likely."
+        figure = f"{math.hypot(east.mean, north.mean):.1f} m"
     elif east.enough and north.enough:
-        text += " Chance explains as much, so no steady shift to one side is shown."
+        text += " Chance explains as much."
+        figure = "no steady shift found"
     else:
-        text += " No steady shift to one side is shown: there are too few independent photos to tell one from chance."
-    figure = f"{math.hypot(east.mean, north.mean):.1f} m" if proven else "not shown"
+        text += " There are too few independent photos to tell a steady shift from chance."
+        figure = "too few photos to tell"
     return AccuracyLine("Shift to one side", figure, f"{text} {offsets.counted_as}".rstrip())
 
 

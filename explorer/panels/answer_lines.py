@@ -71,7 +71,7 @@ class AnswerLines:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """The other lines as paragraphs without HTML."""
+        """The other lines as paragraphs without HTML, but for `criterion`."""
         lines = (
             self.verdict[2],
             self.radius,
@@ -82,7 +82,6 @@ class AnswerLines:
             self.altered and f"Altered by: {', '.join(self.altered.values())}.",
             self.trust and f"{self.trust_name}: {self.trust}",
             f"{self.overall} {self.season}",
-            self.criterion,
             self.purpose,
         )
         return tuple(filter(None, (escape(line).striptags() for line in lines if line)))
@@ -157,7 +156,11 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, altered: bool) -> st
     """Say how often the model is right, and if it is calibrated; of the user's own picture, how it is seen."""
     if analysis.state.upload:
         rendered = shows_rendered(workspace.root)
-        city = "The city is rendered: a photo of a real place has no right answer in it." if rendered else ""
+        city = (
+            f"The city is {words.say('rendered')}: a photo of a real place has no right answer in it."
+            if rendered
+            else ""
+        )
         return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace))))
     result = workspace.rankings[analysis.task.key].result
     text = answer_text.overall(result, altered)

@@ -97,7 +97,8 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
             return None, "Best match" if words.plain() else "Nearest tile", f"{known}; {gap}."
         if (of_map := _on_map(analysis, workspace)) is not None:
             right, headline, sentence = of_map
-            return right, headline, f"{sentence} {gap[:1].upper()}{gap[1:]}."
+            beside = "" if analysis.registered is None else f" {gap[:1].upper()}{gap[1:]}."
+            return right, headline, f"{sentence}{beside}"
         elsewhere, far = _elsewhere(analysis, workspace), _far(analysis, workspace)
         place = (
             f"{elsewhere}, so no answer can be right" if elsewhere else _beside_tag(analysis, workspace, "this tile")
@@ -266,14 +267,16 @@ def _compared(analysis: StateAnalysis) -> bool:
 
 
 def _on_map(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str] | None:
-    """Return the verdict on an own picture whose details are, or were, compared with the map; None for every other picture."""
+    """Return the verdict on an own picture whose details are, or were, compared with the map; None for every other picture.
+
+    Until the comparison ends, the most similar piece is not told of: a piece of a foreign picture would be read as its place.
+    """
     if analysis.registered is not None:
         return _registered(analysis, workspace, analysis.registered)
     if not _compared(analysis):
         return None
-    text = f"This is the most similar of {analysis.task.tiles:,} {pictures_of(analysis.task)}."
-    beside = _elsewhere(analysis, workspace) or _beside_tag(analysis, workspace, "this one")
-    return None, "Being compared with the map", f"{text} {beside}." if beside else text
+    elsewhere = _elsewhere(analysis, workspace)
+    return None, "Being compared with the map", f"{elsewhere}." if elsewhere else ""
 
 
 def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) -> tuple[bool | None, str, str]:
@@ -306,7 +309,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         fits += f" to ± {answer.radius or 0:.1f} m {on_what(answer)}"
     if (error := own.located.error("registration")) is not None:
         error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
-        fits += f"; its GPS tag lies {distance(error)} from there{_usual(workspace)}"
+        fits += f"; its GPS tag lies {distance(error)} from that place{_usual(workspace)}"
     else:
         fits += "; it has no GPS tag that would say so, too"
     against, headline = "", checked("On this map", own.located, concluded.sign)
@@ -319,12 +322,12 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         headline = "Its middle fits this map, places away from it do not"
     window = _window(analysis)
     off_answer = judge.off_window(own.located, window)
-    look = " Its look alone agrees."
+    look = " The piece that looks most like it lies there, too."
     if off_answer is None or answer.x is None or answer.y is None or window is None:
         look = ""
     elif off_answer > 0:
         metres = distance(math.hypot(answer.x - window.x, answer.y - window.y))
-        look = f" Its look alone errs: the middle of the most similar piece lies {metres} from there."
+        look = f" Its look alone errs: the middle of the most similar piece lies {metres} from that place."
     beside = "".join(f" {text}" for text in doubts if text)
     return concluded.sign, headline, f"{fits}{against}.{beside}{look}{details}"
 
@@ -411,7 +414,7 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
         above += ", with a camera that looks nearly straight down"
     city = ""
     if rendered:
-        city = " They show a rendered city: a photo of a real place has no right answer among them."
+        city = " They show a computer-generated city: a photo of a real place has no right answer among them."
     compared = (
         "" if workspace.own_photos is None else ", then compares its details with the map, which can take a minute"
     )
@@ -466,7 +469,7 @@ def _elsewhere(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Say that no tile is near the GPS tag of the user's own picture; "" if one is, or without a tag."""
     nearest = _far_tag(analysis)
     if nearest is not None and shows_rendered(workspace.root):
-        return "These are of a rendered place, and your picture's GPS tag is of a real one"
+        return f"These are of a {words.say('rendered')} place, and your picture's GPS tag is of a real one"
     return "" if nearest is None else f"Your picture's GPS tag lies {distance(nearest)} from the nearest of them"
 
 

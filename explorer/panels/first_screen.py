@@ -175,8 +175,10 @@ class FirstScreen:
         state = analysis.state
         content = ""
         if state.first_screen:
-            position, held = (None, 0) if self._own is None else (self._own.position(state.upload), self._own.held)
-            content = page(analysis, self._workspace, stories, position, held)
+            position, held, brought = None, 0, False
+            if self._own is not None:
+                position, held, brought = self._own.position(state.upload), self._own.held, self._own.brought
+            content = page(analysis, self._workspace, stories, position, held, brought)
         elsewhere = state.why or state.lab or state.flight or state.map or state.exploded
         self._html.show(run(call("first", content, not elsewhere, not state.upload)))
 
@@ -210,12 +212,14 @@ def page(
     stories: Sequence[str] = (),
     own_position: tuple[int, int] | None = None,
     own_held: int = 0,
+    own_brought: bool = False,
 ) -> str:
     """Return the screen's content as HTML.
 
     Args:
         own_position: of the own picture that is shown, and the number of those held; None without one.
         own_held: number of own pictures held.
+        own_brought: the one that was shown last was sent at another place.
     """
     state, task = analysis.state, analysis.task
     rendered = shows_rendered(workspace.root)
@@ -246,6 +250,7 @@ def page(
         state=state,
         name=analysis.name,
         lines=lines,
+        waits=lines.waits and not state.why,
         answer_name=place_text.piece(task.gallery[analysis.chosen.index]),
         query=_picture(analysis, workspace, analysis.query, task.query_view, cells, colours),
         tile=_picture(analysis, workspace, analysis.tile, task.gallery_view),
@@ -274,6 +279,7 @@ def page(
         stories=stories,
         own_position=own_position,
         own_held=own_held,
+        own_elsewhere=own_brought and rendered,
         no_link=answer_text.NO_LINK if state.upload else "",
         elsewhere=state.upload is not None
         and (headline in answer_text.ELSEWHERE or (own is not None and not own.answer.accepted)),
@@ -346,14 +352,16 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         SaidPicture(
             lines.query, f"{analysis.name}{middle}", _picture(analysis, workspace, analysis.query, task.query_view)
         ),
-        SaidPicture(
+    ]
+    if not lines.waits:
+        answer = SaidPicture(
             lines.answer,
             place_text.piece(task.gallery[chosen.index]),
             _picture(analysis, workspace, analysis.tile, task.gallery_view),
             _frame_sign(analysis, found),
             0.0 if turn is None else -turn.degrees,
-        ),
-    ]
+        )
+        pictures.append(answer)
     if laid is not None:
         pictures.append(SaidPicture(_ON_MAP, f"{laid.offset}, north up", laid.picture, laid.sign))
     elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
@@ -362,10 +370,20 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         )
         pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
     registered = workspace.details(analysis)
-    checks = (check(workspace), _dependent(workspace)) if registered is not None and registered.accepted else ()
-    sentences = (*lines.told, *filter(None, checks))
+    dependent, checked = "", ""
+    if registered is not None and registered.accepted:
+        dependent, checked = _dependent(workspace), check(workspace)
+    lead = None if lines.waits else answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
+    reasons = _because(analysis, workspace, lead, None if lead is None else _lead_cells(analysis, lead))
     return Said(
-        lines.question, lines.headline, sentences, tuple(pictures), _photo_facts(analysis), _map_facts(workspace)
+        lines.question,
+        lines.headline,
+        (*lines.told, *filter(None, [dependent])),
+        tuple(pictures),
+        _photo_facts(analysis),
+        _map_facts(workspace),
+        tuple((method, tuple(sentences)) for method, sentences in reasons),
+        tuple(filter(None, [lines.criterion, checked])),
     )
 
 

@@ -14,6 +14,7 @@ from lpn.core.numbers import distance
 from lpn.core.texts import listed
 from lpn.datasets import Picture
 from lpn.datasets.rendered import shows_rendered
+from lpn.drawing.words import say
 from lpn.locate.located import LocatedFlight
 from lpn.maps import MapPlace
 from lpn.maps.named_window import WindowCut, describe_offset
@@ -81,7 +82,7 @@ def criterion(workspace: Workspace, task: Task) -> str:
     """Say within what an answer counts as right, and who is the judge."""
     flight = workspace.flight
     if flight is None or flight.retrieval is None:
-        judges = "the plan of the rendered city" if shows_rendered(workspace.root) else "the data set"
+        judges = f"the plan of the {say('rendered')} city" if shows_rendered(workspace.root) else "the data set"
         return f"Right is an answer that shows the same place; {judges} is the judge." if task.lists_gallery else ""
     low, high = float(flight.retrieval.sizes.min()), float(flight.retrieval.sizes.max())
     width = f"{low:.0f} to {high:.0f} m wide" if round(low) < round(high) else f"{high:.0f} m wide"

@@ -3,6 +3,7 @@
 LPNError
 ├── ModelFileError   a model file is missing, damaged, or of a kind we cannot use
 ├── DataError        a data set folder is missing, empty, or not laid out as expected
+│   └── OtherKindError    a file is of another kind than its name suggests
 ├── PictureError     a picture cannot be read
 ├── StoreError       a descriptor store cannot be read or written
 │   └── NewerStoreError   a later version wrote the store
@@ -25,6 +26,10 @@ class ModelFileError(LPNError):
 
 class DataError(LPNError):
     """A data set folder is missing, empty, or not laid out as expected."""
+
+
+class OtherKindError(DataError):
+    """A file is of another kind than its name suggests; one that was found beside others may be left out."""
 
 
 class PictureError(LPNError):

@@ -122,7 +122,7 @@ def _decode(data: bytes, factor: int, name: str) -> UInt8Array | None:
     bits, inverted, planar = _layout(data)
     # Only libjpeg decodes less than every pixel; OpenCV would shrink the others without anti-aliasing.
     scaled = factor > 1 and data.startswith(_JPEG)
-    # Of a TIFF's 16 bits OpenCV mixes up separate planes, and white and black where 0 is white, unless it cuts them to 8 itself.
+    # OpenCV misreads 16 bits of a TIFF whose colours lie in separate planes, or whose 0 is white; 8 bits it reads right.
     whole_numbers = not (data.startswith(_JPEG) or inverted or planar)
     flags = (_REDUCED[factor] if scaled else cv2.IMREAD_COLOR) | (cv2.IMREAD_ANYDEPTH if whole_numbers else 0)
     whole = cv2.imdecode(np.frombuffer(data, np.uint8), flags)

@@ -58,6 +58,8 @@ WORDS: Mapping[str, Word] = {
     "registration": Word("by its details", "Registration"),
     "tag": Word("GPS", "GPS tags"),
     "audit": Word("contradictions", "audit"),
+    # People who do not know the field read "rendered" as delivered.
+    "rendered": Word("computer-generated", "rendered"),
 }
 
 # Plain words for columns that describe pictures; a name that is not here is plain enough.

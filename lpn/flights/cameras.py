@@ -25,6 +25,8 @@ _STEEP = -45.0
 _BODY_IN_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
 # Diagonal in millimetres of the 36 x 24 mm film that equivalent focal lengths refer to.
 _FILM_DIAGONAL = math.hypot(36.0, 24.0)
+# The least and the largest field of view in degrees that a frame may have.
+FOV_RANGE = 0.1, 170.0
 
 
 def rotation(heading: float, pitch: float, roll: float) -> Float64Array:

@@ -24,6 +24,7 @@ from lpn.core.files import first_few, json_bytes, printable, write_together
 from lpn.core.formats import decode_json, format_of
 from lpn.datasets.base import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
+from lpn.flights.cameras import FOV_RANGE
 from lpn.flights.lenses import Lens, lens_of_text
 
 FORMAT = "lpn-flight/1"
@@ -39,7 +40,7 @@ _LIMITS: Mapping[str, tuple[float, float]] = {
     "heading": (0, 360),
     "pitch": (-360, 360),
     "roll": (-180, 180),
-    "fov": (0.1, 170),
+    "fov": FOV_RANGE,
 }
 
 

@@ -96,15 +96,17 @@ DIALECTS: Mapping[str, Mapping[str, str]] = {
 }  # fmt: skip
 UNITS = {
     "feet": 0.3048, "foot": 0.3048, "ft": 0.3048, "meters": 1.0, "metres": 1.0, "meter": 1.0, "metre": 1.0, "m": 1.0, "cm": 0.01,
-    "mm": 0.001, "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "rad": math.degrees(1),
-    "radians": math.degrees(1), "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "us": 1e-6, "µs": 1e-6, "s": 1.0,
-    "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "dd": 1.0, "dms": 1.0, "amsl": 1.0, "msl": 1.0,
-    "utc": 1.0, "gmt": 1.0, "local": 1.0,
+    "mm": 0.001, "km": 1000.0, "degrees": 1.0, "degree": 1.0, "deg": 1.0, "°": 1.0, "cdeg": 0.01, "dege7": 1e-7,
+    "rad": math.degrees(1), "radians": math.degrees(1), "millisecond": 0.001, "milliseconds": 0.001, "ms": 0.001, "us": 1e-6,
+    "µs": 1e-6, "s": 1.0, "sec": 1.0, "secs": 1.0, "second": 1.0, "seconds": 1.0, "wgs84": 1.0, "dd": 1.0, "dms": 1.0,
+    "amsl": 1.0, "msl": 1.0, "utc": 1.0, "gmt": 1.0, "local": 1.0,
 }  # fmt: skip
 _NEGATIVE = {"latitude": {"s", "south"}, "longitude": {"w", "west"}}
 _SIDES = {"n", "s", "e", "w", "north", "south", "east", "west"}
 # Signs and words that explain which side is negative, as in "Longitude (W negative)": such numbers have their signs.
 _EXPLAINED = re.compile(r"[+<>=±−]|(?<!\w)[-/]|[-/](?!\w)|\bneg|\bpositive|minus|plus|sign")
+# Words that stand in the place of a unit, and are none.
+_NO_UNITS = ("", "wgs84", "amsl", "msl")
 # Names that hold their unit.
 _OWN_UNITS = {"timeus": 1e-6, "timeutcusec": 1e-6}
 _BRACKETED = re.compile(r"(.*?)\s*(?:\[(.*)\]|\(([^()]*)\))\s*", re.DOTALL)
@@ -128,6 +130,7 @@ class LogColumns:
     Attributes:
         places: of each value in a row.
         factors: of its unit, to metres, degrees, or seconds.
+        with_unit: the values whose columns name their unit.
         utc: the header says that the date is UTC.
         nadir_zero: a pitch of 0 looks straight down, as in Agisoft's files.
         negative: latitude where its name says south, longitude where it says west, as in "Longitude W"; for a column in which
@@ -137,6 +140,7 @@ class LogColumns:
 
     places: Mapping[str, int]
     factors: Mapping[str, float]
+    with_unit: frozenset[str]
     utc: bool
     nadir_zero: bool
     negative: frozenset[str]
@@ -207,7 +211,8 @@ def columns_of(header: Sequence[str], name: str) -> LogColumns:
         places |= {what: plain.index(angle) for what, angle in (("nose", "pitch"), ("bank", "roll")) if angle in plain}
         factors |= {"nose": 1.0, "bank": 1.0}
     utc = "date" in places and any(word in header[places["date"]].casefold() for word in ("utc", "gmt", "gpst"))
-    return LogColumns(places, factors, utc, nadir_zero, negative, tuple(notes))
+    with_unit = frozenset(what for what, at in places.items() if cells[at].unit not in _NO_UNITS)
+    return LogColumns(places, factors, with_unit, utc, nadir_zero, negative, tuple(notes))
 
 
 def _cell(text: str, at: int) -> _Cell:

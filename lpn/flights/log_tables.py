@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from lpn.core.errors import DataError
+from lpn.core.errors import DataError, OtherKindError
 from lpn.core.files import printable
 from lpn.flights import values
 from lpn.flights.log_columns import LogColumns, columns_of
@@ -21,8 +21,6 @@ _COMMA_DECIMAL = re.compile(r"[^\d,.]*\d{1,3},\d+[^\d,.]*")
 # Names of WGS 84 in the first line of a geo.txt, whose positions are in degrees then.
 _GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
-# MAVLink's heading if unknown, in hundredths of degrees or in degrees.
-_NO_HEADING = (65535.0, 655.35)
 _PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
 
 
@@ -48,8 +46,7 @@ class LogTable:
         at = self.columns.places.get(what)
         # Programs that fear formulas write an apostrophe before a minus sign.
         text = "" if at is None else cell_at(cells, at).removeprefix("'")
-        unknown = text.casefold() in _UNKNOWN or (what == "heading" and values.number(text, self.commas) in _NO_HEADING)
-        return "" if unknown else text
+        return "" if text.casefold() in _UNKNOWN else text
 
 
 def table_of(text: str, name: str) -> LogTable:
@@ -67,7 +64,7 @@ def table_of(text: str, name: str) -> LogTable:
         if line.strip() and not line.startswith("sep=")
     ]
     if not lines:
-        raise DataError(f"{name} is empty; expected a log with a line of column names.")
+        raise OtherKindError(f"{name} is empty; expected a log with a line of column names.")
     at, delimiter, header, notes = _header(lines, name)
     lines = lines[at + 1 :]
     columns = columns_of(header, name)
@@ -132,7 +129,7 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
     for delimiter in _DELIMITERS:
         if _is_picture_row(lines[first][1], delimiter):
             if first and _names(lines[first - 1][1], delimiter) == len(_split(lines[first][1], delimiter)):
-                raise DataError(_no_position(lines[first - 1 :], name))
+                raise _no_position(lines[first - 1 :], name)
             note = "latitude before longitude was taken, as in Pix4D's files"
             return first - 1, delimiter, ["file", "lat", "lon", "alt"], [_without_names(name, note)]
         if (
@@ -142,7 +139,7 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
         ):
             note = "longitude before latitude was taken, as in geo.txt of OpenDroneMap"
             return first, delimiter, ["file", "lon", "lat", "alt"], [_without_names(name, note)]
-    raise DataError(_no_position(lines, name))
+    raise _no_position(lines, name)
 
 
 def _names(line: str, delimiter: str | None) -> int:
@@ -165,15 +162,15 @@ def _is_picture_row(line: str, delimiter: str | None) -> bool:
     )
 
 
-def _no_position(lines: Sequence[tuple[int, str]], name: str) -> str:
-    """Return the message about a file without a position; columns that may be one are named."""
+def _no_position(lines: Sequence[tuple[int, str]], name: str) -> DataError:
+    """Return the error about a file without a position; columns that may be one are named."""
     delimiter = max(",;\t", key=lines[0][1].count)
     header = _split(lines[0][1].lstrip("#% "), delimiter)
     message = (
         f"{name} has the columns {printable(', '.join(header))[:300]}; expected latitude and longitude among them."
     )
     if any(word in lines[0][1].casefold() for word in ("easting", "northing", "utm", "epsg")):
-        return message + " Eastings and northings of a map are not read; export degrees of WGS 84."
+        return DataError(f"{message} Eastings and northings of a map are not read; export degrees of WGS 84.")
     second = _split(lines[1][1], delimiter) if len(lines) > 1 else []
     likely = [
         header[i]
@@ -181,8 +178,10 @@ def _no_position(lines: Sequence[tuple[int, str]], name: str) -> str:
         if re.fullmatch(r"-?\d{1,3}\.\d{4,}", cell) and abs(float(cell)) <= 180
     ]
     if len(likely) < 2:
-        return message
-    return message + f" {printable(likely[0])} and {printable(likely[1])} look like degrees; if they are, name them so."
+        return OtherKindError(message)
+    return DataError(
+        f"{message} {printable(likely[0])} and {printable(likely[1])} look like degrees; if they are, name them so."
+    )
 
 
 def _cells(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -> Iterator[tuple[int, list[str]]]:

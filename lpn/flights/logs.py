@@ -29,25 +29,29 @@ from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flights import cameras, values
 from lpn.flights.base import HeadingSource
-from lpn.flights.log_tables import LogTable, cell_at, table_of
-from lpn.flights.log_times import clocks_of, elapsed_of, number_or_nan
+from lpn.flights.log_tables import LogTable, table_of
+from lpn.flights.log_times import clocks_of, elapsed_of
 from lpn.flights.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
-# The largest size of angles in degrees. Headings may go on counting from turn to turn; those that are all whole numbers and
-# have more than three turns are hundredths of degrees.
+# The least and the largest angle in degrees. Headings may go on counting from turn to turn, but whole numbers that pass three
+# turns are more likely hundredths of degrees.
 _HEADINGS, _TILTS = ("heading", "gimbal_heading", "direction"), ("gimbal_pitch", "gimbal_roll", "nose", "bank")
-_MOST_DEGREES = {**dict.fromkeys(_HEADINGS, 3600.0), **dict.fromkeys(_TILTS, 360.0), "fov": 180.0}
-_MOST_WHOLE = 1080.0
+_TURNS, _WHOLE_TURNS, _TURN = (-3600.0, 3600.0), (-1080.0, 1080.0), (-360.0, 360.0)
+_RANGES = {**dict.fromkeys(_HEADINGS, _TURNS), **dict.fromkeys(_TILTS, _TURN), "fov": cameras.FOV_RANGE}
+# MAVLink's heading if unknown, in hundredths of degrees or in degrees.
+_NO_HEADING = (65535.0, 655.35)
 # A gimbal whose least pitch in a log is larger was told by another convention.
 _LOOKS_UP = 30.0
 _SCALED = 1e7
+# The name of MAVLink's heading, which is in hundredths of degrees, also as GLOBAL_POSITION_INT.hdg.
+_MAVLINK_HEADING = re.compile(r"(?:.*[^a-z])?hdg", re.IGNORECASE | re.DOTALL)
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
 # A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180. A column of angles is left out if
-# a larger share is beyond the limit.
-_MOST_BEYOND = 0.1
+# a larger share is beyond the limit, except for a single one of `_SEVERAL` or more.
+_MOST_BEYOND, _SEVERAL = 0.1, 3
 # Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
 _LEAST_SCALED = 2e7
 
@@ -99,7 +103,7 @@ def read_log(file: Path) -> Log:
         )
     table = _with_hemispheres(table_of(values.decoded(data, name), name), name)
     places, notes, is_scaled = _positions(table, name)
-    table = _with_possible_angles(_with_mavlink_units(table) if is_scaled else table, name)
+    table = _with_possible_angles(_with_mavlink_units(table, name, is_scaled), name)
     clocks, zoned, clock_notes = clocks_of(table, name)
     times = elapsed_of(table)
     rows = []
@@ -250,9 +254,11 @@ class _Cells:
             raise DataError(
                 f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
             )
+        if what == "heading" and value in _NO_HEADING:
+            return None
         # A unit in the cell counts in place of the column's.
         value = value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
-        return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _MOST_DEGREES[what] else value
+        return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _TURN[1] else value
 
     def value_or_nan(self, what: str) -> float:
         """Return a value as `value` does; NaN if it is unknown or no number."""
@@ -305,12 +311,13 @@ class _Cells:
 
 
 def _with_hemispheres(table: LogTable, name: str) -> LogTable:
-    """Leave out of `negative` each column in which a number has a sign; a note names the others."""
-    negative = [
-        what
-        for what in sorted(table.columns.negative)
-        if not any(values.plain(table.text(cells, what)).strip().startswith(("-", "+")) for _, cells in table.rows)
-    ]
+    """Leave out of `negative` each column in which a number has a sign, or all have letters; a note names the others."""
+    negative = []
+    for what in sorted(table.columns.negative):
+        texts = [text for _, cells in table.rows if (text := table.text(cells, what))]
+        is_signed = any(values.plain(text).strip().startswith(("-", "+")) for text in texts)
+        if not is_signed and not all(map(values.letter_of, texts)):
+            negative.append(what)
     notes = [
         f"The numbers in the column {printable(table.header[table.columns.places[what]])} of {name} have no signs, and count as "
         "negative, as its name says."
@@ -366,35 +373,58 @@ def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, flo
     return places, notes, is_scaled
 
 
-def _with_mavlink_units(table: LogTable) -> LogTable:
-    """Read a column of large whole numbers as MAVLink's units: heights in millimetres, headings in hundredths of degrees."""
-    factors = dict(table.columns.factors)
-    for what, most, factor in (
-        ("altitude", 1000, 0.001),
-        ("height_above_takeoff", 1000, 0.001),
-        ("heading", 360, 0.01),
-    ):
-        if what in table.columns.places:
-            cells = [number_or_nan(cell_at(row, table.columns.places[what])) for _, row in table.rows]
-            known = np.array([cell for cell in cells if not math.isnan(cell)])
-            if len(known) and (known == np.floor(known)).all() and np.abs(known).max() > most:
-                factors[what] *= factor
-    return replace(table, columns=replace(table.columns, factors=factors))
+def _with_mavlink_units(table: LogTable, name: str, is_scaled: bool) -> LogTable:
+    """Read columns of whole numbers in MAVLink's units: heights in millimetres, headings in hundredths of degrees.
+
+    Where positions are not scaled, only a column `hdg` is read so, if half of its numbers exceed a turn; a note says so.
+    """
+    factors, notes = dict(table.columns.factors), list(table.notes)
+    header = table.header[table.columns.places["heading"]] if "heading" in table.columns.places else ""
+    is_hdg = _MAVLINK_HEADING.fullmatch(header) is not None
+    if is_scaled:
+        units = (
+            ("altitude", 1000.0, 0.001),
+            ("height_above_takeoff", 1000.0, 0.001),
+            ("heading", 0.0 if is_hdg else 360.0, 0.01),
+        )
+        factors |= {what: factor for what, most, factor in units if _share_of_large(table, what, most) > 0}
+    elif is_hdg and _share_of_large(table, "heading", 360.0) >= 0.5:
+        factors["heading"] = 0.01
+        notes.append(f"The column {printable(header)} of {name} counts as hundredths of degrees, as in MAVLink.")
+    return replace(table, columns=replace(table.columns, factors=factors), notes=notes)
+
+
+def _share_of_large(table: LogTable, what: str, most: float) -> float:
+    """Return the share of a column's numbers that are larger than `most`; 0 unless all are whole, and the column has no unit."""
+    if what not in table.columns.places or what in table.columns.with_unit:
+        return 0.0
+    numbers = _column(table, what)
+    known = numbers[~np.isnan(numbers)]
+    return float((np.abs(known) > most).mean()) if len(known) and (known == np.floor(known)).all() else 0.0
+
+
+def _column(table: LogTable, what: str) -> Float64Array:
+    """Return a column's values, (N,), as `_Cells.value` does; NaN for those that are unknown or no numbers."""
+    return np.array([_Cells(table, cells, "").value_or_nan(what) for _, cells in table.rows], np.float64)
 
 
 def _with_possible_angles(table: LogTable, name: str) -> LogTable:
-    """Leave out angles that are no degrees, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
+    """Leave out angles out of their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
     columns = dict(table.columns.places)
-    notes, rows = list(table.notes), [(line, list(cells)) for line, cells in table.rows]
-    for what in [what for what in _MOST_DEGREES if what in columns]:
-        angles = np.array([_Cells(table, cells, "").value_or_nan(what) for _, cells in table.rows], np.float64)
+    notes, rows = list(table.notes), list(table.rows)
+    for what in [what for what in _RANGES if what in columns]:
+        angles = _column(table, what)
         known = angles[~np.isnan(angles)]
         whole = what in _HEADINGS and bool((known == np.floor(known)).all())
-        most = _MOST_WHOLE if whole else _MOST_DEGREES[what]
-        beyond, possible = np.flatnonzero(np.abs(angles) > most), known[np.abs(known) <= most]
+        least, most = _WHOLE_TURNS if whole else _RANGES[what]
+        beyond, possible = np.flatnonzero((angles < least) | (angles > most)), known[(known >= least) & (known <= most)]
+        one, several = "angle in degrees", "angles in degrees"
+        if what == "fov":
+            extent = f"of view from {least:g} to {most:g} degrees"
+            one, several = f"field {extent}", f"fields {extent}"
         column = f"column {printable(table.header[columns[what]])} of {name}"
-        if len(beyond) > _MOST_BEYOND * len(known):
-            why = f"holds {max(known.tolist(), key=abs):g}, which is no angle in degrees"
+        if len(beyond) > max(_MOST_BEYOND * len(known), 1 if len(known) >= _SEVERAL else 0):
+            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, which is no {one}"
         elif what == "gimbal_pitch" and len(possible) and possible.min() > _LOOKS_UP:
             why = (
                 f"looks up by {possible.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
@@ -402,11 +432,12 @@ def _with_possible_angles(table: LogTable, name: str) -> LogTable:
         else:
             if len(beyond):
                 notes.append(
-                    f"{len(beyond)} of {len(known)} values of the {column} are no angles in degrees and were not used, first in "
+                    f"{len(beyond)} of {len(known)} values of the {column} are no {several} and were not used, first in "
                     f"line {table.rows[beyond[0]][0]}."
                 )
             for i in beyond:
-                rows[i][1][columns[what]] = ""
+                line, cells = rows[i]
+                rows[i] = line, [*cells[: columns[what]], "", *cells[columns[what] + 1 :]]
             continue
         notes.append(f"The {column} was left out: it {why}.")
         del columns[what]

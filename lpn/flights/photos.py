@@ -523,6 +523,33 @@ def upright_angles(
     return cameras.turned(heading, pitch, roll or 0.0, turns)
 
 
+def upright_values(
+    values: Mapping[str, Any], turns: int, frame: Frame, across_longer_side: bool = False
+) -> dict[str, Any]:
+    """Return telemetry of a frame with its angles turned as the picture is, and with the field of view across its width.
+
+    A frame whose lens is known keeps that one's field of view, with which its distortion is removed.
+
+    Args:
+        values: named as in `Frame`; None where unknown.
+        turns: quarter turns clockwise from the picture as it was taken to the frame.
+        across_longer_side: the field of view lies across the longer side, as subtitles tell it; else across the width of the
+            picture as it was taken.
+    """
+    upright = dict(values)
+    if turns and (heading := values.get("heading")) is not None:
+        angles = upright_angles(heading, values.get("pitch"), values.get("roll"), turns)
+        upright |= {
+            name: angle for name, angle in zip(("heading", "pitch", "roll"), angles, strict=True) if angle is not None
+        }
+    is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
+    if frame.lens is not None:
+        upright.pop("fov", None)
+    elif is_across_height and (fov := values.get("fov")) is not None:
+        upright["fov"] = cameras.fov_across(fov, frame.width / frame.height)
+    return upright
+
+
 def _lens(known: _Metadata, width: int, height: int, turns: int) -> Lens | None:
     """Return the lens of DJI's DewarpData; None where the camera took its distortion out already, or the picture is not whole."""
     if not (text := known.xmp.text("lens").strip()) or known.xmp.text("undistorted").strip() == "1":
@@ -619,7 +646,8 @@ def _fov_across(known: _Metadata, original: float, original_height: float) -> fl
 
 
 def _possible(fov: float) -> float | None:
-    return fov if 0.1 <= fov <= 170.0 else None
+    least, most = cameras.FOV_RANGE
+    return fov if least <= fov <= most else None
 
 
 def _times(known: _Metadata) -> tuple[float | None, float | None]:

@@ -14,17 +14,17 @@ from typing import Any, get_args
 import numpy as np
 
 from lpn.core import images
-from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
 from lpn.core.numbers import distance
 from lpn.datasets.base import files_below
-from lpn.flights import logs, subtitles, track_files, vehicle_logs, videos
+from lpn.flights import cameras, logs, subtitles, track_files, vehicle_logs, videos
 from lpn.flights.base import Flight, Frame, HeadingSource, local_metres
 from lpn.flights.clock_fit import ClockFit, fit_clocks
 from lpn.flights.folder import FRAMES, check_folder, write_flight
 from lpn.flights.lenses import Lens, read_camera
 from lpn.flights.logs import Log, LogRow
-from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_angles
+from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_values
 from lpn.flights.posed_samples import flight_of_samples
 from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
@@ -75,7 +75,7 @@ class FlightOptions:
         for name, low, high in (
             ("every", _LEAST_EVERY, 86_400.0),
             ("every_metres", 0.1, 1e6),
-            ("fov", 0.1, 170.0),
+            ("fov", *cameras.FOV_RANGE),
             ("pitch", -180, 90),
         ):
             value = getattr(self, name)
@@ -165,14 +165,16 @@ def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str
     for file in files:
         try:
             read[file] = read_any_log(file)
-        except DataError as error:
+        except OtherKindError:
             # Cards of DJI's cameras have .bin files of satellites beside the photos.
-            if file.suffix.lower() not in (".txt", ".log") and not (
-                file.suffix.lower() == ".bin" and "begins with" in str(error)
-            ):
+            if file.suffix.lower() not in (".txt", ".log", ".bin"):
                 raise
             others.append(file)
-            notes += [] if str(error).endswith(("among them.", "column names.", "of ArduPilot.")) else [str(error)]
+        except DataError as error:
+            if file.suffix.lower() not in (".txt", ".log"):
+                raise
+            others.append(file)
+            notes.append(str(error))
     return read, others, notes
 
 
@@ -244,7 +246,8 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
 
     Args:
-        flight_logs: their values replace those of the photos, except for a heading whose source is worse than the photo's.
+        flight_logs: their values replace those of the photos, except for a heading whose source is worse than the photo's, and
+            the field of view of a photo whose lens is known.
 
     Raises:
         DataError: if no photo can be read, or one is given twice.
@@ -454,7 +457,7 @@ def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
 
 
 def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    """Return a photo with a log's values; its angles are turned with the picture, or left out if their source is worse."""
+    """Return a photo with a log's values, turned as the picture is; angles whose source is worse are left out."""
     frame, oddities = photo.frame, photo.oddities
     if "heading" in values:
         sources = get_args(HeadingSource)  # best first
@@ -466,10 +469,10 @@ def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
                 f"keeps the heading of its {ours}, which is better than that of the {theirs} in the log",
             )
         elif photo.turns:
-            angles = upright_angles(values["heading"], values.get("pitch"), values.get("roll"), photo.turns)
-            values = values | dict(zip(_ANGLES, (*angles, theirs), strict=True))
             oddities = tuple(dict.fromkeys((*oddities, turned_oddity(photo.turns))))
-    return replace(photo, frame=replace(frame, **values), oddities=oddities)
+    if "fov" in values and frame.lens is not None:
+        oddities = (*oddities, "keeps the field of view of its lens, and not that in the log")
+    return replace(photo, frame=replace(frame, **upright_values(values, photo.turns, frame)), oddities=oddities)
 
 
 def _flight_of_videos(
@@ -488,7 +491,7 @@ def _flight_of_videos(
         try:
             telemetry, known_subtitles, subtitle_notes = _telemetry(video, files, flight_logs, number, options)
             part = videos.read_frames(
-                video, folder, options.every, options.every_metres, telemetry, of_log=known_subtitles is None
+                video, folder, options.every, options.every_metres, telemetry, known_subtitles is not None
             )
         except DataError as error:
             broken.append(str(error))

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from lpn.core.errors import DataError
+from lpn.core.errors import DataError, OtherKindError
 from lpn.core.files import printable
 from lpn.flights.logs import Log, LogRow
 from lpn.flights.mavlink import MavlinkTelemetry, mavlink_package
@@ -66,7 +66,8 @@ def read_vehicle_log(file: Path) -> Log:
     """Read a log of an autopilot, or a bag; `file` may be the folder of a bag of ROS 2.
 
     Raises:
-        DataError: if it is damaged, of another kind than its suffix says, or has no position.
+        OtherKindError: if it is of another kind than its suffix says.
+        DataError: if it is damaged, or has no position.
         ModuleNotFoundError: if the package that reads it is not installed.
     """
     name = printable(file.name)
@@ -103,7 +104,7 @@ def _check_beginning(file: Path, suffix: str, name: str) -> None:
     fits = begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")
     if not fits:
         found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
-        raise DataError(f"{name} {found}; expected {_KINDS[suffix]}.")
+        raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
 
 
 def _ulog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:

@@ -21,11 +21,10 @@ import numpy as np
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable, write_atomic
-from lpn.flights import cameras
 from lpn.flights.base import Frame
-from lpn.flights.photos import upright_angles
+from lpn.flights.photos import upright_values
 from lpn.flights.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subtitles
-from lpn.flights.telemetry import Telemetry
+from lpn.flights.telemetry import VALUES, Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
 SUBTITLES = (".srt", ".ass", ".vtt")
@@ -58,7 +57,7 @@ def read_frames(
     every: float = 1.0,
     every_metres: float | None = None,
     telemetry: Telemetry | None = None,
-    of_log: bool = False,
+    across_longer_side: bool = False,
 ) -> VideoFrames:
     """Write the chosen frames of a video as JPEG files, and return them with their telemetry.
 
@@ -67,8 +66,7 @@ def read_frames(
         every: seconds from one frame to the next, 0.04 or more. The sharpest of the first second from there on is taken.
         every_metres: metres flown from one frame to the next, in place of `every`; needs positions.
         telemetry: of the video.
-        of_log: the telemetry is that of a log, whose field of view lies across the width of the picture before it is turned.
-            That of subtitles lies across the longer side.
+        across_longer_side: where the telemetry's field of view lies, see `lpn.flights.photos.upright_values`.
 
     Raises:
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
@@ -87,15 +85,21 @@ def read_frames(
     try:
         if not capture.isOpened():
             raise DataError(f"{printable(video.name)} is not a video that can be read; expected {', '.join(SUFFIXES)}.")
-        turns = round(capture.get(cv2.CAP_PROP_ORIENTATION_META) / 90) % 4
+        turns = turns_of(capture)
         frames, end = _chosen(capture, video, folder, starts or _steps(every), telemetry)
         rate = capture.get(cv2.CAP_PROP_FPS)
     finally:
         capture.release()
     if not frames:
         raise DataError(f"{printable(video.name)} has no frame that can be read; it may be cut short.")
-    frames = [_upright(frame, turns, of_log) for frame in frames]
-    return VideoFrames(tuple(frames), end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0), turns)
+    duration = end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0)
+    return VideoFrames(tuple(_upright(frame, turns, across_longer_side) for frame in frames), duration, turns)
+
+
+def turns_of(capture: Any) -> int:
+    """Return the quarter turns clockwise by which a video's file has its pictures shown, 0 to 3, of OpenCV's capture of it."""
+    degrees = float(capture.get(cv2.CAP_PROP_ORIENTATION_META))
+    return round(degrees / 90) % 4
 
 
 def mismatch(subtitles: Subtitles, name: str, video: Path, duration: float) -> str | None:
@@ -217,15 +221,9 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
     return Frame(name, folder / name, picture.shape[1], picture.shape[0], time, **values)
 
 
-def _upright(frame: Frame, turns: int, of_log: bool) -> Frame:
-    """Return a frame with its angles turned as its picture is, and with the field of view across its width."""
-    if turns and frame.heading is not None:
-        heading, pitch, roll = upright_angles(frame.heading, frame.pitch, frame.roll, turns)
-        frame = replace(frame, heading=heading, pitch=pitch, roll=roll)
-    across_height = turns % 2 == 1 if of_log else frame.height > frame.width
-    if frame.fov is not None and across_height:
-        frame = replace(frame, fov=cameras.fov_across(frame.fov, frame.width / frame.height))
-    return frame
+def _upright(frame: Frame, turns: int, across_longer_side: bool) -> Frame:
+    values = {name: getattr(frame, name) for name in VALUES}
+    return replace(frame, **upright_values(values, turns, frame, across_longer_side))
 
 
 def beside(video: Path, files: Sequence[Path]) -> Path | None:

@@ -24,6 +24,7 @@ from lpn.flights.base import Frame
 from lpn.flights.photos import read_photo
 from lpn.flights.sources import PHOTOS
 from lpn.flights.videos import SUFFIXES as VIDEOS
+from lpn.flights.videos import turns_of
 
 # Called with sentences for the user.
 Say = Callable[[str], None]
@@ -47,12 +48,14 @@ class ArrivedPicture:
         received: seconds of the monotonic clock at which it came.
         picture: RGB, (H, W, 3); None if it is read from the frame's file, which takes no time for those that are dropped.
         utc: whether the frame's time is UTC.
+        turns: quarter turns clockwise by which its file has it shown.
     """
 
     frame: Frame
     received: float
     picture: UInt8Array | None = None
     utc: bool = False
+    turns: int = 0
 
     def pixels(self) -> UInt8Array:
         """Return the picture; PictureError if its file cannot be read."""
@@ -218,7 +221,8 @@ class FolderPictures(LiveSource):
         self._seen.add(file)
         self._unfinished.pop(file, None)
         taken = photo.local if photo.utc is None else photo.utc
-        self.newest.put(ArrivedPicture(replace(photo.frame, time=taken), now, None, photo.utc is not None))
+        frame = replace(photo.frame, time=taken)
+        self.newest.put(ArrivedPicture(frame, now, None, photo.utc is not None, photo.turns))
 
 
 class StreamPictures(LiveSource):
@@ -243,6 +247,9 @@ class StreamPictures(LiveSource):
             raise InputError(
                 f"{self._name} cannot be opened as a video, camera, or stream; check the name, and that it sends."
             )
+        self._turns = turns_of(self._capture)
+        if self._turns:
+            say(f"{self._name} is turned by {90 * self._turns}° by its file, and the heading of its telemetry with it.")
 
     def _opened(self) -> Any:
         """Return a capture that is open, or None."""
@@ -276,7 +283,7 @@ class StreamPictures(LiveSource):
             count += 1
             frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], position, fov=self._fov)
             rgb = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-            self.newest.put(ArrivedPicture(frame, time.monotonic(), rgb))
+            self.newest.put(ArrivedPicture(frame, time.monotonic(), rgb, turns=self._turns))
         if self._capture is not None:
             self._capture.release()
 

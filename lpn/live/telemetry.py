@@ -14,6 +14,7 @@ from lpn.core.files import printable
 from lpn.flights import logs
 from lpn.flights.base import Frame
 from lpn.flights.mavlink import MavlinkTelemetry, mavlink_package
+from lpn.flights.photos import upright_values
 from lpn.flights.sources import read_any_log
 from lpn.flights.subtitles import read_subtitles
 from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
@@ -38,9 +39,17 @@ class TelemetryValue(NamedTuple):
 class LiveTelemetry:
     """A source of heading, height, and position of pictures; this one adds nothing to what the picture's own file says."""
 
+    # The field of view of the telemetry lies across the longer side of the picture, as subtitles tell it.
+    _across_longer_side = False
+
     def value(self, picture: ArrivedPicture) -> TelemetryValue:
         """Return the picture's frame with the telemetry of its moment."""
         return TelemetryValue(picture.frame, None)
+
+    def _frame(self, picture: ArrivedPicture, known: dict[str, Any]) -> Frame:
+        """Return the picture's frame with known values of the telemetry, turned as the picture is."""
+        upright = upright_values(known, picture.turns, picture.frame, self._across_longer_side)
+        return replace(picture.frame, **upright)
 
     def close(self) -> None:
         """Stop reading."""
@@ -55,7 +64,8 @@ class LogTelemetry(LiveTelemetry):
 
     def __init__(self, file: Path, say: Say) -> None:
         self._first: float | None = None
-        if file.suffix.lower() in SUBTITLES:
+        self._across_longer_side = file.suffix.lower() in SUBTITLES
+        if self._across_longer_side:
             entries, self._utc = list(read_subtitles(file).entries), False
             self._by_clock = Telemetry([])
         else:
@@ -85,7 +95,7 @@ class LogTelemetry(LiveTelemetry):
                 )
             self._warned = True
             return TelemetryValue(picture.frame, None)
-        return TelemetryValue(replace(picture.frame, **known), 0.0)  # type: ignore[arg-type]
+        return TelemetryValue(self._frame(picture, known), 0.0)
 
 
 class MavlinkLink(LiveTelemetry):
@@ -146,7 +156,7 @@ class MavlinkLink(LiveTelemetry):
             self._say("Telemetry is in time again.")
         if abs(age) > _HEIGHT_HOLDS:
             known = {}
-        return TelemetryValue(replace(picture.frame, **known), age)
+        return TelemetryValue(self._frame(picture, known), age)
 
     def _warn(self, sentence: str) -> None:
         if not self._late:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -182,7 +182,18 @@ def full_track(flight: LocatedFlight) -> list[TrackPoint]:
     """Return the points of all stages, each with the answers that contradict it."""
     doubts = _doubts(flight.frames, disagreements(flight.frames))
     numbers = {located.frame.name: i for i, located in enumerate(flight.frames)}
-    return [_doubted(point, doubts.get((numbers[point.frame], point.stage), ())) for point in flight.track()]
+    confirmed = flight.radii_confirmed
+    return [
+        _doubted(_confirmed(point, confirmed), doubts.get((numbers[point.frame], point.stage), ()))
+        for point in flight.track()
+    ]
+
+
+def _confirmed(point: TrackPoint, stages: Mapping[str, bool]) -> TrackPoint:
+    """Return a point that tells if its radius is confirmed; `stages` are those of `LocatedFlight.radii_confirmed`."""
+    if point.radius is None or point.state == "refused" or point.stage not in stages:
+        return point
+    return replace(point, radius_confirmed="yes" if stages[point.stage] else "no")
 
 
 def _doubted(point: TrackPoint, doubt: tuple[str, ...]) -> TrackPoint:
@@ -208,9 +219,9 @@ def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
 
 def best_track(flight: LocatedFlight) -> list[TrackPoint]:
     """Return one point a frame, that of the answer that counts, see `best_answers`; state and reason are those of the verdict."""
-    points = []
+    points, confirmed = [], flight.radii_confirmed
     for located, best in zip(flight.frames, best_answers(flight), strict=True):
-        point = flight.point(located, best.stage, best.answer)
+        point = _confirmed(flight.point(located, best.stage, best.answer), confirmed)
         if best.stage != BY_HAND:
             point = replace(
                 _doubted(point, best.doubt),

@@ -9,9 +9,10 @@ import cv2
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
-from lpn.core.homography import apply_homography, middle_pixel
+from lpn.core.homography import apply_homography, inverse, middle_pixel
 from lpn.flights import Frame
 from lpn.flights.cameras import rotation
+from lpn.locate.matchers import Complex
 
 # Degrees from straight down between which photos are levelled, and the least angle below the horizon of ground that is kept.
 _LEAST_TILT, _MOST_TILT, _LOWEST_RAY = 15.0, 65.0, 28.0
@@ -42,6 +43,31 @@ class Levelled:
         rows, columns = self.valid.shape
         points = pixel_grid((columns, rows), steps)
         return np.asarray(points[self.valid[points[:, 1].astype(int), points[:, 0].astype(int)]])
+
+
+class PhotoView:
+    """Pixels of a photo as points u of the picture that was registered, see `lpn.locate.registration`, and back.
+
+    Args:
+        size: width and height of the photo in pixels.
+        levelled: the picture that was registered in place of the photo; None if it was the photo.
+    """
+
+    def __init__(self, size: tuple[int, int], levelled: Levelled | None) -> None:
+        self.size = size
+        self._matrix = np.eye(3) if levelled is None else levelled.matrix
+        rows, columns = size[::-1] if levelled is None else levelled.valid.shape
+        self._columns, self._middle = columns, middle_pixel(columns, rows)
+
+    def pixels(self, u: Complex) -> Float64Array:
+        """Return pixels of the photo, (N, 2)."""
+        of_picture = np.stack([u.real, -u.imag], axis=1) * self._columns + self._middle
+        return apply_homography(inverse(self._matrix), of_picture)
+
+    def units(self, pixels: Float64Array) -> Complex:
+        """Return points u, (N,) complex."""
+        x, y = ((apply_homography(self._matrix, pixels) - self._middle) / self._columns).T
+        return np.asarray(x - 1j * y, np.complex128)
 
 
 def level(photo: UInt8Array, frame: Frame, assumed: bool = False) -> Levelled | None:

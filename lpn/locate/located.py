@@ -20,6 +20,7 @@ from lpn.locate import measures
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
 from lpn.locate.camera_pose import CameraPose
+from lpn.locate.matched_details import MatchedDetails
 from lpn.locate.options import TOP
 from lpn.locate.retrieval import MapRetrieval
 from lpn.locate.tracks import POSE_AXES, State, TrackPoint
@@ -69,6 +70,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
         agreement: of places away from the photo's middle with the map; None while they are not compared.
         middle_radius: 1-sigma radius in metres of the ground at the photo's middle, where the position is the camera's; with the
             map's error, as `radius` has it. None where it is not known.
+        details: the matches that agree with a registration, `inliers` in number, and a sample of them; None for other answers.
     """
 
     state: State
@@ -88,6 +90,7 @@ class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
     place_error: float = 0.0
     agreement: MapAgreement | None = None
     middle_radius: float | None = None
+    details: MatchedDetails | None = None
 
     @property
     def on_earth(self) -> bool:
@@ -387,6 +390,12 @@ class LocatedFlight:
     def registration_summary(self) -> measures.ErrorSummary | None:
         """That of the registration, see `summaries`; None while no frame is registered."""
         return self.summaries().get("registration")
+
+    @cached_property
+    def radii_confirmed(self) -> dict[str, bool]:
+        """By stage, whether its errors lie within three radii about as often as with right radii; without stages that no tag checks."""
+        checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
+        return {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
 
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.

@@ -103,20 +103,15 @@ def _tags_agree(
     """Return whether half of the registrations lie where their tags say, and with a prior more of them than by chance."""
     contradicted = {one.frame for one in disagreements(frames) if (one.one, one.other) == ("registration", "tag")}
     registered = [i for i, located in enumerate(frames) if _registered(located)]
-    agreeing = {i for i in registered if frames[i].tag is not None and i not in contradicted}
+    tags = {i: tag for i in registered if (tag := frames[i].tag) is not None}
+    agreeing = tags.keys() - contradicted
     if 2 * len(agreeing) < len(registered):
         return False
     if prior is None:
         return True
-    tagged = [i for i in registered if frames[i].tag is not None]
+    tagged = list(tags)
     views = [tagged[view] for view in new_views([frames[i] for i in tagged], _SAME_THINGS)]
-    if not views:
-        return False
-    chances = [
-        _chance_near(frames[i], tag, tag_allowance(frames[i]), bounds, prior)
-        for i in views
-        if (tag := frames[i].tag) is not None
-    ]
+    chances = [_chance_near(frames[i], tags[i], tag_allowance(frames[i]), bounds, prior) for i in views]
     # Of chances that differ, a binomial distribution of their mean has the longer tail (Hoeffding, 1956).
     agreed = len(agreeing.intersection(views))
     return -_log_chance(agreed, len(chances), float(np.mean(chances))) >= _EVIDENCE

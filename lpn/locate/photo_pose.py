@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.homography import apply_homography, inverse, middle_pixel
+from lpn.core.homography import apply_homography, inverse
 from lpn.flights import Frame
 from lpn.locate.camera_place import told_tilt_error
 from lpn.locate.camera_pose import CameraPose, PoseMatches, solve_pose
-from lpn.locate.levelled import Levelled
+from lpn.locate.levelled import Levelled, PhotoView
 from lpn.locate.matchers import Complex
 from lpn.locate.registration import Registration
 from lpn.maps import Map
@@ -45,7 +45,7 @@ def photo_pose(
         return ""
     flat = basemap.elevation is None
     noise = _MATCH_ERROR * max(1.0, matched.ground.resolution * size[0] / metres)
-    view = _View(size, levelled)
+    view = PhotoView(size, levelled)
     # Where neither heights nor the photo tell the tilt, noise and relief would pass for one.
     proven = flat and (frame.pitch is None or frame.roll is None)
 
@@ -89,22 +89,3 @@ def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
         f"The matches would have the camera at a pitch of {solved.pitch:.1f}° and a roll of {solved.roll:.1f}°, and the photo "
         f"tells {told[0]:.1f}° and {told[1]:.1f}°, so there is no pose."
     )
-
-
-class _View:
-    """Pixels of a photo as points u of the picture that was registered, see `lpn.locate.registration`, and back."""
-
-    def __init__(self, size: tuple[int, int], levelled: Levelled | None) -> None:
-        self._matrix = np.eye(3) if levelled is None else levelled.matrix
-        rows, columns = size[::-1] if levelled is None else levelled.valid.shape
-        self._columns, self._middle = columns, middle_pixel(columns, rows)
-
-    def pixels(self, u: Complex) -> Float64Array:
-        """Return pixels of the photo, (N, 2)."""
-        of_picture = np.stack([u.real, -u.imag], axis=1) * self._columns + self._middle
-        return apply_homography(inverse(self._matrix), of_picture)
-
-    def units(self, pixels: Float64Array) -> Complex:
-        """Return points u, (N,) complex."""
-        x, y = ((apply_homography(self._matrix, pixels) - self._middle) / self._columns).T
-        return np.asarray(x - 1j * y, np.complex128)

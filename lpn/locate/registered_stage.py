@@ -26,9 +26,10 @@ from lpn.locate.agreement import map_agreement
 from lpn.locate.camera_place import camera_place, height_of_width, told_tilt_error
 from lpn.locate.camera_pose import DEFAULT_FOV, CameraPose
 from lpn.locate.ground import MAX_BLOCKS, MapFeatures
-from lpn.locate.levelled import Levelled, level, pixel_grid
+from lpn.locate.levelled import Levelled, PhotoView, level, pixel_grid
 from lpn.locate.line_records import LineRecords
 from lpn.locate.located import LocatedFrame, StageRecord, tag_positions
+from lpn.locate.matched_details import MatchedDetails
 from lpn.locate.matchers import Matcher, open_matchers
 from lpn.locate.options import TOP, LocateOptions
 from lpn.locate.photo_pose import photo_pose
@@ -52,8 +53,8 @@ from lpn.maps import Map
 from lpn.models.base import Model
 
 FORMAT = "lpn-locate/7"
-# Answers in the cache have poses of this version.
-_POSES = 5
+# Answers in the cache have poses and matched details of this version.
+_POSES = 6
 # Ratios between the ground widths that are tried where none is known.
 _WIDTHS = 1.9
 # Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
@@ -335,7 +336,8 @@ def register_photo(search: PhotoSearch) -> StageRecord:
     around_tag = answer.reach if answer.has_ground and search.side is None and options.prior is not None else None
     tried = answer.pitch if frame.pitch is None else None
     placed = basemap.elevation is not None or answer.levelled is not None
-    return _record(frame, search.size, best, around_tag, solved, placed, tried)
+    details = MatchedDetails.of(best, PhotoView(search.size, answer.levelled))
+    return _record(frame, search.size, best, around_tag, solved, placed, tried, details)
 
 
 @dataclass(frozen=True, eq=False)
@@ -504,6 +506,7 @@ def _record(
     solved: CameraPose | str,
     placed: bool,
     tried: float | None,
+    details: MatchedDetails | None,
 ) -> StageRecord:
     """Return the record of a registration.
 
@@ -554,6 +557,7 @@ def _record(
         [float(value) for value in registration.homography.ravel()],
         pose=solution,
         middle_radius=registration.radius if camera else None,
+        details=details,
     )
 
 

@@ -112,11 +112,13 @@ class Matched:
         u: of the photo, (M,) complex, see the module.
         m: of the map, (M,) complex.
         ground: the map's features that the photo was matched with.
+        limit: metres within which a match agrees with the registration.
     """
 
     u: Complex
     m: Complex
     ground: Ground
+    limit: float
     _seen: _Described
 
     def again(self, predicted: Complex, reach: float) -> tuple[Complex, Int64Array]:
@@ -290,7 +292,7 @@ def register(
         return Registration(False, "Fewer than four features of the photo match the map.", matcher.name)
     others = (known[seed] for seed in chosen if known[seed] is not best)
     places = tuple(Similarity(candidate.a, candidate.b) for candidate in (best, *others))
-    matched = Matched(best.u, best.m, ground, best.seen)
+    matched = Matched(best.u, best.m, ground, best.radius, best.seen)
     answer = _concluded(matcher, photo, best, runner_up, expected, bounds)
     return replace(answer, places=places, matched=matched)
 

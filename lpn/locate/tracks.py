@@ -49,6 +49,8 @@ class TrackPoint:
         camera: whether they are the camera's; otherwise those of the picture's middle on the ground.
         radius: 1-sigma radius in metres on this map; None if unknown.
         radius_on_earth: the same with the error of the map's place on earth; None where the map does not tell it.
+        radius_confirmed: "yes" if the GPS tags of the flight lie within three radii of this stage as often as they should,
+            "no" if not; "" without a radius, or where no tag tells.
         heading: of the picture's top, degrees clockwise from north; None if unknown.
         metres_from_tag: metres from the position to the tag in the frame's file; None without one of them.
         east_from_tag, north_from_tag: position minus tag along the axes of the projected system.
@@ -107,6 +109,7 @@ class TrackPoint:
     sigma_yaw: float | None = None
     sigma_pitch: float | None = None
     sigma_roll: float | None = None
+    radius_confirmed: Literal["yes", "no", ""] = ""
 
 
 # Columns that each file has; another one is left out where nothing is known.
@@ -189,6 +192,8 @@ def _gpx(name: str, points: Sequence[TrackPoint]) -> bytes:
             for key, value in (("radius", point.radius), ("radius_on_earth", point.radius_on_earth)):
                 if value is not None and math.isfinite(value):
                     ElementTree.SubElement(extensions, f"{{{_OURS}}}{key}").text = f"{value:.2f}"
+            if point.radius_confirmed:
+                ElementTree.SubElement(extensions, f"{{{_OURS}}}radius_confirmed_by_tags").text = point.radius_confirmed
     return _xml(root)
 
 
@@ -218,10 +223,10 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
                 continue
             mark = ElementTree.SubElement(folder, f"{{{_KML}}}Placemark")
             ElementTree.SubElement(mark, f"{{{_KML}}}name").text = printable(point.frame) + _remark(point.state)
-            radius = ""
+            radius, unconfirmed = "", _unconfirmed(point)
             for where, value in (("this map", point.radius), ("earth", point.radius_on_earth)):
                 if value is not None and math.isfinite(value):
-                    radius += f" The radius on {where} is {value:.1f} m ({SIGMA})."
+                    radius += f" The radius on {where} is {value:.1f} m ({SIGMA}){unconfirmed}."
             description = html.escape(printable(_told(point) + _figures(point) + radius).strip(), quote=False)
             ElementTree.SubElement(mark, f"{{{_KML}}}description").text = description
             if (moment := _moment(point.time)) is not None:
@@ -245,6 +250,10 @@ def _table(points: Sequence[TrackPoint]) -> tuple[list[str], list[dict[str, Any]
     rows = [_row(point) for point in points]
     known = {name for row in rows for name, value in row.items() if value not in (None, "")}
     return [name for name in _row(TrackPoint("", "", "refused", "")) if name in known or name in _ALWAYS], rows
+
+
+def _unconfirmed(point: TrackPoint) -> str:
+    return ", not confirmed by the flight's GPS tags" if point.radius_confirmed == "no" else ""
 
 
 def _told(point: TrackPoint) -> str:
@@ -271,6 +280,7 @@ def _row(point: TrackPoint) -> dict[str, Any]:
         "projected_crs": "" if point.projection is None else f"EPSG:{point.projection}",
         "radius_on_map_m": _rounded(point.radius, 2),
         "radius_on_earth_m": _rounded(point.radius_on_earth, 2),
+        "radius_confirmed_by_tags": point.radius_confirmed,
         "checked_beside_middle": point.checked,
         "misfit_median_m": _rounded(point.misfit, 2),
         "misfit_max_m": _rounded(point.largest_misfit, 2),

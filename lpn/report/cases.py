@@ -52,6 +52,8 @@ class Said:
         pictures: the photo, the answer, and the map with the ground that the photo shows.
         photo: what the photo's file says of it, as names and values.
         map: the files of the map and their digests, as names and values.
+        reasons: why this is the answer: each method, "" where it is the only one, and its sentences.
+        judged: sentences on how right and wrong are told apart and checked.
     """
 
     question: str
@@ -60,6 +62,8 @@ class Said:
     pictures: tuple[SaidPicture, ...] = ()
     photo: tuple[tuple[str, str], ...] = ()
     map: tuple[tuple[str, str], ...] = ()
+    reasons: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    judged: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

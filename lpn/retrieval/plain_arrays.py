@@ -71,7 +71,7 @@ class PlainArrays:
         root: the folder that paths are relative to.
         queries, gallery: the pictures.
         query_positions, positions: where they were taken; None for those that the list leaves out.
-        labelled: the queries with a label, (Q,); none where labels fit nothing, and positions are complete.
+        labelled: the queries whose label tells what is right, (Q,); none where no label of theirs is one of the gallery.
         identity: digest of the descriptors.
     """
 
@@ -156,7 +156,7 @@ def load_arrays(
         ]
         for side, of in lines.items()
     }
-    known = _known(lines, labels)
+    known = _known(lines)
     listed = {side: tuple(line.file for line in of) for side, of in lines.items()}
     result = PublishedResult(
         _name(sides["query"]),
@@ -183,20 +183,25 @@ def load_arrays(
     )
 
 
-def _known(lines: dict[Role, list[_Line]], labels: dict[Role, Any]) -> BoolArray:
-    """Return the queries with a label, (Q,); none where no query has a label of the gallery, as 0001 beside 1.
+def _known(lines: dict[Role, list[_Line]]) -> BoolArray:
+    """Return the queries whose label tells what is right, (Q,): none where no query has a label of the gallery, as 0001 beside 1.
 
     Raises:
         DataError: if no query has a label of the gallery, and positions, which would measure errors without labels, are not
             complete.
     """
     known = np.array([bool(line.label) for line in lines["query"]], bool)
+    own = [line.label for line in lines["query"] if line.label]
     told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]
-    if not known.any() or not told or np.isin(labels["query"][known], labels["gallery"]).any():
+    if not own or not set(own).isdisjoint(told):
         return known
-    own = lines["query"][int(np.flatnonzero(known)[0])].label
+    if not told:
+        log.warning(
+            "No picture of the gallery has a label, so those of the queries tell nothing; the truth counts as unknown."
+        )
+        return np.zeros_like(known)
     found = (
-        f"None of the queries has a label of the gallery: the first of their labels are {printable(own)[:80]!r} and "
+        f"None of the queries has a label of the gallery: the first of their labels are {printable(own[0])[:80]!r} and "
         f"{printable(told[0])[:80]!r}. Labels are compared as texts, so write both sides alike"
     )
     if any(line.position is None for of in lines.values() for line in of):

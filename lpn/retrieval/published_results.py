@@ -222,22 +222,27 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
 
 
 def _tell_other_folders(saved: PublishedResult) -> None:
-    """Warn where folders hold pictures of one label and a few of others: the order of the paths is not that of the rows.
+    """Warn where folders of places hold pictures of several labels: the order of the paths is not that of the rows.
 
-    A folder in which no label has half of the paths is none of a place.
+    The folders of a side are those of places if none holds more pictures than one label has, whatever their order.
     """
     labels_of: dict[str, Counter[int]] = {}
     for paths, labels in ((saved.query_paths, saved.query_labels), (saved.gallery_paths, saved.gallery_labels)):
-        for path, label in zip(paths or (), labels.tolist(), strict=paths is not None):
-            if "/" in path and label != -1:
-                labels_of.setdefault(path.split("/")[-2], Counter())[label] += 1
+        rows = [
+            (path.split("/")[-2], label)
+            for path, label in zip(paths or (), labels.tolist(), strict=paths is not None)
+            if "/" in path and label != -1
+        ]
+        largest = [max(Counter(values).values()) for values in zip(*rows, strict=True)]
+        if rows and largest[0] <= largest[1]:
+            for folder, label in rows:
+                labels_of.setdefault(folder, Counter())[label] += 1
     others = {folder: counts.total() - max(counts.values()) for folder, counts in labels_of.items()}
-    mixed = [folder for folder, other in others.items() if 0 < 2 * other <= labels_of[folder].total()]
-    if mixed:
+    if mixed := [folder for folder, other in others.items() if other]:
         log.warning(
             "%d paths in %s lie in a folder of another label, such as %s: if the paths are in another order than the "
             "descriptors, wrong pictures are shown.",
-            sum(others[folder] for folder in mixed), saved.name, printable(mixed[0]),
+            sum(others.values()), saved.name, printable(mixed[0]),
         )  # fmt: skip
 
 

@@ -409,7 +409,7 @@ def test_the_demo_opens_without_being_told_anything(
     expect(explorer.page.locator("#lpn-workspaces a.chosen")).to_have_text("a real flight")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("caliterra-even")
     explorer.open(f"{demo_app.url}/?task=drone-to-satellite")  # links without a place are those of the city
-    expect(explorer.page.locator("#lpn-workspaces a.chosen")).to_have_text("a rendered city")
+    expect(explorer.page.locator("#lpn-workspaces a.chosen")).to_have_text("a computer-generated city")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("demo")
     expect(explorer.page.locator("#lpn-header")).to_contain_text("within 50 m")
     # A link that names a state without a scoring means the plain one; one that names the place alone, the best.

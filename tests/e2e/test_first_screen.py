@@ -419,6 +419,8 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
         chooser.value.set_files(file)
         expect(captions.first).to_contain_text(file.name)
         expect(first.locator(".comparing")).to_contain_text("Its details are compared with the map")
+        expect(first.locator(".coming")).to_contain_text("Its place is not known yet")
+        expect(first.locator("figure img")).to_have_count(1)
         assert fresh.evaluate("document.getAnimations().every((one) => one.animationName !== 'lpn-turn')")
 
     # A ring that turns while the map is searched would take the time of the search from it.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -326,6 +327,38 @@ def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
 
     window.eventually(shown)
     assert {asked.count(url) for url in asked} == {2}
+
+
+@pytest.mark.slow
+def test_a_frame_is_shown_when_all_of_its_pictures_are_there(window: FlightPage) -> None:
+    held: list[Route] = []
+    window.page.route(re.compile(r"/pictures/.*/(pair|photo)/1$"), lambda route: held.append(route))
+    window.page.get_by_role("button", name="Swipe").click()
+    window.page.evaluate(
+        """() => {
+          window.early = [];
+          new MutationObserver(() => {
+            const card = document.querySelector("#lpn-flight .about"), frame = card.querySelector(".verdict").dataset.frame;
+            const pictures = [...card.querySelectorAll("img"), document.querySelector("#lpn-flight .laid img")];
+            if (frame === "1" && !pictures.every((one) => one.complete && one.naturalWidth)) window.early.push(frame);
+          }).observe(document.querySelector("#lpn-flight .about"), { childList: true });
+        }"""
+    )
+    window.timeline.focus()
+    window.page.keyboard.press("ArrowRight")
+
+    def expect_held() -> None:
+        assert len(held) == 2
+
+    window.eventually(expect_held)
+    window.page.wait_for_timeout(700)
+    expect(window.verdict_of_frame).to_have_attribute("data-frame", "0")
+    expect(window.page.locator("#lpn-flight .now")).to_contain_text("is coming")
+    for route in held:
+        route.continue_()
+    window.expect_frame(1)
+    assert window.page.evaluate("window.early") == []
+    assert "/photo/1" in window.page.locator("#lpn-flight .laid img").get_attribute("src")
 
 
 @pytest.mark.slow

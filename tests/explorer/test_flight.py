@@ -320,7 +320,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert job is not None
         waiting = replace(analysis, own_photo=job)
         said = answer_text.plain_verdict(waiting, workspace)
-        assert job.value is not None or (said[0], said[1]) == (None, "Being compared with the map")
+        assert job.value is not None or said == (None, "Being compared with the map", "")
         assert job.wait(60)
         assert changed.wait(60)
         return waiting, first_screen.page(waiting, workspace)
@@ -343,6 +343,14 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         with monkeypatch.context() as patch:
             patch.setattr(judge, "off_window", lambda *_, off=off: off)
             reasons = first_screen.page(explained, workspace)
+            look = answer_text.plain_verdict(analysis, workspace)[2]
+        assert ("The piece that looks most like it lies there, too." in look) != errs
+        assert (
+            bool(
+                re.search(r"Its look alone errs: the middle of the most similar piece lies \d+ m from that place", look)
+            )
+            == errs
+        )
         assert "details of your picture lie where the map has them: they place it." in reasons
         assert ("<h2>By its look, which errs</h2>" in reasons) == errs
         assert ("<h2>By its look</h2>" in reasons) != errs
@@ -405,7 +413,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             2e6,
             None,
             "On this map by its details, elsewhere by its GPS tag",
-            "km from there, more than the errors of both",
+            "km from that place, more than the errors of both",
             "Compare the GPS tags of other photos of its flight: tags can be late or off.",
         ),
         (

@@ -121,8 +121,8 @@
   flight.accuracy = (text) => ((html.accuracy = text), refresh());
   flight.status = (text) => ((status = text), refresh());
   flight.lists = (lists) => (Object.assign(html, lists), refresh());
-  // Everything that belongs to a frame comes at once: its flight's address, card, answer, scores, and the number of the message.
-  flight.follow = ({ address, frame, answer, scores, sequence }) => {
+  // Everything that belongs to a frame is shown at once: its flight's address, card, answer, scores, and the number of the message.
+  flight.arrive = ({ address, frame, answer, scores, sequence }) => {
     if (flight.of !== null && flight.of !== address) {
       flight.wanted = flight.spotted = null;
       flight.photo.use("off");

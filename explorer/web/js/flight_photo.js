@@ -83,7 +83,7 @@
     find("#lpn-flight-photo").title = matrix ? "Lay the registered photo over the map" : "This frame is not registered, so there is no photo to lay over the map";
     all("[data-photo]").forEach((one) => one.classList.toggle("off", ["swipe", "blink"].includes(one.dataset.photo) && !flight.followed?.homography));
     if (!laid) return;
-    const image = layer.querySelector("img"), source = flight.own()?.photo || flight.data.address + "photo/" + flight.chosen;
+    const image = layer.querySelector("img"), source = photo.address(flight.of, flight.followed);
     if (image.getAttribute("src") !== source) {
       image.dataset.failures = "0";
       image.onerror = () => flight.again(image);
@@ -120,6 +120,7 @@
 
   const photo = (flight.photo = {
     mode: "off", // or "swipe", "blink", or "correct"
+    address: (folder, { frame, own }) => own?.photo || folder + "photo/" + frame,
     lay,
     use: (mode) => {
       if (mode !== photo.mode) ties = null;

@@ -4,8 +4,9 @@
   const { flight } = lpn;
   if (flight.play) return;
   // Milliseconds after which a frame that does not come is asked for no longer, between two looks at the clock, between two
-  // frames that the server is asked for, and after which the window says that a frame is awaited.
-  const PATIENCE = 8000, TICK = 50, ASK = 150, LATE = 600;
+  // frames that the server is asked for, after which the window says that a frame is awaited, and after which a frame is shown
+  // without its pictures.
+  const PATIENCE = 8000, TICK = 50, ASK = 150, LATE = 600, PICTURES = 5000;
   let since = 0, asked = 0, ticking = 0, due = 0;
   const waits = () => flight.wanted !== null && performance.now() - since < PATIENCE;
 
@@ -29,6 +30,34 @@
       asked = 0;
       if (flight.wanted !== null && flight.wanted !== frame) ask();
     }, ASK);
+  };
+  // The addresses of a frame's pictures: those of its card, and the photo if it is laid over the map.
+  const addresses = ({ address, frame }) => {
+    if (!frame) return [];
+    const card = new DOMParser().parseFromString(frame.card, "text/html"); // which loads nothing
+    const all = [...card.querySelectorAll("img")].map((image) => image.getAttribute("src"));
+    if (flight.photo.mode !== "off" && frame.homography) all.push(flight.photo.address(address, frame));
+    return all;
+  };
+  const loaded = (source) => {
+    const image = new Image();
+    image.src = source;
+    return image;
+  };
+  let newest = 0, shown = 0; // numbers of the server's messages
+  let pictures = []; // of the frame that is shown; while they are held, the page has them at once
+  // Show what the server tells of a frame when its pictures are there, so that no words stand beside the picture of another frame.
+  // A picture that cannot be loaded, or takes too long, is left to the card.
+  flight.follow = (told) => {
+    const number = ++newest, sources = addresses(told), images = sources.map(loaded);
+    const show = () => {
+      if (number < shown) return;
+      [shown, pictures] = [number, images];
+      flight.arrive(told);
+    };
+    if (sources.every((source) => pictures.some((image) => image.getAttribute("src") === source))) return show();
+    const patience = new Promise((resolve) => setTimeout(resolve, PICTURES));
+    Promise.race([patience, Promise.all(images.map((image) => image.decode().catch(() => {})))]).then(show);
   };
   const interval = () => 1000 / Number(flight.find("[data-act=speed]").value);
   const tick = () => {

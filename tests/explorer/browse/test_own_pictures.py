@@ -262,7 +262,9 @@ def test_the_next_session_of_a_page_holds_its_pictures_with_those_it_had_counted
     first.send("own-pick", ["own", 1])
     assert first.state.upload is not None
     counted = own_pictures.held_bytes.total
+    assert not first.own.brought
     second.own.take_over(first.own.hand_over())
+    assert second.own.brought
     first.own.leave()
     assert (first.own.held, second.own.held) == (0, 3)
     assert own_pictures.held_bytes.total == counted > before

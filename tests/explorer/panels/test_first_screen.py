@@ -367,6 +367,23 @@ def test_a_rendered_city_is_said_to_be_one(workspace: Workspace, monkeypatch: py
         with monkeypatch.context() as patch:
             patch.setattr(rendered, kind, lambda _: True)
             assert said in text(first_screen.page(analysis, workspace))
+            with speaking(workspace.vocabulary(True)):
+                page = text(first_screen.page(analysis, workspace))
+            assert "This is a computer-generated place, no real one" in page
+            assert "rendered" not in page, "plain words have another meaning for it"
+
+
+def test_a_rendered_place_offers_no_picture_that_was_sent_at_another_one(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    analysis, back = query(workspace, True), "Back to your picture"
+    assert back in text(first_screen.page(analysis, workspace, own_held=1, own_brought=True)), "the place is real"
+    monkeypatch.setattr(rendered, "is_rendered", lambda _: True)
+    assert back in text(first_screen.page(analysis, workspace, own_held=1))
+    with speaking(workspace.vocabulary(True)):
+        page = text(first_screen.page(analysis, workspace, own_held=1, own_brought=True))
+    assert back not in page
+    assert "Your picture is kept, and is not searched here: this place is computer-generated." in page
 
 
 def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -389,13 +406,19 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     )
     job.error = None
     assert "When this was saved, its details were still being compared with the map." in early
-    assert "2 of 8 tries" in text(first_screen.page(waiting, workspace))
+    comparing = first_screen.page(waiting, workspace)
+    assert "2 of 8 tries" in text(comparing)
+    assert "Its place is not known yet" in text(comparing)
+    assert comparing.count("data:image/jpeg") == 1, "no piece of the map is shown as its place before that ends"
+    assert "most similar" not in text(comparing).lower()
+    assert 'data-act="why"' not in comparing
+    assert [picture.caption for picture in first_screen.said(waiting, workspace).pictures] == ["Your picture"]
     assert told.headline == "✗ Wrong."
     assert told.sentences[0].startswith("The model compared")
     paragraphs = " ".join(told.sentences)
     assert "Altered by: turned 20°." in paragraphs
     assert "How far one would trust it, not knowing that it is wrong: among" in paragraphs
-    assert "This is a rendered place, no real one: a computer drew it from a plan" in paragraphs
+    assert "This is a computer-generated place, no real one: a computer drew it from a plan" in paragraphs
     assert "<" not in paragraphs
     assert [picture.caption for picture in told.pictures] == [
         "A picture from a drone",
@@ -613,7 +636,11 @@ def test_the_demo_s_tiles_show_what_the_plan_of_the_city_says() -> None:
 def test_what_only_the_city_has_opens_the_city(monkeypatch: pytest.MonkeyPatch) -> None:
     for options in ({"query": "0394/06"}, {"calibrate": True}, {"beside_weather": ("fog",)}):
         opening = Explore(**options).workspaces()
-        assert (opening.key, opening.label, [*opening.others]) == ("data", "a rendered city", ["place", "flight"])
+        assert (opening.key, opening.label, [*opening.others]) == (
+            "data",
+            "a computer-generated city",
+            ["place", "flight"],
+        )
     monkeypatch.setattr("explorer.cli.find_spec", lambda _: None)  # without the extra `maps`
     assert Explore().workspaces().key == "data"
     assert Explore(data=DEMO, model=DEMO / "lpn.onnx").workspaces().others == {}
@@ -625,8 +652,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     opening = Explore().workspaces()
     assert (opening.key, opening.label) == ("place", "a real flight")
     assert {key: other.label for key, other in opening.others.items()} == {
-        "data": "a rendered city",
-        "flight": "a rendered flight",
+        "data": "a computer-generated city",
+        "flight": "a computer-generated flight",
     }
     workspace = opening.open_workspace()
     assert workspace.registration is not None
@@ -705,6 +732,14 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
+    with speaking(workspace.vocabulary(True)):
+        why = text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
+    methods = dict(told.reasons)
+    assert list(methods) == ["By its details", "By its look"]
+    for sentence in methods["By its look"]:
+        assert sentence in words, "a saved answer names the ring that the screen names"
+        assert sentence in why
+    assert "speaks most for this answer" in methods["By its look"][0]
     assert [picture.caption for picture in told.pictures] == [
         "A picture from a drone",
         "The model’s answer",

@@ -366,7 +366,8 @@ def test_shards_are_indexed_with_their_positions(
 ) -> None:
     """Given to describe in a file above the pictures, and so named as `lpn index --data` takes them."""
     names = [path.relative_to(folder).as_posix() for path in descriptors.pictures_below(folder)]
-    lines = [f"{folder.name}/{name},{i},{2 * i}\n" for i, name in enumerate(names)]
+    places = {name: (place, 2 * place) for place, name in enumerate(names, start=1)}
+    lines = [f"{folder.name}/{name},{latitude},{longitude}\n" for name, (latitude, longitude) in places.items()]
     (tmp_path / "geo.csv").write_text("path,latitude,longitude\n" + "".join(lines))
     (folder / "0" / "text.jpg").write_bytes(b"no picture")
     with (tmp_path / "geo.csv").open("a") as more:
@@ -383,10 +384,10 @@ def test_shards_are_indexed_with_their_positions(
         assert "40 were there already" in capsys.readouterr().out
         with open_index(out) as index:
             for name, row in list(held(done).items())[:5]:
-                found = index.search(row, None, 1, (names.index(name), -180, names.index(name), 180))
+                found = index.search(row, None, 1, (places[name][0], -180, places[name][0], 180))
                 assert found.ids == [name]
                 np.testing.assert_array_equal(found.vectors[0], row)
-                np.testing.assert_array_equal(found.positions[0], (names.index(name), 2 * names.index(name)))
+                np.testing.assert_array_equal(found.positions[0], places[name])
 
 
 @pytest.fixture

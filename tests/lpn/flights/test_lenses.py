@@ -12,7 +12,7 @@ from PIL import ExifTags
 
 from lpn.cli.main import main
 from lpn.core.errors import DataError
-from lpn.flights import open_flight
+from lpn.flights import make_flight, open_flight
 from lpn.flights.folder import TABLE
 from lpn.flights.lenses import Lens, lens_of_dewarp_data, read_camera
 from lpn.flights.photos import read_photo
@@ -79,6 +79,17 @@ def test_the_table_of_dji_is_read_for_pictures_of_any_size(tmp_path: Path) -> No
     assert lens == lens_of_dewarp_data(TABLE_TEXT, 5280)
     assert (lens.focal_x, lens.centre_y, lens.k3) == pytest.approx((3713.29 / 5280, -8.72 / 5280, -0.0273))
     assert read_photo(photo).frame.fov == pytest.approx(70.8, abs=0.1)
+
+
+def test_a_log_does_not_change_the_field_of_view_of_a_known_lens(tmp_path: Path) -> None:
+    xmp = dji_xmp(DewarpData=TABLE_TEXT)
+    photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0, camera=ORIGINAL), xmp, (160, 120))
+    (tmp_path / "log.csv").write_text("name,lat,lon,fov\na.jpg,48.1,9.0,84\n")
+    flight = make_flight([photo, tmp_path / "log.csv"], tmp_path / "flight")
+    (frame,) = flight.frames
+    assert frame.lens is not None
+    assert (frame.latitude, frame.fov) == (48.1, frame.lens.fov)
+    assert any("keeps the field of view of its lens, and not that in the log" in note for note in flight.notes)
 
 
 @pytest.mark.parametrize(

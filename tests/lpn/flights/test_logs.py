@@ -11,6 +11,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
+from lpn.flights.folder import read_flight
 from lpn.flights.logs import for_video, moments, nearest_in_folders, path_parts, read_log, rows_by_name
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 from tools.fixtures.videos import write_video
@@ -97,6 +98,15 @@ def test_a_log_s_heading_turns_with_the_picture(tmp_path: Path, orientation: int
         assert flight.frames[0].heading == pytest.approx(heading)
         assert flight.frames[0].pitch == (None if pitch is None else pytest.approx(pitch))
         assert any("by its EXIF orientation" in note for note in flight.notes) == (orientation != 1)
+
+
+@pytest.mark.parametrize(("orientation", "fov"), [(1, 45.0), (3, 45.0), (6, 34.51), (8, 34.51)])
+def test_a_log_s_field_of_view_turns_with_the_picture(tmp_path: Path, orientation: int, fov: float) -> None:
+    photo = write_photo(tmp_path / "a.jpg", exif(main={ExifTags.Base.Orientation: orientation}), size=(64, 48))
+    log = written(tmp_path, "filename,latitude,longitude,hfov\na.jpg,47,8,45\n")
+    frame = make_flight([photo, log], tmp_path / "flight").frames[0]
+    assert frame.width / frame.height == pytest.approx(4 / 3 if orientation < 5 else 3 / 4)
+    assert frame.fov == pytest.approx(fov, abs=0.01)
 
 
 def test_airdata_s_feet_become_metres_and_its_recordings_begin_with_the_video(tmp_path: Path) -> None:
@@ -238,7 +248,15 @@ FIELD: dict[str, tuple[str, tuple[float | None, ...], str]] = {
     ),
     "hundredths.csv": (
         "name,lat,lon,hdg\nDJI_0001.JPG,33.4,-70.5,90\nDJI_0002.JPG,33.4,-70.5,9000\n",
-        (33.4, -70.5, None, None, None, None, None), "The column hdg of hundredths.csv was left out: it holds 9000",
+        (33.4, -70.5, None, None, 0.9, None, None), "The column hdg of hundredths.csv counts as hundredths of degrees",
+    ),
+    "units.csv": (
+        "lat_degE7,lon [degE7],alt [mm],relative_alt (mm),hdg [cdeg]\n334000000,-705000000,1500000,60000,120\n",
+        (33.4, -70.5, 60.0, 1500.0, 1.2, None, None), "",
+    ),
+    "scaled_positions.csv": (
+        "lat,lon,alt [m],relative_alt [mm],heading [deg]\n334000000,-705000000,1500,60000,365\n",
+        (33.4, -70.5, 60.0, 1500.0, 5.0, None, None), "count as degrees times 1e7",
     ),
     "unknown_heading.csv": (
         "name,lat,lon,relative_alt,hdg\n1.JPG,334000000,-705000000,60000,65535\n2.JPG,334000000,-705000000,60000,9000\n",
@@ -446,6 +464,12 @@ def test_a_name_that_explains_the_signs_changes_none(tmp_path: Path, sides: str)
     assert not any("count as negative" in note for note in log.notes)
 
 
+def test_letters_in_the_cells_are_believed_before_a_name(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path, "name,lat,Longitude W\na.jpg,33.4,70.5 E\nb.jpg,33.4,70.5 W\nc.jpg,33.4,\n"))
+    assert [row.entry.longitude for row in log.rows] == [70.5, -70.5, None]
+    assert not any("count as negative" in note for note in log.notes)
+
+
 def test_a_column_of_letters_is_believed_before_a_name(tmp_path: Path) -> None:
     header = "name,Latitude S,GPSLatitudeRef,Longitude W,GPSLongitudeRef\n"
     log = read_log(written(tmp_path, f"{header}a.jpg,33.4,North,70.5,East\nb.jpg,33.4,South,70.5,West\n"))
@@ -477,10 +501,18 @@ ANGLES: dict[str, tuple[str, list[str], list[float | None], str]] = {
         "yaw", ["10"] * 15 + ["-9999"] + ["20"] * 4, [10.0] * 15 + [None] + [20.0] * 4,
         "1 of 20 values of the column yaw of log.csv are no angles in degrees and were not used, first in line 17.",
     ),
+    "one error of a few": (
+        "yaw", ["10", "-9999", "20"], [10.0, None, 20.0],
+        "1 of 3 values of the column yaw of log.csv are no angles in degrees and were not used, first in line 3.",
+    ),
+    "one error of two": ("yaw", ["10", "9000"], [None] * 2, "was left out: it holds 9000, which is no angle in degrees"),
+    "two errors of a few": ("yaw", ["10", "9000", "20", "8000"], [None] * 4, "was left out: it holds 9000"),
     "unknown": ("hdg", ["65535.0", "90", "655.35", "65535"], [None, 90.0, None, None], ""),
     "a unit in the cell": ("heading (rad)", ["90°", "1.5707963267948966"], [90.0, 90.0], ""),
     "pitch": ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
-    "hundredths": ("hdg", ["9000", "9010", "9005"], [None] * 3, "was left out: it holds 9010, which is no angle in degrees"),
+    "hundredths": ("yaw", ["9000", "9010", "9005"], [None] * 3, "was left out: it holds 9010, which is no angle in degrees"),
+    "MAVLink's hundredths": ("hdg", ["120", "65535", "720"], [1.2, None, 7.2], "hdg of log.csv counts as hundredths of degrees"),
+    "MAVLink's name": ("M_T.hdg", ["90", "360", "271"], [90.0, 0.0, 271.0], ""),
     "errors": ("gimbal_pitch", ["-90"] * 8 + ["-9999"] * 2, [None] * 10, "was left out: it holds -9999"),
 }  # fmt: skip
 
@@ -492,6 +524,37 @@ def test_angles_are_told_from_numbers_that_are_none(tmp_path: Path, name: str) -
     found = [row.entry.pitch if "pitch" in column else row.entry.heading for row in log.rows]
     assert found == [None if angle is None else pytest.approx(angle) for angle in expected]
     assert any(note in line for line in log.notes) if note else not log.notes
+
+
+def test_mavlink_s_heading_beside_its_positions_is_in_hundredths_near_north_too(tmp_path: Path) -> None:
+    log = read_log(written(tmp_path, "lat,lon,hdg\n473000000,85000000,120\n473000000,85000000,200\n"))
+    assert [row.entry.heading for row in log.rows] == [1.2, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("numbers", "expected", "told"),
+    [
+        (
+            ["0", "0"],
+            [None, None],
+            "column fov of log.csv was left out: it holds 0, which is no field of view from 0.1 to 170",
+        ),
+        (
+            ["70", "-70", "84"],
+            [70.0, None, 84.0],
+            "1 of 3 values of the column fov of log.csv are no fields of view from 0.1",
+        ),
+        (["175", "170", "0.1"], [None, 170.0, 0.1], "not used, first in line 2."),
+    ],
+)
+def test_a_field_of_view_that_no_camera_has_is_not_used(
+    tmp_path: Path, numbers: list[str], expected: list[float | None], told: str
+) -> None:
+    photos = [write_photo(tmp_path / f"{i}.jpg", exif(47.3, 8.5)) for i in range(len(numbers))]
+    rows = "".join(f"{i}.jpg,47.3,8.5,{number}\n" for i, number in enumerate(numbers))
+    flight = make_flight([*photos, written(tmp_path, f"name,lat,lon,fov\n{rows}")], tmp_path / "flight")
+    assert [frame.fov for frame in read_flight(tmp_path / "flight").frames] == expected
+    assert any(told in note for note in flight.notes)
 
 
 def test_a_gimbal_s_angles_from_0_to_360_are_those_about_0(tmp_path: Path) -> None:

@@ -135,12 +135,21 @@ def test_a_quaternion_without_norm_has_no_angles() -> None:
     assert all(angle != angle for angle in euler_degrees(0, 0, 0, 0))
 
 
-def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path) -> None:
+@pytest.mark.parametrize("content", [b"\xd3\x00\x13" * 40, b""])
+def test_satellite_files_of_djis_cards_are_left_out_and_named(tmp_path: Path, content: bytes) -> None:
     photo = write_photo(tmp_path / "DJI_0001.JPG", exif(47.3, 8.5))
-    (tmp_path / "DJI_PPKRAW.bin").write_bytes(b"\xd3\x00\x13" * 40)
+    (tmp_path / "DJI_PPKRAW.bin").write_bytes(content)
     flight = make_flight([photo, tmp_path / "DJI_PPKRAW.bin"], tmp_path / "flight")
     assert [frame.latitude for frame in flight.frames] == [pytest.approx(47.3)]
     assert "Left out, because their kind is not supported: DJI_PPKRAW.bin." in flight.notes
+
+
+def test_a_damaged_log_of_an_autopilot_is_refused_whatever_its_name_says(tmp_path: Path) -> None:
+    photo = write_photo(tmp_path / "DJI_0001.JPG", exif(47.3, 8.5))
+    log = tmp_path / "begins with.bin"
+    log.write_bytes(b"\xa3\x95\x80\x80" + bytes(200))
+    with pytest.raises(DataError):
+        make_flight([photo, log], tmp_path / "flight")
 
 
 def test_an_imu_that_does_not_tell_its_orientation_gives_no_heading(tmp_path: Path) -> None:

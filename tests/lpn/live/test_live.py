@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import pytest
 from msgspec.structs import replace as replace_record
+from PIL import ExifTags
 
 import lpn.live.frames
 import lpn.live.locator
@@ -44,9 +45,9 @@ from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.registered_stage import PhotoSearch
 from lpn.maps import Map
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
-from tools.fixtures.photos import write_photo
+from tools.fixtures.photos import exif, write_photo
 from tools.fixtures.simulated_vehicle import SimulatedVehicle
-from tools.fixtures.videos import write_video
+from tools.fixtures.videos import srt, turn, write_video
 from tools.fixtures.waiting import wait_until
 
 SIZE, HEIGHT, FOV = (360, 270), 60.0, 60.0
@@ -394,6 +395,42 @@ def test_a_log_gives_frames_its_values_from_the_first_picture_on(tmp_path: Path)
         open_telemetry(str(tmp_path / "empty.csv"), print)
     with pytest.raises(InputError, match="give a log, a track, or an address"):
         open_telemetry("nothing", print)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fov"),
+    [
+        (
+            "v.srt",
+            srt(["[latitude: 47.0] [longitude: 8.0] [gb_yaw: 40.0 gb_pitch: -90.0] [focal_len: 24.00]"] * 2),
+            56.81,
+        ),
+        ("v.csv", "time,lat,lon,gimbal_yaw,gimbal_pitch,hfov\n0,47,8,40,-90,45\n2,47,8,40,-90,45\n", 34.51),
+    ],
+)
+def test_telemetry_turns_with_a_video(tmp_path: Path, name: str, text: str, fov: float) -> None:
+    (tmp_path / name).write_text(text)
+    said: list[str] = []
+    source = StreamPictures(turn(write_video(tmp_path / "v.mp4", 2), 1), said.append, paced=False)
+    source.start()
+    picture = source.newest.take(10)
+    source.close()
+    assert picture is not None
+    assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
+    frame = open_telemetry(str(tmp_path / name), print).value(picture).frame
+    assert (frame.width, frame.height) == (48, 64)
+    assert (frame.heading, frame.fov) == (pytest.approx(310.0), pytest.approx(fov, abs=0.01))
+
+
+def test_telemetry_turns_with_a_photo(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,lat,lon,gimbal_yaw,gimbal_pitch\n0,47,8,40,-90\n2,47,8,40,-90\n")
+    source = FolderPictures(tmp_path, print)
+    write_photo(tmp_path / "a.jpg", exif(main={ExifTags.Base.Orientation: 6}))
+    source.start()
+    picture = source.newest.take(10)
+    source.close()
+    assert picture is not None
+    assert open_telemetry(str(tmp_path / "log.csv"), print).value(picture).frame.heading == pytest.approx(310.0)
 
 
 def fix(flight: Flight, state: str = "accepted", camera: bool = True) -> LiveFix:

@@ -62,6 +62,19 @@ def test_a_track_says_which_photos_were_checked_beside_their_middle() -> None:
         assert [point.checked for point in track] == ["yes", "no", "contradicted", "no", ""]
 
 
+def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii() -> None:
+    refused = LocatedFrame(Frame("c.jpg", Path("c.jpg"), 80, 60), None, {"registration": StageRecord("refused", "No.")})
+    near, far = photo("a.jpg", (0.0, 999.0)), photo("b.jpg", (0.0, 0.0))
+    for frames, told in (
+        ((near, far, refused), ["no", "no", ""]),
+        ((near, photo("b.jpg", None)), ["yes", "yes"]),
+        ((photo("a.jpg", None),), [""]),
+    ):
+        located = flight(**{one.frame.name: one for one in frames})
+        for track in (full_track(located), best_track(located)):
+            assert [point.radius_confirmed for point in track] == told
+
+
 def test_the_radius_of_the_middle_has_the_error_of_the_map() -> None:
     answer = photo("a.jpg", None, camera=True, middle_radius=0.3).stages["registration"]
     assert with_map_error(answer, 0.4, 0.0).middle_radius == pytest.approx(0.5)

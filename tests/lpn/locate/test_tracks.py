@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -71,6 +72,23 @@ def test_kml_lists_refused_frames_with_their_reason(tmp_path: Path) -> None:
     assert {"e.jpg (not verified)", "retrieval: track (not verified)"} <= marks.keys()
     assert marks["a & <b>.jpg"].findtext(".//k:coordinates", "", space) == "-91.25,46.5"
     assert marks["registration: track"].findtext(".//k:coordinates", "", space) == "-91.25,46.5 -91.2501,46.5001"
+
+
+def test_each_format_says_that_the_tags_do_not_confirm_a_radius(tmp_path: Path) -> None:
+    points = [replace(POINTS[0], radius_confirmed="no"), POINTS[2]]
+    for suffix in (".csv", ".geojson", ".gpx", ".kml"):
+        write_track(tmp_path / f"track{suffix}", "monday", points)
+    rows = list(csv.DictReader((tmp_path / "track.csv").read_text("utf-8-sig").splitlines()))
+    assert [row["radius_confirmed_by_tags"] for row in rows] == ["no", ""]
+    features = json.loads((tmp_path / "track.geojson").read_text())["features"]
+    assert [one["properties"]["radius_confirmed_by_tags"] for one in features] == ["no", ""]
+    told = (
+        ElementTree.parse(tmp_path / "track.gpx")
+        .getroot()
+        .findall(".//{urn:lpn-explorer:track}radius_confirmed_by_tags")
+    )
+    assert [one.text for one in told] == ["no"]
+    assert (tmp_path / "track.kml").read_text().count("not confirmed by the flight's GPS tags") == 1
 
 
 def test_csv_is_empty_where_nothing_is_known(tmp_path: Path) -> None:

@@ -129,13 +129,22 @@ def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) ->
     assert "The pictures in this report are chosen: the worst of 3." in few
     picture = SaidPicture("The answer", "on <the> map", "data:image/png;base64,", True, turn=-30.0)
     said = Said(
-        "Where was it taken?", "✓ Right.", ("How far to trust it: far.",), (picture,), (("Camera", "<b>X</b>"),)
+        "Where was it taken?",
+        "✓ Right.",
+        ("How far to trust it: far.",),
+        (picture,),
+        (("Camera", "<b>X</b>"),),
+        reasons=(("By its <look>", ("Ring 2 speaks most for it.",)),),
+        judged=("Right is a piece.",),
     )
     page = Page(report.build(task, [1], Options(said=said)))
     one, _, experts = page.text.partition("For experts")
     for text in (
         "Where was it taken?",
         *said.sentences,
+        "By its <look>",
+        "Ring 2 speaks most for it.",
+        "Right is a piece.",
         "The answer",
         "on <the> map",
         "<b>X</b>",
@@ -144,6 +153,8 @@ def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) ->
         assert text in one
     assert any(image.get("style") == "transform:rotate(-30deg)" for image in page.all("img"))
     assert "R@1" in experts
+    folded = page.all("details")
+    assert [(fold.get("class"), fold.get("open")) for fold in folded] == [("said", None), ("experts", None)]
     assert "Contents" not in experts, "it would have one line"
 
 

@@ -172,6 +172,19 @@ def test_the_command_evaluates_plain_arrays(
     assert "give it as --paths" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("label", ["", "-1"])
+def test_labels_of_queries_alone_tell_nothing(
+    tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], label: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
+    paths = write_list(tmp_path, positions=False)
+    paths.write_text(re.sub("gallery,[^,\n]*", f"gallery,{label}", paths.read_text()))
+    found = load_arrays(*files, paths)
+    assert not found.labelled.any()
+    assert [lists.known for lists in found.truth() or []] == [False] * 5
+    assert "No picture of the gallery has a label" in caplog.text
+
+
 @pytest.mark.parametrize("label", ["query,own ", "query,"])
 def test_complete_positions_measure_metres_without_labels(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], label: str, capsys: pytest.CaptureFixture[str]
