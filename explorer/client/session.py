@@ -190,9 +190,11 @@ class ClientSession:
         Building that session takes the page seconds. None if either of the two is not on its first screen.
         """
         workspace, shown = services.workspace, self._state
+        if not shown.first_screen:
+            return None
         read = services.url_state.read(search, self._opening_state(workspace))[0]
         state = as_before(opened_alone(services.url_state, workspace, search, read), shown)
-        if not (shown.first_screen and state.first_screen):
+        if not state.first_screen:
             return None
         requests = RequestContext(workspace.inference)
         try:

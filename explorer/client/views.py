@@ -264,7 +264,7 @@ class ClientViews:
             if covered:
                 self.first_screen.show(analysis, self.stories.names)
             else:
-                self.refit(analysis)
+                self._draw_stage(analysis)
             self.panels.show(analysis, self.sequence, covered)
 
     def refit(self, analysis: StateAnalysis) -> None:

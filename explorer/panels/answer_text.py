@@ -114,6 +114,9 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
             f"Your picture: {headline}",
             " ".join((f"{place}; {gap}.", *(() if far is None or elsewhere else far[1:]))),
         )
+    if not judge.is_sure(analysis, workspace):
+        _, headline, sentence = flight_verdict(analysis, workspace, plain_verdict(analysis, workspace))[0]
+        return None, headline, sentence
     if analysis.positive is None and depth is not None:
         return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)

@@ -127,8 +127,7 @@ def _slide(sources: WindowSources, step: Step, analysis: StateAnalysis, wait: Ca
     state, task = analysis.state, analysis.task
     right, headline, reason = answer_text.verdict(analysis, workspace)
     cells = math.prod(workspace.map_sizes[task.query_view])
-    if not judge.is_sure(analysis, workspace):
-        right, analysis = None, judge.shown(analysis, workspace)
+    analysis = judge.shown(analysis, workspace)
     pair, map_picture = analysis.pair_evidence, ground.draw(workspace, analysis) if state.map else None
     window = Markup()
     if state.lab:

@@ -941,7 +941,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         assert drawn.analysis.positive is not None
         assert drawn.analysis.positive.true is None
     with speaking(workspace.vocabulary(False)):
-        assert not re.search("[✓✗]", pages.verdict(analysis, workspace))
+        said = text(pages.verdict(analysis, workspace))
+        assert not re.search("[✓✗]|Wrong|true tile|place photographed", said)
+        assert "? By its look: wrong, if its details are right The model compared 224 pieces" in said
+        drawn = exported._slide(cast(Any, SimpleNamespace(workspace=workspace)), Step(""), analysis, print)
+        assert (drawn.right, drawn.headline) == (None, "By its look: wrong, if its details are right")
         assert "wrong tile" not in comparison.page(analysis, workspace, compared, None, computing=False)
     # Nor do the table, the map, and a report's part for experts.
     lab = FailureLab(workspace)
