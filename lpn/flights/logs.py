@@ -418,13 +418,12 @@ def _with_possible_angles(table: LogTable, name: str) -> LogTable:
         whole = what in _HEADINGS and bool((known == np.floor(known)).all())
         least, most = _WHOLE_TURNS if whole else _RANGES[what]
         beyond, possible = np.flatnonzero((angles < least) | (angles > most)), known[(known >= least) & (known <= most)]
-        one, several = "angle in degrees", "angles in degrees"
-        if what == "fov":
-            extent = f"of view from {least:g} to {most:g} degrees"
-            one, several = f"field {extent}", f"fields {extent}"
+        is_fov = what == "fov"
+        noun = f"field{{}} of view from {least:g} to {most:g} degrees" if is_fov else "angle{} in degrees"
         column = f"column {printable(table.header[columns[what]])} of {name}"
         if len(beyond) > max(_MOST_BEYOND * len(known), 1 if len(known) >= _SEVERAL else 0):
-            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, which is no {one}"
+            hint = "" if is_fov else "; another unit is named behind a column, as in [cdeg]"
+            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, which is no {noun.format('')}{hint}"
         elif what == "gimbal_pitch" and len(possible) and possible.min() > _LOOKS_UP:
             why = (
                 f"looks up by {possible.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
@@ -432,8 +431,8 @@ def _with_possible_angles(table: LogTable, name: str) -> LogTable:
         else:
             if len(beyond):
                 notes.append(
-                    f"{len(beyond)} of {len(known)} values of the {column} are no {several} and were not used, first in "
-                    f"line {table.rows[beyond[0]][0]}."
+                    f"{len(beyond)} of {len(known)} values of the {column} are no {noun.format('s')} and were not used, first "
+                    f"in line {table.rows[beyond[0]][0]}."
                 )
             for i in beyond:
                 line, cells = rows[i]

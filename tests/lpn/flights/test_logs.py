@@ -510,7 +510,10 @@ ANGLES: dict[str, tuple[str, list[str], list[float | None], str]] = {
     "unknown": ("hdg", ["65535.0", "90", "655.35", "65535"], [None, 90.0, None, None], ""),
     "a unit in the cell": ("heading (rad)", ["90°", "1.5707963267948966"], [90.0, 90.0], ""),
     "pitch": ("gimbal_pitch", ["270", "275", "285.5"], [-90.0, -85.0, -74.5], ""),
-    "hundredths": ("yaw", ["9000", "9010", "9005"], [None] * 3, "was left out: it holds 9010, which is no angle in degrees"),
+    "hundredths": (
+        "yaw", ["9000", "9010", "9005"], [None] * 3,
+        "left out: it holds 9010, which is no angle in degrees; another unit is named behind a column, as in [cdeg].",
+    ),
     "MAVLink's hundredths": ("hdg", ["120", "65535", "720"], [1.2, None, 7.2], "hdg of log.csv counts as hundredths of degrees"),
     "MAVLink's name": ("M_T.hdg", ["90", "360", "271"], [90.0, 0.0, 271.0], ""),
     "errors": ("gimbal_pitch", ["-90"] * 8 + ["-9999"] * 2, [None] * 10, "was left out: it holds -9999"),
