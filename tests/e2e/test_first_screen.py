@@ -123,6 +123,22 @@ def test_the_workbench_opens_at_its_final_size_with_the_left_panel_folded_or_ope
     assert set(sent) == {f"{narrower[2]} x {narrower[3]}"}
 
 
+def test_the_left_panel_is_remembered_as_a_person_left_it(app: RunningApp, fresh: Page) -> None:
+    """A press elsewhere remembers nothing: what it does may draw the panel anew, unfolded for a moment."""
+    remembered = "() => localStorage.getItem('lpn-panels')"
+    fresh.goto(app.url)
+    first = fresh.locator("#lpn-first")
+    first.locator("[data-act=why]").click()
+    first.locator("[data-act=all]").first.click()
+    fresh.get_by_role("button", name="Expand column").wait_for()
+    fresh.wait_for_timeout(1000)
+    assert fresh.evaluate(remembered) is None
+    fresh.get_by_role("button", name="Expand column").click()
+    fresh.wait_for_function(f"({remembered})() === 'open'")
+    fresh.locator("[data-dock-region-collapse=left]").click()
+    fresh.wait_for_function(f"({remembered})() === 'folded'")
+
+
 @pytest.mark.slow
 def test_a_newcomer_sees_one_answer_and_unfolds_the_rest(app: RunningApp, fresh: Page) -> None:
     first, button = fresh.locator("#lpn-first"), fresh.locator("#lpn-first button")

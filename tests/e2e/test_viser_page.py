@@ -37,7 +37,7 @@ AFTER = {
 WITH = {"dialog": ("dialogTitle", "dialogHeader", "dialogBody", "dialogButton"), "notification": ("notificationText",)}
 ALWAYS = (
     *("app", "canvas", "stageFrame", "shade", "window", "folderHead", "unfolded", "scrollRoot", "scrolled", "upload"),
-    *("tab", "softwareNotice"),
+    *("tab", "left", "leftOpen", "softwareNotice"),
 )
 # On a phone alone.
 SHEET = ("sheet", "sheetHead", "sheetParts")

@@ -71,7 +71,7 @@ interface Lpn {
   viser: {
     SELECTORS: Record<
       | "app" | "canvas" | "stageFrame" | "shade" | "window" | "folderHead" | "unfolded" | "sheet" | "sheetHead" | "sheetParts" | "scrollRoot" | "scrolled" | "dialog"
-      | "dialogTitle" | "dialogHeader" | "dialogBody" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab",
+      | "dialogTitle" | "dialogHeader" | "dialogBody" | "dialogButton" | "palette" | "notification" | "notificationText" | "softwareNotice" | "upload" | "tab" | "left" | "leftOpen",
       string
     >;
     UPLOADED: string;

@@ -115,15 +115,17 @@
   lpn.small = matchMedia("(max-width: 1100px)");
   lpn.small.addEventListener("change", () => lpn.send("small", lpn.folded()));
   // The panel of the query is folded, unless the browser remembers that it was left open.
-  const PANELS = "lpn-panels", LEFT = "Query", BESIDE = "lpn-beside";
+  const PANELS = "lpn-panels", BESIDE = "lpn-beside";
   lpn.folded = () => lpn.small.matches || lpn.stored("local", PANELS) !== "open";
   const keepPanels = () => {
     if (lpn.small.matches) return;
-    const open = tabs().some((one) => one.textContent.trim() === LEFT), size = lpn.stageSize();
+    const open = document.querySelector(SELECTORS.leftOpen), size = lpn.stageSize();
     lpn.store("local", PANELS, open ? "open" : "folded");
     if (open && size) lpn.store("local", BESIDE, String(innerWidth - size[0]));
   };
-  document.addEventListener("click", ({ isTrusted }) => isTrusted && setTimeout(keepPanels, 400), true);
+  // viser lets no click on what folds the panel through. What is done elsewhere may draw the panel anew, and unfolded for a moment.
+  const folds = ({ target, isTrusted }) => isTrusted && target.closest?.(SELECTORS.left) && setTimeout(keepPanels, 400);
+  for (const act of ["pointerup", "keyup"]) document.addEventListener(act, folds, true);
 
   // On a phone the way back to the first screen stays above the stage, however the sheet is scrolled or folded.
   const back = document.body.appendChild(document.createElement("button"));

@@ -29,6 +29,8 @@
     softwareNotice: "#webgl-software-rendering",
     upload: 'input[type="file"]',
     tab: '[role="tab"]',
+    left: '[data-dock-region="left"]', // the panel of the query, open or folded
+    leftOpen: '[data-dock-region-collapse="left"]', // what folds it
   };
   // Icons that are the only content of a button, and what such a button does.
   const ICONS = [
