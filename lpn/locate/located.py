@@ -393,7 +393,7 @@ class LocatedFlight:
 
     @cached_property
     def radii_confirmed(self) -> dict[str, bool]:
-        """By stage, whether its errors lie within three radii about as often as with right radii; without stages that no tag checks."""
+        """By stage, whether its errors lie within three radii about as often as with right radii; without unchecked stages."""
         checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
         return {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
 
