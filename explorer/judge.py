@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -128,12 +127,6 @@ def window_of(task: Task, index: int) -> Window | None:
 def confirmed(workspace: Workspace) -> bool | None:
     """Return if the tags of the flight's photos lie within three radii as often as with radii that are right; None without."""
     return None if workspace.flight is None else workspace.flight.radii_confirmed.get("registration")
-
-
-def calibration(workspace: Workspace) -> Mapping[int, float] | None:
-    """Return the percentages of a flight's registrations within 1, 2, and 3 radii of their tags; None where none has both."""
-    summary = None if workspace.flight is None else workspace.flight.registration_summary
-    return None if summary is None else summary.calibration or None
 
 
 def _contradicted(verdict: Belief) -> bool:

@@ -18,7 +18,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.locate.located import LocatedFlight
 
-# An entry of the list: the query, its name, and 1 if it was found, 0 if it failed, None while that is not known.
+# An entry of the list: the query, its name, and 1 if it was found, 0 if it failed, None where that is not known for certain.
 Entry = tuple[int, str, int | None]
 
 

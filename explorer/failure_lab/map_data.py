@@ -54,7 +54,7 @@ def colours(findings: Findings, name: str) -> Colours:
         labels = {"found": theme.TRUE_COLOUR, "failed": theme.FALSE_COLOUR}
         if findings.doubtful is not None and (doubtful := findings.doubtful & outcomes.known).any():
             codes[doubtful] = len(labels)
-            labels["by a doubtful judge"] = theme.UNKNOWN_COLOUR
+            labels["not graded"] = theme.UNKNOWN_COLOUR
         return Colours(codes, list(map(theme.css, labels.values())), list(labels))
     column = findings.table.column(name)
     return _of_numbers(column) if column.kind == "number" else _of_words(column)

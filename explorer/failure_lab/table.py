@@ -35,7 +35,7 @@ _HINTS = {
     "answer": "The tile that was ranked first",
     "distance": "From what the query shows to the centre of the answer",
 }
-_DOUBTFUL = "By a doubtful judge, so it is marked as neither right nor wrong"
+_UNGRADED = "Not graded, as no piece is right for certain"
 # The verdicts on photos of a flight in plain words.
 PLAIN_VERDICTS = {
     "registered": "placed by its details",
@@ -335,7 +335,7 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
     if column.name in ("rank", RANK_A, RANK_B):
         if column.name == RANK_B and findings.second is not None and right is not None:
             right = bool(findings.second.hits[row])
-        return _Cell("number", text or "–", _DOUBTFUL if findings.is_doubtful(row) else "", right=right)
+        return _Cell("number", text or "–", _UNGRADED if findings.is_doubtful(row) else "", right=right)
     if not text:
         return _Cell(column.kind, "")
     if column.name == "answer":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from markupsafe import Markup
 
-from explorer.judge import calibration, confirmed
+from explorer.judge import confirmed
 from explorer.web.terms import explained
 from explorer.workspace import Workspace
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
@@ -123,10 +123,12 @@ def _meaning(answer: StageRecord, workspace: Workspace) -> str:
 
 def check(workspace: Workspace) -> str:
     """Return how many of the flight's places lie within 1, 2, and 3 radii of their GPS tags; "" where none has both."""
-    measured = calibration(workspace)
-    if measured is None:
+    summary = None if workspace.flight is None else workspace.flight.registration_summary
+    if summary is None or not summary.calibration:
         return ""
-    shares, right = (f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (measured, RIGHT_CALIBRATION))
+    shares, right = (
+        f"{listed([f'{share:.0f}' for share in of.values()])} %" for of in (summary.calibration, RIGHT_CALIBRATION)
+    )
     text = (
         f"Check: {shares} of the flight's photos lie within one, two, and three radii of their {_truths(workspace)}, where "
         f"{right} should."

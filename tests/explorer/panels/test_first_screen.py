@@ -955,10 +955,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     cells = table.visible_columns(findings, LabState(task=state.task))
     row, sure_row = (line for _, line in table.lines(findings, cells, Mock(), np.array([doubted, placed])))
     assert_ungraded(row + table.tip(findings, workspace, np.array([doubted]), 1))
-    assert 'title="By a doubtful judge' in row
+    assert 'title="Not graded' in row
     assert "✗" in sure_row
     colours = map_data.colours(findings, map_data.OUTCOME)
-    assert [colours.labels[colours.codes[i]] for i in (doubted, placed)] == ["by a doubtful judge", "failed"]
+    assert [colours.labels[colours.codes[i]] for i in (doubted, placed)] == ["not graded", "failed"]
     flags = np.frombuffer(map_data.flags(findings, np.arange(30), np.array([])), np.uint8)
     assert [bool(flags[i] & map_data.FAILED) for i in (doubted, placed)] == [False, True]
     ground = lab.points("ground", state.task, lab)
