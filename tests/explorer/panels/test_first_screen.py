@@ -728,6 +728,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
+    title = re.search(r'title="([^"]*)"[^>]*>turned 11° to match', page)
+    assert title is not None
+    assert (
+        "Its top points to 359.2° by its details, and to 10.5° by the heading with which the model searched" in title[1]
+    )
     with speaking(workspace.vocabulary(True)):
         why = text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
     methods = dict(told.reasons)
