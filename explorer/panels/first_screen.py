@@ -364,7 +364,8 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         pictures.append(answer)
     if laid is not None:
         doubt = "" if laid.sign else ": in doubt"
-        pictures.append(SaidPicture(f"{_ON_MAP}{doubt}", f"{laid.offset}, north up", laid.picture, laid.sign))
+        offset = f"{laid.offset}, north up"
+        pictures.append(SaidPicture(f"{_ON_MAP}{doubt}", offset, laid.picture, laid.sign, doubted=laid.sign is None))
     elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
         picture, caption, right = _third_tile(
             analysis, workspace, positive.index, found.disputed, found.look[0] is None
