@@ -68,6 +68,17 @@ def methods(stages: Sequence[str]) -> str:
     return " ".join(f"{label(stage)}: {_METHODS[stage]}." for stage in stages)
 
 
+def circle(flight: LocatedFlight) -> str:
+    """Say what the circle around a photo's place means, and if the tags of the flight confirm it."""
+    inside = RIGHT_CALIBRATION[3 if plain() else 1]
+    text = (
+        f"Circle around its place: if errors are as estimated, the true place of {inside:.0f} of 100 photos lies in it"
+    )
+    text += "." if plain() else " (1 sigma along each axis)."
+    unconfirmed = flight.radii_confirmed().get("registration") is False
+    return f"{text} The flight's GPS tags do not confirm that." if unconfirmed else text
+
+
 def refusal(located: LocatedFrame, stage: str) -> str | None:
     """Return that a stage's answer is refused, and why; None if it is not."""
     answer = located.stages.get(stage)

@@ -17,7 +17,7 @@ from explorer.web.coordinates import MapCoordinate
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
-from lpn.drawing import words
+from lpn.drawing import theme, words
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFlight
 from lpn.maps.named_window import describe_offset
@@ -84,6 +84,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
             "place": None if place is None else _rounded([place])[0],
             "radius": None if answer is None or answer.radius is None else reach(answer.radius),
             "doubted": sign is None,
+            "state": theme.placed_name(sign),
             "tag": None if tag is None else _rounded([tag])[0],
         },
         "card": card,

@@ -21,6 +21,7 @@ from explorer.workspace import StateAnalysis
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.files import printable
 from lpn.core.homography import apply_homography
+from lpn.core.numbers import heading_figure
 from lpn.drawing import overlays, score_map, theme
 from lpn.drawing.words import plain, say
 from lpn.locate.agreement import MapAgreement
@@ -90,6 +91,8 @@ def data(view: FlightView, address: str) -> dict[str, Any]:
         "elsewhere": flight.elsewhere,
         "signs": [verdict.sign for verdict in view.beliefs],
         "stages": [verdict.stage for verdict in view.beliefs],
+        "states": [_state(verdict) for verdict in view.beliefs],
+        "circle": flight_text.circle(flight),
         "main": _main_stage(view),
     }
 
@@ -181,7 +184,7 @@ def card(
         address=address,
         verdict=verdict,
         headline=_headline(verdict, located),
-        colour=_verdict_colour(verdict.sign),
+        colour=f"var(--mark-{_state(verdict)})",
         reason=flight_text.reason(view, frame),
         refusals=flight_text.refusals(located),
         drone=flight_text.drone(view.flight, located),
@@ -192,6 +195,7 @@ def card(
         ground=ground,
         on_map=None if ground is None else _share_on_map(view, ground),
         height=located.frame.flying_height,
+        heading=None if place is None or stage != "registration" else heading_figure(place.heading),
         corrected=_correction(view, frame, place),
         look_right=retrieval_right if stage in PLACED else None,
         judge=view.flight.judge_of(frame),
@@ -219,8 +223,9 @@ def _correction(view: FlightView, frame: int, place: StageRecord | None) -> tupl
     return words, math.hypot(place.x - corrected[0], place.y - corrected[1])
 
 
-def _verdict_colour(sign: bool | None) -> str:
-    return f"var(--lpn-{'text' if sign else 'line' if sign is None else 'error'})"
+def _state(verdict: Belief) -> str:
+    """Return the name of the colour of what may be believed of a photo, see `theme.placed_name`."""
+    return theme.placed_name(verdict.sign, verdict.stage == "registration")
 
 
 def chosen(

@@ -33,6 +33,7 @@ class AnswerLines:
         purpose: what the program searches, as HTML.
         query, answer: what the two pictures are.
         verdict: what the program concludes.
+        doubted: details place the photo, and something contradicts them.
         radius: how exact the place should be, as HTML.
         by_look: the verdict on the look alone where `verdict` is of all methods; else None.
         comparing: how far the comparison of an own picture's details with the map is.
@@ -51,6 +52,7 @@ class AnswerLines:
     query: str
     answer: str
     verdict: _Verdict
+    doubted: bool
     radius: str
     by_look: _Verdict | None
     comparing: str
@@ -130,6 +132,7 @@ def answer_lines(
         query="Your picture" if own else f"A picture {_FROM[task.query_view]}",
         answer=answer,
         verdict=(right, told(headline), told(sentence)),
+        doubted=right is None and registered is not None and registered.accepted,
         radius=holds(registered, workspace, right is None),
         by_look=None if concluded is None else looked,
         comparing="" if job is None else answer_text.comparing(job),

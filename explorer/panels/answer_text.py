@@ -275,8 +275,12 @@ def _on_map(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         return _registered(analysis, workspace, analysis.registered)
     if not _compared(analysis):
         return None
-    elsewhere = _elsewhere(analysis, workspace)
-    return None, "Being compared with the map", f"{elsewhere}." if elsewhere else ""
+    elsewhere, nearest = "", _far_tag(analysis)
+    if nearest is not None and shows_rendered(workspace.root):
+        elsewhere = f"{_elsewhere(analysis, workspace)}."
+    elif nearest is not None:
+        elsewhere = f"Your picture's GPS tag lies {distance(nearest)} from this map."
+    return None, "Being compared with the map", elsewhere
 
 
 def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) -> tuple[bool | None, str, str]:

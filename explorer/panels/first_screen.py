@@ -34,7 +34,7 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
-from lpn.core.numbers import distance
+from lpn.core.numbers import distance, heading_figure
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme, verdicts, words
@@ -240,7 +240,7 @@ def page(
     headline = found.concluded[1] if found.concluded else found.look[1]
     if third is None and laid is None and (found.look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
-    because = _because(analysis, workspace, lead, cells_of_parts)
+    because, turn = _because(analysis, workspace, lead, cells_of_parts), _turn(analysis, workspace)
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -258,8 +258,8 @@ def page(
         sign=_frame_sign(analysis, found),
         sure=sure,
         laid=laid,
-        turn=_turn(analysis, workspace),
-        turned_by=_TURNED_BY,
+        turn=turn,
+        turned_by=_turned_by(analysis, workspace, turn),
         third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None)
         if third is not None and analysis.chosen.rank == 1
         else None,
@@ -363,7 +363,9 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         )
         pictures.append(answer)
     if laid is not None:
-        pictures.append(SaidPicture(_ON_MAP, f"{laid.offset}, north up", laid.picture, laid.sign))
+        doubt = "" if laid.sign else ": in doubt"
+        offset = f"{laid.offset}, north up"
+        pictures.append(SaidPicture(f"{_ON_MAP}{doubt}", offset, laid.picture, laid.sign, doubted=laid.sign is None))
     elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
         picture, caption, right = _third_tile(
             analysis, workspace, positive.index, found.disputed, found.look[0] is None
@@ -561,6 +563,21 @@ def _numbered(
     """Write the numbers of the parts into a drawn picture; they are upright when it is turned as the page turns it."""
     degrees = 0.0 if turn is None else turn.degrees
     return captions.with_part_numbers(drawn, workspace.areas(view, described), workspace.part_names, degrees)
+
+
+def _turned_by(analysis: StateAnalysis, workspace: Workspace, turn: MatchingTurn | None) -> str:
+    """Say why the answers are turned; of a photo of a flight with its headings, as the turn is their difference."""
+    if turn is None:
+        return ""
+    text, upload = _TURNED_BY[turn.source], analysis.state.upload
+    cut = None if upload is not None else analysis.task.queries[analysis.state.query].cut
+    details = workspace.details(analysis)
+    if turn.source != "registration" or not isinstance(cut, TurnedFrame) or details is None or details.heading is None:
+        return text
+    return (
+        f"{text} Its top points to {heading_figure(details.heading)}° by its details, and to {heading_figure(cut.heading)}° by "
+        "the heading with which the model searched, which has turned it here; the turn is the difference."
+    )
 
 
 def _third_tile(

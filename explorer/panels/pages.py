@@ -119,6 +119,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> str:
         note = "" if words.plain() else f"{note}; by its registration {registered.heading or 0:.0f}°" if note else ""
     return render(
         "panels/verdict",
+        doubted=concluded is not None and concluded[0] is None and registered is not None and registered.accepted,
         verdict=right,
         headline=headline,
         reason=with_radius(reason, registered, workspace),

@@ -64,7 +64,9 @@ _ENVIRONMENT.globals.update(
     verdict_ink=verdict_ink,
     part_colour=charts.part_colour,
     share_bar=charts.share_bar,
-    verdict_colour=lambda true: theme.css(theme.verdict_colour(true)),
+    verdict_colour=lambda true, doubted=False: theme.css(
+        theme.placed_colour(None) if doubted else theme.verdict_colour(true)
+    ),
     signs=SIGNS,
     distance=distance,
     sigma=SIGMA,

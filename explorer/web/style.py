@@ -18,9 +18,13 @@ def part_ink(part: int) -> str:
     return f"var(--lpn-part-{part % len(theme.PART_COLOURS)})"
 
 
-def verdict_ink(true: bool | None) -> str:
-    """Return the text colour of a right, wrong, or unknown (None) match; it follows the page's theme."""
-    return f"var(--lpn-{'unknown' if true is None else 'right' if true else 'wrong'})"
+def verdict_ink(true: bool | None, doubted: bool = False) -> str:
+    """Return the text colour of a right, wrong, or unknown (None) answer; it follows the page's theme.
+
+    Args:
+        doubted: details place the photo, and something contradicts them.
+    """
+    return f"var(--lpn-{'contradicted' if doubted else 'unknown' if true is None else 'right' if true else 'wrong'})"
 
 
 def variables(dark: bool) -> str:

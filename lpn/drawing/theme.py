@@ -81,9 +81,19 @@ def verdict_colour(true: bool | None) -> Colour:
     return UNKNOWN_COLOUR if true is None else TRUE_COLOUR if true else FALSE_COLOUR
 
 
+def placed_name(sign: bool | None, by_details: bool = True) -> str:
+    """Return the name in the table of what may be believed of a photo's place: "right", "contradicted", or "unknown".
+
+    Args:
+        sign: True if the place is believed.
+        by_details: details place the photo; one that they do not, and that is not believed, is a guess or has no place.
+    """
+    return "right" if sign else "contradicted" if by_details else "unknown"
+
+
 def placed_colour(sign: bool | None) -> Colour:
-    """Return the colour of the ground where details place a photo: that of a right answer, or of a contradicted one (None)."""
-    return TRUE_COLOUR if sign else COLOURS["contradicted"]
+    """Return the colour of the ground where details place a photo, see `placed_name`."""
+    return COLOURS[placed_name(sign)]
 
 
 def variables(palette: Palette) -> str:

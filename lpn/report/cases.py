@@ -32,6 +32,7 @@ class SaidPicture:
         source: a data URI.
         sign: True if it is right, False if wrong; None if that is unknown.
         turn: degrees clockwise by which it is turned to lie like the query.
+        doubted: it shows the place by a photo's details, which something contradicts.
     """
 
     caption: str
@@ -39,6 +40,7 @@ class SaidPicture:
     source: str
     sign: bool | None = None
     turn: float = 0.0
+    doubted: bool = False
 
 
 @dataclass(frozen=True)

@@ -651,6 +651,26 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
         assert tops[-1] < box(page.locator("#lpn-header"))["y"], "the panels of the workbench come after the window"
 
     ExplorerPage(page).eventually(in_order)
+    legend = page.locator("#lpn-flight .legend")
+    checked = {
+        one.get_attribute("data-track"): one.get_attribute("aria-checked")
+        for one in legend.locator("[data-track]").all()
+    }
+    assert checked == {"tag": "true", "retrieval": "false", "sequence": "false", "registration": "true"}
+    expect(legend).to_contain_text("Thin dashed line: the GPS tags.")
+    expect(legend).to_contain_text(
+        "Circle around its place: if errors are as estimated, the true place of 99 of 100 photos lies"
+    )
+    assert legend.locator(".key").all_inner_texts() == [
+        "placed",
+        "in doubt",
+        "by its neighbours only, a guess, or not placed",
+    ]
+    page.evaluate(
+        "document.querySelector('#lpn-flight .legend').style.width = '300px'"
+    )  # beside a map and a scroll bar
+    assert legend.evaluate("(legend) => legend.scrollWidth <= legend.clientWidth")
+    page.evaluate("document.querySelector('#lpn-flight .legend').style.width = ''")
     view.scroll_into_view_if_needed()
     page.evaluate("([x, y]) => lpn.flight.map.show([x - 30, y], 100)", list(GUESS))  # the dot lies beside the buttons
     left, top = page.evaluate("(at) => lpn.flight.pixels(at)", list(GUESS))

@@ -155,7 +155,7 @@ interface Lpn {
   };
   tiles(redraw: () => void): { draw(pen: CanvasRenderingContext2D, ratio: number, data: any, map: PanZoom): number; clear(): void };
   thumbnails(redraw: () => void): { all(addresses: string[]): (HTMLImageElement | null)[] };
-  colour(name: string): string;
+  colour(name: string, kind?: "raw" | "mark"): string;
   pens: {
     canvas(element: HTMLCanvasElement): [CanvasRenderingContext2D, number];
     stroke(pen: CanvasRenderingContext2D, colour: string, width: number, dash?: number[]): void;

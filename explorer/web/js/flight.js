@@ -112,8 +112,8 @@
     data.span = { times, low, high };
     flight.data = data;
     if (flight.timeline.plot === "height" && !flight.timeline.highs()) flight.timeline.plot = "error";
-    // In plain words the map starts with one track, that of the method that places most photos.
-    if (!switched) flight.hidden = new Set(data.plain ? Object.keys(data.tracks).filter((name) => ![data.main, "corrected"].includes(name)) : []);
+    // In plain words the map starts with the GPS tags and one more track, that of the method that places most photos.
+    if (!switched) flight.hidden = new Set(data.plain ? Object.keys(data.tracks).filter((name) => ![data.main, "tag", "corrected"].includes(name)) : []);
     flight.map.replaced(before);
     refresh();
   };
@@ -178,25 +178,30 @@
     if (shown.some((track) => track.state.includes(2)))
       parts.push(`Hollow dot: refused; ${byPointer("point at it, or at its ✗,", "tap it, or its ✗,")} for the reason.`);
     if (flight.tracks().some(([name]) => flight.data.names.some((_, i) => flight.doubted(name, i))))
-      parts.push(`Diamond: contradicted by its GPS tag, its neighbours, or the map away from its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
-    parts.push("Frame on the map: the ground that the photo shows; its thick side is the photo’s top; dashed, if only tag and camera tell it.");
+      parts.push(`Red diamond: in doubt, contradicted by its GPS tag, its neighbours, or the map away from its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
+    const states = [["right", "placed"], ["contradicted", "in doubt"], ["unknown", "by its neighbours only, a guess, or not placed"]];
+    const keys = states.map(([name, words]) => `<span class="key"><i style="background:var(--raw-${name})"></i>${words}</span>`).join(", ");
+    parts.push(`Frame on the map: the ground that the photo shows, in the colour of what may be believed of its place: ${keys}. Its thick side is the photo’s top; dashed, if only tag and camera tell it.`);
+    if (!flight.hidden.has("tag") && flight.data.tracks.tag.x.some((x) => x !== null)) parts.push("Thin dashed line: the GPS tags.");
+    if (shown.some((track) => track.radius[flight.chosen])) parts.push(escaped(flight.data.circle));
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
-    return parts.join(" ");
+    parts.push(`Pins${flight.data.plain ? ", with Swipe" : ""}: the head is where the map has a place, the other end where the photo has it.`);
+    return parts.map((part) => `<p class="dim">${part}</p>`).join("");
   };
   flight.fillLegend = () => {
     const { data, chosen, hidden } = flight;
-    const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0));
+    const metres = (value) => (value === null ? "" : value.toFixed(value < 100 ? 1 : 0) + (data.plain ? " m" : ""));
     const rows = Object.entries(data.tracks).map(([name, track]) => {
       const cells = [
         `<a role="switch" tabindex="0" data-track="${name}" aria-checked="${!hidden.has(name)}"><b class="check"></b><i style="background:${track.colour}"></i>${track.label}</a>`,
-        ...(name === "retrieval" ? ["not verified", ""] : [track.count, name === "tag" || chosen < 0 ? "" : sign(name, track, chosen) + metres(track.radius[chosen])]),
+        ...(name === "retrieval" ? ["not verified", "", ""] : [track.count, name === "tag" || chosen < 0 ? "" : sign(name, track, chosen), chosen < 0 ? "" : metres(track.radius[chosen])]),
         chosen < 0 ? "" : metres(track.error[chosen]),
       ];
       return `<tr data-state="${chosen < 0 ? "" : track.state[chosen]}">${cells.map((cell) => `<td>${cell}</td>`).join("")}</tr>`;
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="2">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th>${data.plain ? '<th title="The metres that its place may be off: nearly all lie nearer">within m</th>' : '<th title="In metres: 1 sigma along each axis">± m</th>'}<th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "m from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p><p class="dim">${legend()} Pins${data.plain ? ", with Swipe" : ""}: the head is where the map has a place, the other end where the photo has it.</p>`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="3">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="✓ accepted, ? in doubt, ✗ refused"></th>${data.plain ? '<th title="The metres that its place may be off: nearly all lie nearer">may be off</th>' : '<th title="In metres: 1 sigma along each axis">± m</th>'}<th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p>${legend()}`,
     );
   };
   const refresh = () => {

@@ -88,14 +88,17 @@
           pen[down ? "lineTo" : "moveTo"](...map.toPixels(at));
           down = true;
         }
-        stroke(pen, track.colour, name === "tag" ? 1.5 : 2, name === "tag" ? [5, 4] : []);
+        // The tags are there to be compared with, and keep behind the answers.
+        pen.globalAlpha = name === "tag" ? 0.75 : 1;
+        stroke(pen, track.colour, name === "tag" ? 1 : 2, name === "tag" ? [5, 4] : []);
+        pen.globalAlpha = 1;
       }
       for (let i = 0; i < flight.total(); i++) {
         const at = place(track, i);
         const refused = track.state[i] === 2;
         if (!at) continue;
         if (flight.doubted(name, i)) diamond(pen, map.toPixels(at), 6, lpn.colour("contradicted"));
-        else dot(pen, map.toPixels(at), name === "tag" ? 3 : 4, (refused && flight.data.refused) || track.colour, refused);
+        else dot(pen, map.toPixels(at), name === "tag" ? 2 : 4, (refused && flight.data.refused) || track.colour, refused);
       }
     }
   };
@@ -135,11 +138,12 @@
     const { data, chosen, answered, followed } = flight, own = flight.own();
     const outline = own ? own.outline : data.outlines[chosen];
     if (outline) {
+      const colour = lpn.colour(own ? own.state : data.states[chosen]);
       path(pen, outline.slice(0, 4), true);
-      stroke(pen, lpn.colour("accent"), 2, outline[4] ? [] : [7, 5]);
+      stroke(pen, colour, 2, outline[4] ? [] : [7, 5]);
       // The picture's top edge is thicker.
       path(pen, outline.slice(0, 2));
-      stroke(pen, lpn.colour("accent"), 4);
+      stroke(pen, colour, 4);
     }
     if (answered && followed && followed.frame === chosen && (!own || own.place) && !flight.hidden.has("retrieval")) {
       const [x, y, side] = answered;

@@ -55,7 +55,7 @@
     pen.fillStyle = "#fff";
     pen.fillText(words, left, top);
   };
-  // A colour by its name in lpn/drawing/theme.py.
-  lpn.colour = (name) => getComputedStyle(document.documentElement).getPropertyValue("--raw-" + name).trim();
+  // A colour by its name in lpn/drawing/theme.py: over pictures, or as a "mark" on the page's ground.
+  lpn.colour = (name, kind = "raw") => getComputedStyle(document.documentElement).getPropertyValue(`--${kind}-${name}`).trim();
   lpn.pens = { canvas: canvas, stroke: stroke, dot: dot, diamond: diamond, text: text };
 })();

@@ -133,7 +133,7 @@
       pen.fillText(LABELS[plot][data.plain ? 1 : 0], 48, i * tall + 17);
     });
     data.signs.forEach((sign, i) => {
-      pen.fillStyle = flight.doubted(data.stages[i], i) ? lpn.colour("contradicted") : colour;
+      pen.fillStyle = lpn.colour(data.states[i], "mark");
       pen.fillRect(across(i, width, data) - 2, foot + 13 - SIGNS[sign], 4, SIGNS[sign]);
       const reason = sign ? "" : reasonOf(data.stages[i], i) || reasonOf("registration", i);
       marks.push([across(i, width, data), foot + 9, i, reason || ""]);

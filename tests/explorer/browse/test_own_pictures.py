@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import threading
 from collections.abc import Callable
 from dataclasses import replace
@@ -326,7 +327,7 @@ def test_a_position_tells_the_distance_to_each_tile(page: Page, workspace: Works
     said = answer_text.verdict(replace(analysis, own_photo=job), workspace)
     may_end.set()
     assert said[:2] == (None, "Being compared with the map"), "no answer is final before that"
-    assert "Your picture's GPS tag lies" in said[2]
+    assert re.fullmatch(r"Your picture's GPS tag lies [\d,]+ km from this map\.", said[2]), "no piece of it is told of"
     nowhere: Callable[[], None] = lambda: page.own.take("there.jpg", photo(3))  # noqa: E731
     nowhere()
     assert StateAnalyser(workspace).analyse(page.state, 3).errors_m is None

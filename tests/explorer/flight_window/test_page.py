@@ -114,6 +114,11 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert data["times"] == [0.0, 2.0, 4.0]
     # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
     assert data["signs"] == [True, None, None]
+    assert data["states"] == ["right", "contradicted", "unknown"]
+    assert "the true place of 39 of 100 photos lies in it (1 sigma along each axis)." in data["circle"]
+    assert data["circle"].endswith("The flight's GPS tags do not confirm that.")
+    with speaking(Vocabulary(plain=True)):
+        assert "the true place of 99 of 100 photos lies in it." in page.data(view, "")["circle"]
     assert [one[4] for one in data["outlines"]] == [True, True, False]
     assert data["outlines"][0][0] == pytest.approx([-40.0, 16.0])
     assert data["sheets"] == []
@@ -139,6 +144,9 @@ def test_the_card_answers_query_answer_and_belief_without_running_what_a_file_sa
     assert "pictures/x/ground/0" in first
     assert "by its neighbours" in third
     assert "alone is" not in first
+    for frame, state in enumerate(("right", "contradicted", "unknown")):
+        assert f"border-color:var(--mark-{state})" in page.card(view, frame, "pictures/x/")
+    assert "its top points to" not in third
     failed = page.card(view, 0, "pictures/x/", retrieval_right=False)
     assert failed.index("Placed by its details") < failed.index("Retrieval alone is wrong.")
     doubted = page.card(view, 1, "pictures/x/", retrieval_right=True)

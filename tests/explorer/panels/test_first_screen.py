@@ -732,6 +732,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
+    title = re.search(r'title="([^"]*)"[^>]*>turned 11° to match', page)
+    assert title is not None
+    assert (
+        "Its top points to 359.2° by its details, and to 10.5° by the heading with which the model searched" in title[1]
+    )
     with speaking(workspace.vocabulary(True)):
         why = text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
     methods = dict(told.reasons)
@@ -767,6 +772,21 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert misfit in unfit
     reasons = text(first_screen.page(analyse(workspace, replace(state, query=bent, why=True)), workspace))
     assert f"they place it. {misfit}" in reasons
+    in_doubt = analyse(workspace, replace(state, query=bent))
+    html, panel = first_screen.page(in_doubt, workspace), pages.verdict(in_doubt, workspace)
+    assert 'color:var(--lpn-contradicted)">?' in html
+    assert "On the map, by its details: in doubt" in text(html)
+    red = theme.css(theme.COLOURS["contradicted"])
+    assert f"outline-color:{red}" in html
+    assert f"border-color:{red}" in panel
+    saved = first_screen.said(in_doubt, workspace).pictures[-1]
+    assert (saved.caption, saved.doubted) == ("On the map, by its details: in doubt", True)
+    for one in (
+        first_screen.page(analyse(workspace, state), workspace),
+        pages.verdict(analyse(workspace, state), workspace),
+    ):
+        assert "contradicted" not in one
+        assert red not in one
     # The box on the map has the colour of the verdict.
     for frame, other, colour in ((workspace.first_query, bent, "right"), (bent, workspace.first_query, "contradicted")):
         laid = first_screen._laid(flight.frames[frame], workspace, own=False)

@@ -152,6 +152,9 @@ def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) ->
     ):
         assert text in one
     assert any(image.get("style") == "transform:rotate(-30deg)" for image in page.all("img"))
+    assert not any(figure.get("class") == "doubted" for figure in page.all("figure"))
+    doubted = Page(report.build(task, [1], Options(said=replace(said, pictures=(replace(picture, doubted=True),)))))
+    assert next(figure.get("class") for figure in doubted.all("figure")) == "doubted"
     assert "R@1" in experts
     folded = page.all("details")
     assert [(fold.get("class"), fold.get("open")) for fold in folded] == [("said", None), ("experts", None)]
