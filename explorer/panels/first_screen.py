@@ -34,7 +34,6 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
-from lpn.core.numbers import distance
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme, verdicts, words
@@ -42,7 +41,7 @@ from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.flights.photo_file import PhotoFile
-from lpn.locate.belief import belief, disagreements
+from lpn.locate.belief import belief, disagreements, tag_figures
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.retrieval import heading_is_certain
@@ -605,10 +604,8 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         place, tag = pixels(np.array([at, located.tag]))
         cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
-        sentence = f"Its GPS tag, the white circle, lies {distance(located.error('registration') or 0.0)} from there"
-        if any(one.other == "tag" for one in contradictions):
-            sentence += ", more than the errors of both allow"
-        sentence += "."
+        metres, allowed = tag_figures(located, contradictions)
+        sentence = f"Its GPS tag, the white circle, lies {metres} from there, where {allowed} are allowed."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(
         filter(None, [sentence, unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")])

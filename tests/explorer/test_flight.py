@@ -387,7 +387,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             2e6,
             None,
             "On this map by its details, elsewhere by its GPS tag",
-            "km from there, more than the errors of both",
+            "km from there, where 25.1 m are allowed, so one of the two is off",
             "Compare the GPS tags of other photos of its flight: tags can be late or off.",
         ),
         (

@@ -640,7 +640,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
         "86; the check of this flight does not confirm it. 268 details of the photo lie where the map has them. Its GPS tag, the "
-        "white circle, lies 10 m from there. "
+        "white circle, lies 10 m from there, where 32 m are allowed. "
         "The photo's middle lies at 30.171" in said
     )
     assert page.count("data:image/jpeg") == 3
@@ -692,7 +692,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "Nobody measured where they really are.",
         "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie within the estimated 18.2 m of their "
         "GPS tags, where nearly all should. The tags may be off, too.",
-        "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle.",
+        "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle, "
+        "where 18 m each way are allowed.",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
         "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
         *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
@@ -793,7 +794,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         patch.setattr(judge, "confirmed", lambda _: True)
         of_first = text(first_screen.page(analyse(workspace, state), workspace))
         assert (
-            "the right one: it is 37 m wide, and the place by its details lies on it, 3 m from its middle." in of_first
+            "the right one: it is 37 m wide, and the place by its details lies on it, 3 m from its middle, where 18 m each way "
+            "are allowed." in of_first
         )
     with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
         name = flight.frames[workspace.first_query].frame.name
