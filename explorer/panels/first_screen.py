@@ -19,6 +19,7 @@ from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, judge, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
+from explorer.panels.details_pair import details_pair
 from explorer.panels.navigation import Navigation
 from explorer.panels.radius_text import check
 from explorer.session_state import SessionState, StateChange
@@ -235,7 +236,8 @@ def page(
     headline = found.concluded[1] if found.concluded else found.look[1]
     if third is None and laid is None and (found.look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
-    because = _because(analysis, workspace, lead, cells_of_parts)
+    matched = details_pair(analysis, workspace) if state.why else None
+    because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -257,6 +259,7 @@ def page(
         third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None)
         if third is not None and analysis.chosen.rank == 1
         else None,
+        matched=matched,
         lead=lead,
         because=because,
         failures=_failures(workspace, state),
@@ -435,7 +438,11 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
 
 
 def _because(
-    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
+    analysis: StateAnalysis,
+    workspace: Workspace,
+    lead: answer_text.Lead | None,
+    cells: Float64Array | None,
+    matched: bool = False,
 ) -> list[tuple[str, list[str]]]:
     """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does.
 
@@ -444,6 +451,7 @@ def _because(
 
     Args:
         cells: each cell's share of the lead, part by part.
+        matched: the details are shown, and their number is said beside them.
     """
     query, tile, task = analysis.query.trace, analysis.tile.trace, analysis.task
     if lead is None or cells is None or query is None or tile is None:
@@ -492,9 +500,9 @@ def _because(
     if details is None:
         return [("", sentences)]
     photo = "your picture" if analysis.state.upload else "the photo"
-    known = f"{_details(details, photo) or 'They fit this map'}: they place it."
+    known = [] if matched else [f"{_details(details, photo) or 'They fit this map'}: they place it."]
     if not details.accepted:
-        known = "They fit nowhere on this map well enough to place it."
+        known = ["They fit nowhere on this map well enough to place it, so none is shown.", details.sentence]
     doubts, which = [], ", which errs" if errs else ""
     if located is not None:
         contradictions = disagreements([located])
@@ -502,7 +510,7 @@ def _because(
         doubts = [one.told(concluded) for one in contradictions if one.one == "registration"]
         if errs and details.accepted and not concluded.sign:
             which += " if its details are right"
-    return [("By its details", [known, *doubts]), (f"By its look{which}", sentences)]
+    return [("By its details", [*known, *doubts]), (f"By its look{which}", sentences)]
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:

@@ -340,7 +340,8 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         with monkeypatch.context() as patch:
             patch.setattr(judge, "off_window", lambda *_, off=off: off)
             reasons = first_screen.page(explained, workspace)
-        assert "details of your picture lie where the map has them: they place it." in reasons
+        assert re.search(r"\d+ matches agree with the registration: the median", reasons)
+        assert reasons.count('<i class="pin') == 2 * reasons.count("<tr data-pin=") > 0
         assert ("<h2>By its look, which errs</h2>" in reasons) == errs
         assert ("<h2>By its look</h2>" in reasons) != errs
         assert re.search(r"speak for the most similar piece,\s+<span", reasons), "the answer has one name"
