@@ -14,7 +14,7 @@ from playwright.sync_api import Browser, Page, expect
 from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_PLACE
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
 from lpn.core.images import load_picture, shrink
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, expect_accessible, started
 from tools.fixtures import small_worlds
 
 # Check that a phone's sheet has not scrolled since the last look.
@@ -467,6 +467,10 @@ def test_why_shows_the_same_details_in_the_photo_and_on_the_map(demo_app: Runnin
     fresh.keyboard.press("End")
     assert over.evaluate("(one) => getComputedStyle(one).opacity") == "1"
     expect(first.locator(".reason .pair img")).to_have_count(3)
+    first.get_by_text("The numbered details").click()
+    first.locator(".pinned tr").nth(5).hover()
+    assert lit.evaluate_all("(all) => all.map((one) => one.dataset.pin)") == ["5", "5"]
+    expect_accessible(fresh)
 
 
 @pytest.mark.slow
