@@ -317,7 +317,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
         metres, allowed = tag_figures(own.located, contradictions)
         if (from_nearest := _far_tag(analysis)) is not None:  # far off, the plane of the map is no measure
             metres = distance(from_nearest)
-        fits += f"; its GPS tag lies {metres} from there, where {allowed} are allowed{_usual(workspace)}"
+        fits += f"; its GPS tag lies {metres} from there{_usual(workspace)}, where {allowed} are allowed"
     else:
         fits += "; it has no GPS tag that would say so, too"
     against, headline = "", checked("On this map", own.located, concluded.sign)
