@@ -17,7 +17,7 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, TILT, Belief, Disagreement, on_what
+from lpn.locate.belief import SIGMAS, TAG_RADIUS, TILT, Belief, Disagreement, on_what, tag_allowance
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
@@ -104,7 +104,8 @@ def reason(view: FlightView, frame: int) -> str:
     error = located.error("registration")
     if error is not None and all(one.other != "tag" for one in against):
         place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
-        sentences.append(f"{place} lies {error:.1f} m from {_truth(located)}.")
+        limit = "" if located.by_hand else f", where {upper_bound(tag_allowance(located))} m are allowed"
+        sentences.append(f"{place} lies {error:.1f} m from {_truth(located)}{limit}.")
     if answer.turn is not None and is_turned_over(answer.turn):
         sentences.append(
             f"The picture is turned by {abs(answer.turn):.0f} degrees here: its file tells another heading, by which the first "

@@ -44,7 +44,7 @@ class AnswerLines:
         trust_name, trust: how far one may trust the answer.
         overall: how often answers are right here, or what becomes of an own picture.
         season: if map and photos are of two seasons.
-        criterion: when an answer counts as right, who judges, and on which side of the edge this one lies.
+        criterion: when an answer counts as right, who judges, on which side of the edge this one lies, and how far a tag may.
     """
 
     question: str
@@ -118,6 +118,7 @@ def answer_lines(
     judged = (
         place_text.criterion(workspace, task),
         answer_text.limit(analysis, workspace),
+        answer_text.tag_limit(analysis, workspace),
         answer_text.doubts(workspace),
     )
 

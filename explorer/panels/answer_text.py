@@ -16,7 +16,7 @@ from lpn.core.numbers import distance, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what
+from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what, tag_allowance, tag_figures
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
@@ -161,7 +161,10 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
         if error_m is not None and window is not None:  # a large piece shows places far from its middle
             shown = "that place" if judged else "the place by its details" if details else place
-            off = f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle"
+            off = (
+                f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle, where "
+                f"{window.size / 2:.0f} m each way are allowed"
+            )
         return (
             True,
             "Right",
@@ -184,6 +187,16 @@ def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     by = "its GPS tag" if workspace.flight is None else workspace.flight.judge_of(analysis.state.query)
     lies = "on it" if first.true else "beyond its edge"
     return f"The chosen piece is {window.size:.0f} m wide; by {by}, the photo's middle lies {lies}."
+
+
+def tag_limit(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say how far the GPS tag of a placed photo may lie from its place by its details, and why; "" without one of them."""
+    located, answer = workspace.located(analysis), workspace.details(analysis)
+    if located is None or located.tag is None or answer is None or not answer.accepted:
+        return ""
+    allowed = upper_bound(tag_allowance(located), 0)
+    tilt = "" if answer.camera else ", and as far as a tilted camera may look aside"
+    return f"A GPS tag may lie {allowed} m from the place by its details: three times the error of both{tilt}."
 
 
 def flight_verdict(
@@ -311,16 +324,18 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     fits = f"By its details, {'the middle of ' if only_middle else ''}your picture fits the map"
     if not words.plain():
         fits += f" to ± {answer.radius or 0:.1f} m {on_what(answer)}"
-    if (error := own.located.error("registration")) is not None:
-        error = _far_tag(analysis) or error  # far off, the plane of the map is no measure
-        fits += f"; its GPS tag lies {distance(error)} from that place{_usual(workspace)}"
+    if own.located.tag is not None:
+        metres, allowed = tag_figures(own.located, contradictions)
+        if (from_nearest := _far_tag(analysis)) is not None:  # far off, the plane of the map is no measure
+            metres = distance(from_nearest)
+        fits += f"; its GPS tag lies {metres} from that place{_usual(workspace)}, where {allowed} are allowed"
     else:
         fits += "; it has no GPS tag that would say so, too"
     against, headline = "", checked("On this map", own.located, concluded.sign)
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     doubts = [unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")]
     if against_tag:
-        against = ", more than the errors of both allow, so one of the two is off"
+        against = ", so one of the two is off"
         headline = "On this map by its details, elsewhere by its GPS tag"
     elif not concluded.sign:
         headline = "Its middle fits this map, places away from it do not"

@@ -19,6 +19,7 @@ from explorer.browse.own_pictures import OwnPictures
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
+from explorer.panels.details_pair import details_pair
 from explorer.panels.navigation import Navigation
 from explorer.panels.radius_text import check
 from explorer.session_state import SessionState, StateChange
@@ -34,7 +35,7 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
-from lpn.core.numbers import distance, heading_figure
+from lpn.core.numbers import heading_figure
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme, verdicts, words
@@ -42,7 +43,7 @@ from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.flights.photo_file import PhotoFile
-from lpn.locate.belief import belief, disagreements
+from lpn.locate.belief import belief, disagreements, tag_figures
 from lpn.locate.coverage import outline
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.retrieval import heading_is_certain
@@ -240,7 +241,8 @@ def page(
     headline = found.concluded[1] if found.concluded else found.look[1]
     if third is None and laid is None and (found.look_errs or wrong) and positive is not None and not positive.beyond:
         third = positive.index
-    because, turn = _because(analysis, workspace, lead, cells_of_parts), _turn(analysis, workspace)
+    turn, matched = _turn(analysis, workspace), details_pair(analysis, workspace) if state.why else None
+    because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -263,6 +265,7 @@ def page(
         third=_third_tile(analysis, workspace, third, disputed, found.look[0] is None)
         if third is not None and analysis.chosen.rank == 1
         else None,
+        matched=matched,
         lead=lead,
         because=because,
         failures=_failures(workspace, state),
@@ -456,7 +459,11 @@ def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array
 
 
 def _because(
-    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
+    analysis: StateAnalysis,
+    workspace: Workspace,
+    lead: answer_text.Lead | None,
+    cells: Float64Array | None,
+    matched: bool = False,
 ) -> list[tuple[str, list[str]]]:
     """Say from measured facts alone where what speaks for the answer lies, and where what speaks against it does.
 
@@ -465,6 +472,7 @@ def _because(
 
     Args:
         cells: each cell's share of the lead, part by part.
+        matched: the details are shown, and their number is said beside them.
     """
     query, tile, task = analysis.query.trace, analysis.tile.trace, analysis.task
     if lead is None or cells is None or query is None or tile is None:
@@ -513,9 +521,9 @@ def _because(
     if details is None:
         return [("", sentences)]
     photo = "your picture" if analysis.state.upload else "the photo"
-    known = f"{_details(details, photo) or 'They fit this map'}: they place it."
+    known = [] if matched else [f"{_details(details, photo) or 'They fit this map'}: they place it."]
     if not details.accepted:
-        known = "They fit nowhere on this map well enough to place it."
+        known = ["They fit nowhere on this map well enough to place it, so none is shown.", details.sentence]
     doubts, which = [], ", which errs" if errs else ""
     if located is not None:
         contradictions = disagreements([located])
@@ -523,7 +531,7 @@ def _because(
         doubts = [one.told(concluded) for one in contradictions if one.one == "registration"]
         if errs and details.accepted and not concluded.sign:
             which += " if its details are right"
-    return [("By its details", [known, *doubts]), (f"By its look{which}", sentences)]
+    return [("By its details", [*known, *doubts]), (f"By its look{which}", sentences)]
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:
@@ -640,10 +648,8 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         place, tag = pixels(np.array([at, located.tag]))
         cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
-        sentence = f"Its GPS tag, the white circle, lies {distance(located.error('registration') or 0.0)} from there"
-        if any(one.other == "tag" for one in contradictions):
-            sentence += ", more than the errors of both allow"
-        sentence += "."
+        metres, allowed = tag_figures(located, contradictions)
+        sentence = f"Its GPS tag, the white circle, lies {metres} from there, where {allowed} are allowed."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(
         filter(None, [sentence, unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")])

@@ -37,6 +37,7 @@ _SCRIPT = ";".join(
         "notes.js",
         "own.js",
         "pointer.js",
+        "pins.js",
         "first_screen.js",
         "tips.js",
         "picture_loader.js",

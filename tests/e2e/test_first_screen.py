@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page, expect
 
-from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
 from lpn.core.images import load_picture, shrink
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, expect_accessible, started
 from tools.fixtures import small_worlds
 
 # Check that a phone's sheet has not scrolled since the last look.
@@ -41,6 +44,17 @@ LAID = """() => ["canvas[data-engine]", "#lpn-hud"].map(one => {
   const box = document.querySelector(one).getBoundingClientRect();
   return [box.left, box.top, box.width, box.height].map(Math.round);
 })"""
+
+
+# The places of numbered details, as shares of their picture's width and height.
+PLACES = """(pins) => {
+  const box = pins.getBoundingClientRect(), places = {};
+  for (const pin of pins.querySelectorAll(".pin")) {
+    const { left, top, width, height } = pin.getBoundingClientRect();
+    places[pin.dataset.pin] = [(left + width / 2 - box.left) / box.width, (top + height / 2 - box.top) / box.height];
+  }
+  return places;
+}"""
 
 
 @pytest.fixture
@@ -418,6 +432,61 @@ def test_a_shared_link_opens_what_it_names_in_any_browser(app: RunningApp, fresh
     explorer.expect_status("name", "0011")
     expect(fresh.locator("#lpn-lab-table tr[data-row]").first).to_be_visible()
     expect(fresh.locator("#lpn-first")).to_have_count(0)
+
+
+@pytest.mark.slow
+def test_why_shows_the_same_details_in_the_photo_and_on_the_map(demo_app: RunningApp, fresh: Page) -> None:
+    first = fresh.locator("#lpn-first")
+    fresh.goto(demo_app.url)
+    expect(first.locator(".sentence")).to_contain_text("By its details: placed.")
+    first.locator("[data-act=why]").click()
+    photo, ground = first.locator(".pins").first, first.locator(".pins").last
+    expect(ground.locator(".pin")).to_have_count(24)
+    name = first.locator(".matched figcaption").first.locator(".dim").text_content()
+    answers = json.loads((DEMO_PLACE[0].with_name(DEMO_ANSWERS) / "located.json").read_text())
+    pose = np.array(answers["registration"][name]["homography"]).reshape(3, 3)
+    height, width, _ = load_picture(DEMO_PLACE[1] / str(name)).shape
+    in_photo, on_map = (pins.evaluate(PLACES) for pins in (photo, ground))
+    assert list(in_photo) == list(on_map) == [str(number) for number in range(1, 25)]
+    # The frame is where the pose lays the photo's corners, so it tells the ground of each point of the map.
+    corners = ground.locator("polygon").last.evaluate("(one) => [...one.points].map(({x, y}) => [x / 100, y / 100])")
+    to_ground = four_point_homography(corners, apply_homography(pose, corner_pixels(width, height)))
+    off = [
+        float(
+            np.hypot(
+                *(apply_homography(pose, np.multiply(at, (width, height)) - 0.5) - apply_homography(to_ground, there))
+            )
+        )
+        for at, there in zip(in_photo.values(), on_map.values(), strict=True)
+    ]
+    limit = re.search(r"and all within ([\d.]+)\sm", str(first.locator(".agree").text_content()))
+    assert limit is not None
+    assert max(off) < float(limit[1])
+    told = first.locator(".pinned td:last-child").evaluate_all("(all) => all.map((one) => parseFloat(one.textContent))")
+    assert told == pytest.approx(off, abs=0.03)
+
+    which, lit = first.locator(".which"), first.locator(".pin.lit")
+    photo.locator("[data-pin='11']").hover()
+    expect(which).to_contain_text(re.compile(r"Detail 11: [\d.]+\sm off its place, of 0.9\sm allowed"))
+    assert lit.evaluate_all("(all) => all.map((one) => one.dataset.pin)") == ["11", "11"]
+    ground.locator("[data-pin='7']").hover()
+    assert lit.evaluate_all("(all) => all.map((one) => one.dataset.pin)") == ["7", "7"]
+    first.locator("h1").hover()
+    expect(lit).to_have_count(0)
+    photo.focus()
+    fresh.keyboard.press("ArrowRight")
+    fresh.keyboard.press("ArrowRight")
+    expect(which).to_contain_text("Detail 2:")
+    over = ground.locator(".over")
+    assert over.evaluate("(one) => getComputedStyle(one).opacity") == "0"
+    first.get_by_label("Photo over map").focus()
+    fresh.keyboard.press("End")
+    assert over.evaluate("(one) => getComputedStyle(one).opacity") == "1"
+    expect(first.locator(".reason .pair img")).to_have_count(3)
+    first.get_by_text("The numbered details").click()
+    first.locator(".pinned tr").nth(5).hover()
+    assert lit.evaluate_all("(all) => all.map((one) => one.dataset.pin)") == ["5", "5"]
+    expect_accessible(fresh)
 
 
 @pytest.mark.slow

@@ -351,7 +351,8 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             )
             == errs
         )
-        assert "details of your picture lie where the map has them: they place it." in reasons
+        assert re.search(r"\d+ matches agree with the registration: the median", reasons)
+        assert reasons.count('<i class="pin') == 2 * reasons.count("<tr data-pin=") > 0
         assert ("<h2>By its look, which errs</h2>" in reasons) == errs
         assert ("<h2>By its look</h2>" in reasons) != errs
         assert re.search(r"speak for the most similar piece,\s+<span", reasons), "the answer has one name"
@@ -413,7 +414,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
             2e6,
             None,
             "On this map by its details, elsewhere by its GPS tag",
-            "km from that place, more than the errors of both",
+            "km from that place, where 25.1 m are allowed, so one of the two is off",
             "Compare the GPS tags of other photos of its flight: tags can be late or off.",
         ),
         (

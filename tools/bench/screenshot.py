@@ -66,6 +66,12 @@ class Shot:
 _BOTH = "#lpn-model-comparison .models > :nth-child(2) img"
 SHOTS = (
     Shot("first-screen.webp", "", address="?screen=first&words=plain"),
+    Shot(
+        "why.webp",
+        "",
+        address="?show=place&query=IMG_9408.webp&screen=first&words=plain&why=1",
+        wait="#lpn-first .pins",
+    ),
     Shot("success.webp", DEMO_QUERY, "m"),
     Shot("twin-n1.webp", "0447/07", baseline=True),
     Shot("twin-n4.webp", "0447/07"),

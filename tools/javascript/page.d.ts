@@ -122,6 +122,7 @@ interface Lpn {
   backClosesGlossary(): boolean;
   enlargeable(picture: HTMLImageElement): void;
   backClosesPicture(): boolean;
+  pins(page: HTMLElement, query: string | undefined): void;
   straighten(): void;
   list(id: string, data: any, tries?: number): void;
   note(element: HTMLElement): void;

@@ -58,7 +58,7 @@
     const explained = page.querySelector(".reason"), query = page.querySelector("[data-query]")?.dataset.query;
     const scrolled = page.scrollTop, restoreFocus = keptFocus(page), restoreDetails = keptDetails(page), offer = page.querySelector(".offer");
     page.innerHTML = lpn.named(html);
-    for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img"))) lpn.enlargeable(picture);
+    for (const picture of /** @type {NodeListOf<HTMLImageElement>} */ (page.querySelectorAll("figure img:not(.pins img)"))) lpn.enlargeable(picture);
     page.onclick = (event) => {
       // A part that unfolds below the window's edge comes into sight.
       const unfolded = /** @type {HTMLDetailsElement | null} */ (event.target.closest("summary")?.parentElement);
@@ -71,6 +71,7 @@
     };
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
     const another = query && pair && pair.dataset.query !== query;
+    lpn.pins(page, pair?.dataset.query);
     restoreDetails(!another);
     if (offer && !another) page.querySelector(".acts:has([data-act=upload])")?.after(offer); // an answer to all pictures may come meanwhile
     if (reason && !explained && query) page.querySelector("[data-act=why]")?.focus({ preventScroll: true });
@@ -83,7 +84,8 @@
     }
     if (reason && query && (another || !explained)) {
       const button = page.querySelector("[data-act=why]").getBoundingClientRect(), pictures = pair.getBoundingClientRect().top;
-      const top = button.bottom - pictures < 0.75 * page.clientHeight ? pictures : button.top - 8;
+      const seen = pair.matches(".matched") || button.bottom - pictures < 0.75 * page.clientHeight;
+      const top = seen ? pictures - 8 : button.top - 8;
       const beyond = reason.getBoundingClientRect().bottom - page.clientHeight;
       const heading = page.querySelector("h1").getBoundingClientRect().top - 8; // no half of the header stays
       if (beyond > 0) page.scrollTop += Math.min(Math.max(beyond, heading), top);

@@ -428,7 +428,9 @@ def test_neighbours_that_alone_disagree_are_not_said_to_leave_the_place_open(fli
     stages["sequence"] = msgspec.structs.replace(stages["sequence"], x=80.0, y=1.0)
     view = view_of(replace(flight, frames=[replace(flight.frames[0], stages=stages), *flight.frames[1:]]))
     assert view.beliefs[0].sign
-    assert flight_text.reason(view, 0).endswith("its GPS tag. Its neighbours would place it 100.0 m from here.")
+    assert flight_text.reason(view, 0).endswith(
+        "lies 1.0 m from its GPS tag, where 15.3 m are allowed. Its neighbours would place it 100.0 m from here."
+    )
     listed = page.lists(view)["audit"]
     assert "Its neighbours would place it 100.0 m from here." in listed
     assert "Its neighbours would place it 100.0 m from its GPS tag." in listed

@@ -45,6 +45,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
 from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
+from lpn.core.errors import PictureError
 from lpn.datasets import rendered
 from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import Change
@@ -646,6 +647,42 @@ def test_what_only_the_city_has_opens_the_city(monkeypatch: pytest.MonkeyPatch) 
     assert Explore(data=DEMO, model=DEMO / "lpn.onnx").workspaces().others == {}
 
 
+def assert_details_come_first(workspace: Workspace, state: SessionState, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reason begins with the details in photo and map, and ends with the rings; without an accepted place it shows none."""
+    html = first_screen.page(analyse(workspace, state), workspace)
+    in_photo, on_map = html.partition("The map about it")[::2]
+    for half in (in_photo, on_map.partition("<table")[0]):
+        assert re.findall(r'<i class="pin[^"]*" data-pin="(\d+)"', half) == [str(number) for number in range(1, 25)]
+    order = [html.index(words) for words in ("268 details of the photo", "By its look</h2>", "The query, ")]
+    assert order == sorted(order), "the rings come last"
+    told = text(html)
+    assert (
+        "268 details of the photo lie on the map where they should: half of them within 0.43 m, and all within 0.9 m, beyond "
+        "which none counts. 24 of them have a number." in told
+    )
+    offs = [float(metres) for metres in re.findall(r"<td>([\d.]+) m</td>", html)]
+    assert len(offs) == 24
+    assert 0 < min(offs) < max(offs) <= 0.9
+    with monkeypatch.context() as patch:
+        patch.setattr(first_screen, "_because", lambda *_: [])
+        unexplained = first_screen.page(analyse(workspace, state), workspace)
+    assert "The query, " in unexplained, "without places of the lead, the pictures that were compared are shown"
+    assert unexplained.count("<tr data-pin=") == 24
+    with monkeypatch.context() as patch:
+        patch.setattr(images, "load_picture", Mock(side_effect=PictureError("gone")))
+        gone = first_screen.page(analyse(workspace, state), workspace)
+    assert "data-pin" not in gone
+    assert "268 details of the photo lie where the map has them: they place it." in text(gone)
+    assert workspace.flight is not None
+    stages = workspace.flight.frames[state.query].stages
+    before = stages["registration"]
+    stages["registration"] = msgspec.structs.replace(before, state="refused", sentence="Too few agree.")
+    refused = first_screen.page(analyse(workspace, state), workspace)
+    stages["registration"] = before
+    assert "data-pin" not in refused
+    assert "well enough to place it, so none is shown. Too few agree." in text(refused)
+
+
 def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("rasterio")
     monkeypatch.setenv("LPN_CACHE", str(tmp_path))
@@ -671,7 +708,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
         "86; the check of this flight does not confirm it. 268 details of the photo lie where the map has them. Its GPS tag, the "
-        "white circle, lies 10 m from there. "
+        "white circle, lies 10 m from there, where 32 m are allowed. "
         "The photo's middle lies at 30.171" in said
     )
     assert page.count("data:image/jpeg") == 3
@@ -686,6 +723,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert re.search(r"Check: \d+, \d+, and \d+ % of the flight's photos lie within one, two, and three radii", tips)
     assert "So the check does not confirm the radius" in tips
     assert "On the map, by" not in text(first_screen.page(analyse(workspace, replace(state, why=True)), workspace))
+    with speaking(workspace.vocabulary(True)):
+        assert_details_come_first(workspace, replace(state, why=True), monkeypatch)
     assert "compared 224 pieces of the map" in said
     assert "drone → map" in text(pages.header(workspace, workspace.tasks[TASK])), "no satellite took its picture"
     # Its tags are late, so the registrations that ship with it say what is right.
@@ -723,7 +762,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "Nobody measured where they really are.",
         "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie within the estimated 18.2 m of their "
         "GPS tags, where nearly all should. The tags may be off, too.",
-        "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle.",
+        "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle, "
+        "where 18 m each way are allowed.",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
         "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
         *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
@@ -771,7 +811,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert misfit.startswith("Away from its middle, the photo lies 6.")
     assert misfit in unfit
     reasons = text(first_screen.page(analyse(workspace, replace(state, query=bent, why=True)), workspace))
-    assert f"they place it. {misfit}" in reasons
+    assert reasons.index("By its details The numbered details") < reasons.index(misfit) < reasons.rindex("By its look")
     in_doubt = analyse(workspace, replace(state, query=bent))
     html, panel = first_screen.page(in_doubt, workspace), pages.verdict(in_doubt, workspace)
     assert 'color:var(--lpn-contradicted)">?' in html
@@ -852,7 +892,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         patch.setattr(judge, "confirmed", lambda _: True)
         of_first = text(first_screen.page(analyse(workspace, state), workspace))
         assert (
-            "the right one: it is 37 m wide, and the place by its details lies on it, 3 m from its middle." in of_first
+            "the right one: it is 37 m wide, and the place by its details lies on it, 3 m from its middle, where 18 m each way "
+            "are allowed." in of_first
         )
     with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
         name = flight.frames[workspace.first_query].frame.name

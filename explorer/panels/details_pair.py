@@ -1,0 +1,136 @@
+"""A photo and the map about it with the same details numbered in both, for the reason of an answer by details."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass
+
+import numpy as np
+
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.core import images
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.errors import DataError, PictureError
+from lpn.core.numbers import upper_bound, wrap_degrees
+from lpn.drawing import overlays, theme, words
+from lpn.locate.belief import belief
+from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.matched_details import MatchedDetails
+from lpn.locate.matched_pictures import matched_pictures
+
+# The longer side of the pictures in pixels, and the quality of their JPEG.
+_SIDE, _QUALITY = 800, 82
+# A scale's metres begin with one of these digits, and it takes at most this share of the map's width.
+_DIGITS, _SCALE = (1, 2, 5), 0.3
+
+
+@dataclass(frozen=True)
+class Pin:
+    """A detail that photo and map show, by its number in both.
+
+    Attributes:
+        in_photo, on_map: per cent of the width and height of the pictures.
+        metres: from where the photo's place has it to where the map has it, two digits.
+    """
+
+    number: int
+    in_photo: tuple[float, float]
+    on_map: tuple[float, float]
+    metres: str
+
+
+@dataclass(frozen=True)
+class DetailsPair:
+    """A photo beside the map about it.
+
+    Attributes:
+        sentence: how many details agree, and how well.
+        photo, ground, laid: the pictures of `matched_pictures` as data URIs.
+        size: their width and height in pixels.
+        frame: the photo's corners on the map, per cent of its width and height.
+        colour: of the frame, in CSS.
+        pins: the numbered details.
+        limit: metres within which a detail counts, as a number.
+        heading: what points up on the map, degrees clockwise from north, -180 up to 180.
+        scale: metres of the scale, and per cent of the map's width that it takes.
+    """
+
+    sentence: str
+    photo: str
+    ground: str
+    laid: str
+    size: tuple[int, int]
+    frame: list[tuple[float, float]]
+    colour: str
+    pins: list[Pin]
+    limit: str
+    heading: float
+    scale: tuple[float, float]
+
+
+def details_pair(analysis: StateAnalysis, workspace: Workspace) -> DetailsPair | None:
+    """Return the photo that is shown beside the map about it; None without an accepted registration, or if it cannot be read."""
+    located, basemap = workspace.located(analysis), workspace.basemap
+    answer = None if located is None else located.stages.get("registration")
+    if located is None or basemap is None or answer is None or answer.details is None:
+        return None
+    size = located.frame.width, located.frame.height
+    with suppress(DataError, PictureError):  # a file that has gone, or is damaged: the numbers are told without it
+        shown = matched_pictures(basemap, answer, _photo(analysis, located), size, _SIDE)
+        if shown is None:
+            return None
+        height, width = shown.photo.shape[:2]
+        places = zip(_per_cent(shown.in_photo), _per_cent(shown.on_map), answer.details.metres.tolist(), strict=True)
+        photo, ground, laid = (
+            overlays.data_uri(picture, _QUALITY) for picture in (shown.photo, shown.ground, shown.laid)
+        )
+        return DetailsPair(
+            sentence(answer, answer.details, "your picture" if analysis.state.upload else "the photo"),
+            photo,
+            ground,
+            laid,
+            (width, height),
+            _per_cent(shown.frame),
+            theme.css(theme.placed_colour(belief(located).sign)),
+            [Pin(i, here, there, f"{metres:.2f}") for i, (here, there, metres) in enumerate(places, 1)],
+            _bound(answer.details.limit),
+            wrap_degrees(shown.heading),
+            _scale(shown.width),
+        )
+    return None
+
+
+def sentence(answer: StageRecord, details: MatchedDetails, photo: str) -> str:
+    """Say how many details of a photo, which is called `photo`, agree with the map, and how well."""
+    median, limit = _bound(details.median), _bound(details.limit)
+    numbered = f" {len(details.rows)} of them have a number." if len(details.rows) < (answer.inliers or 0) else ""
+    if words.plain():
+        return (
+            f"{answer.inliers} details of {photo} lie on the map where they should: half of them within {median} m, and all "
+            f"within {limit} m, beyond which none counts.{numbered}"
+        )
+    return (
+        f"{answer.inliers} matches agree with the registration: the median of their residuals is {median} m, and a residual "
+        f"of {limit} m is the limit.{numbered}"
+    )
+
+
+def _photo(analysis: StateAnalysis, located: LocatedFrame) -> UInt8Array:
+    upload = analysis.state.upload
+    picture = images.load_picture(located.frame.file) if upload is None else upload.picture
+    return located.frame.undistorted(picture)
+
+
+def _bound(metres: float) -> str:
+    return upper_bound(metres, 1 if metres >= 0.5 else 2)
+
+
+def _per_cent(shares: Float64Array) -> list[tuple[float, float]]:
+    return [(across, down) for across, down in (100 * shares).round(2).tolist()]
+
+
+def _scale(width: float) -> tuple[float, float]:
+    """Return the metres of a scale for a map of a width in metres, and the per cent of the width that it takes."""
+    power = 10.0 ** np.floor(np.log10(_SCALE * width))
+    metres = max(digit * power for digit in _DIGITS if digit * power <= _SCALE * width)
+    return float(metres), round(100 * float(metres) / width, 2)
