@@ -186,6 +186,7 @@ interface Lpn {
   backEndsStory(): boolean;
   backQuietly(): void;
   keepTheme(name: string): void;
+  themed(name: string): void;
   keepWords(name: string): void;
   tellWords(): void;
   linked: boolean;
@@ -199,7 +200,7 @@ interface Lpn {
 interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }
 interface Window {
   lpn: Lpn;
-  lpnWay: { look(): Promise<Fault | null> };
+  lpnWay: { look(): Promise<Fault | null>; theme(search: string): "light" | "dark" };
   // Of viser.
   __viserMutable: any;
   __viserSceneTree: any;
