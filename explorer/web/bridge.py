@@ -60,6 +60,14 @@ _SCRIPT = ";".join(
 )
 
 
+def clear_stage(gui: viser.GuiApi) -> None:
+    """Have a page whose stage is being emptied keep nothing over it but the outlines of its pictures.
+
+    It needs no session, and runs while the next one is built, which may take seconds on a busy machine.
+    """
+    gui.add_html(run_once(call("clearStage")))
+
+
 class PageBridge:
     """Installs the script in one page, and hands the page's messages to their receivers.
 

@@ -25,7 +25,7 @@ from explorer.stage.viewport import EDGE
 from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
-from tests.e2e.conftest import PATIENCE, ExplorerPage
+from tests.e2e.conftest import PATIENCE, ExplorerPage, box
 from tools.fixtures.processes import free_port
 from tools.fixtures.websocket_client import WebSocketClient
 
@@ -207,6 +207,34 @@ def test_a_change_of_place_on_the_first_screen_shows_no_other_theme(
     page.locator("#lpn-first .choice", has_text="whole pictures").click()
     expect(page).to_have_url(re.compile("show=whole"))  # the session of that place has answered
     expect_only(page, "light")
+
+
+@pytest.mark.slow
+def test_the_stage_of_another_place_is_awaited_by_the_outlines_of_its_pictures_in_the_same_theme(
+    offer: Offer, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build, may_build = ClientSession.__init__, threading.Event()
+
+    def late(session: ClientSession, client: Any, services: WorkspaceServices, *rest: Any) -> None:
+        assert services.workspace.key != "whole" or may_build.wait(PATIENCE)
+        build(session, client, services, *rest)
+
+    monkeypatch.setattr(ClientSession, "__init__", late)
+    offer.may_open.set()
+    explorer = ExplorerPage(contexts(color_scheme="light").new_page())
+    explorer.open(offer.url)
+    over, coming = explorer.page.locator("#lpn-hud > *"), explorer.page.locator("#lpn-hud .coming")
+    query = box(explorer.page.locator("#lpn-stage-query"))
+    explorer.page.evaluate(NOTE_THEMES)
+    chip(explorer, "whole pictures").click()
+    expect(coming).to_have_count(3)  # the pair and the strip of tiles
+    expect(over).to_have_count(3)
+    assert box(coming.first)["height"] == pytest.approx(query["height"], abs=2)
+    may_build.set()
+    expect_workspace(explorer, "whole pictures", 1)
+    expect(explorer.page.locator("#lpn-turn")).to_be_visible()
+    expect(coming).to_have_count(0)
+    expect_only(explorer.page, "light")
 
 
 @pytest.mark.slow

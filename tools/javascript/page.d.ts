@@ -144,6 +144,7 @@ interface Lpn {
   hideTip(): void;
   stageMap(ground: Ground | null): void;
   stopFlying(): void;
+  clearStage(): void;
   stagePhoto: { (photo: { source: string; aspect: number; flips: number } | null): void; on(): boolean };
 
   // Maps and their drawing.
