@@ -17,6 +17,7 @@ from explorer.parameters import DATA
 from explorer.server.auth import Authenticator, make_authenticator
 from explorer.server.page_server import CLOSE_TIMEOUT, check_free, close_server, no_cell_output, open_server
 from explorer.server.picture_route import EncodedPicture, PictureRoute
+from explorer.web.bridge import clear_stage
 from explorer.workspace import LazyWorkspace, StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.resources import is_loopback, limit_malloc_arenas, return_memory
@@ -197,13 +198,11 @@ class App:
         session.end()
         try:
             ready = session.preview(self._services[key], search)
-            client.gui.reset()
-            client.scene.reset()
+            _clear(client)
             self._begin(client, self._services[key], search, session, ready, own)
         except Exception:
             log.exception("A page could not change its workspace")
-            client.gui.reset()
-            client.scene.reset()
+            _clear(client)
             again = self._begin(client, self._first, "", session, own=own)
             again.stay(self._choices[key], "The server's log has the details.")
 
@@ -216,6 +215,13 @@ class App:
             # Collect the session's reference cycles, pictures included, now; it would take Python minutes.
             gc.collect()
             return_memory()
+
+
+def _clear(client: viser.ClientHandle) -> None:
+    """Remove all that a session shows in its page, which keeps its theme, and the places of the stage's pictures."""
+    client.gui.reset()
+    clear_stage(client.gui)
+    client.scene.reset()
 
 
 def serve(

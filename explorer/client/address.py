@@ -66,6 +66,8 @@ class PageAddress:
             if (stage := greeting.viewport) is not None and all(1 <= side <= MAX_SIDE for side in stage):
                 self._views.viewport.resize(*map(int, stage))
             self._views.fit(greeting.small)
+            if self._before is None:  # else the page has its theme, and keeps it
+                self._views.set_theme(replace(self._state(), dark=not greeting.light))
             search = greeting.search if self._search is None else self._search
             if (other := self._url_state.other_workspace(search)) is not None:
                 self.leads_elsewhere, self.waiting = True, False
@@ -76,7 +78,7 @@ class PageAddress:
         if self._url_state.names_a_state(search):
             start = self._plain
         if before is None:
-            start = in_words(replace(start, dark=not greeting.light), greeting.plain, greeting.start_plain)
+            start = in_words(start, greeting.plain, greeting.start_plain)
         # A page that comes back from another workspace holds its own pictures still.
         try:
             state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
@@ -87,8 +89,7 @@ class PageAddress:
         if before is not None:
             state = as_before(state, before)
         else:
-            if greeting.theme in ("dark", "light"):  # the choice of the person, before that of a link
-                state = replace(state, dark=greeting.theme == "dark")
+            state = replace(state, dark=not greeting.light)
             # The words that a link asks for are those of what it opens.
             state = in_words(state, state.plain, state.start_plain if state.first_screen else greeting.start_plain)
         with self._lock:

@@ -27,8 +27,7 @@ class Greeting(msgspec.Struct, frozen=True):
         small: its window has room for one panel only.
         plain: it reads plain words.
         start_plain: its first screen does; otherwise the person chose expert words.
-        light: its browser asks for the light theme.
-        theme: the theme that was chosen in its browser before; None without one.
+        light: its theme is the light one: the choice in its browser, else that of its address, else the system's.
         viewport: width and height of its stage, any numbers; None while it has none.
     """
 
@@ -37,7 +36,6 @@ class Greeting(msgspec.Struct, frozen=True):
     plain: bool = False
     start_plain: bool = True
     light: bool = False
-    theme: str | None = None
     viewport: tuple[float, float] | None = None
 
 

@@ -75,7 +75,8 @@ class ClientViews:
         self._client, self._change = client, change
         self._workspace = workspace = services.workspace
         self.sequence, self._small = 0, True
-        self.set_theme(state())
+        # The page keeps the theme that it has until it has sent its own, or an answer is drawn.
+        self._dark: bool | None = None
         self.panels = Panels(client, workspace, services.feeds, services.weight_figures, state(), change)
         self.viewport = viewport = Viewport()
         model = requests.queued(workspace.model, background=True)
@@ -207,8 +208,7 @@ class ClientViews:
 
     def follow(self, before: SessionState, state: SessionState) -> None:
         """Open and close what a state opens and closes at once, before its analysis."""
-        if state.dark != before.dark:
-            self.set_theme(state)
+        self.set_theme(state)
         if state.shows_reasons and not before.shows_reasons:
             self.explain_window.announce()
             self.bridge.call("revealReasons")
@@ -232,6 +232,8 @@ class ClientViews:
 
     def _show(self, analysis: StateAnalysis, drawn: Callable[[], None]) -> None:
         self.sequence += 1
+        if self._dark is None:  # the page sent no greeting; later, an older answer must not bring its theme back
+            self.set_theme(analysis.state)
         covered = analysis.state.first_screen
         if covered:
             self.first_screen.show(analysis, self.stories.names)
@@ -301,12 +303,16 @@ class ClientViews:
 
     def set_theme(self, state: SessionState) -> None:
         """Show the state's theme."""
+        if state.dark == self._dark:
+            return
+        self._dark = state.dark
         self._client.gui.configure_theme(
             dark_mode=state.dark,
             show_logo=False,
             show_share_button=False,
             brand_color=state.palette.ink(theme.COLOURS["accent"]),
         )
+        self.bridge.tell_theme(state.dark)
 
 
 def _in_words(error: Exception) -> str:

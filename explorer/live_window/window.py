@@ -44,7 +44,6 @@ class LiveWindow:
         self._sequence = 0
         self.viewport = Viewport()
         self._client = client
-        self._set_theme(dark=True)
         self._panel = client.gui.add_panel(visible=True)
         with self._panel.add_tab("Live", viser.Icon.DRONE):
             self._shell = Html(client.gui)
@@ -69,17 +68,15 @@ class LiveWindow:
         match message:
             case GreetLive(greeting):
                 self._bridge.set_address("", [])
-                chosen = greeting.get("theme")
-                self._set_theme(dark=chosen == "dark" if chosen in ("dark", "light") else not greeting.get("light"))
+                dark = not greeting.get("light")
+                self._client.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+                self._bridge.tell_theme(dark)
                 sides = greeting.get("viewport")
                 if isinstance(sides, list) and len(sides) == 2 and all(isinstance(side, int | float) for side in sides):
                     self.viewport.resize(*(min(max(int(side), 1), 10_000) for side in sides))
                 self._worker.wake()
             case ResizeLive(width, height):
                 self.viewport.resize(width, height)
-
-    def _set_theme(self, dark: bool) -> None:
-        self._client.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
 
     def _receive_flight(self, message: FlightMessage) -> None:
         if isinstance(message, flight_messages.ChooseFrame):

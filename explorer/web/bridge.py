@@ -61,6 +61,14 @@ _SCRIPT = ";".join(
 )
 
 
+def clear_stage(gui: viser.GuiApi) -> None:
+    """Have a page whose stage is being emptied keep nothing over it but the outlines of its pictures.
+
+    It needs no session, and runs while the next one is built, which may take seconds on a busy machine.
+    """
+    gui.add_html(run_once(call("clearStage")))
+
+
 class PageBridge:
     """Installs the script in one page, and hands the page's messages to their receivers.
 
@@ -88,11 +96,17 @@ class PageBridge:
         initial = json.dumps({**properties, "bridge": uuid})
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._ground, self._call, self._tab, self._stage, self._photo = (Html(gui) for _ in range(6))
+        self._address, self._ground, self._call, self._tab, self._stage, self._photo, self._theme = (
+            Html(gui) for _ in range(7)
+        )
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
         """Replace the values of `keys` in the page's address by a query string without "?"."""
         self._address.show(run(call("address", query, keys)))
+
+    def tell_theme(self, dark: bool) -> None:
+        """Tell the page which theme it has been given, which uncovers a page that opens."""
+        self._theme.show(run(call("themed", "dark" if dark else "light")))
 
     def set_ground(self, ground: Mapping[str, object] | None) -> None:
         """Tell the page where the ground of the stage's map lies, see `GalleryMap.ground`; None without a map."""

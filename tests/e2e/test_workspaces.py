@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from playwright.sync_api import Locator, Page, expect
+from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 from explorer.app import App
 from explorer.client.services import WorkspaceServices
@@ -25,7 +25,7 @@ from explorer.stage.viewport import EDGE
 from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
-from tests.e2e.conftest import PATIENCE, ExplorerPage
+from tests.e2e.conftest import PATIENCE, ExplorerPage, box
 from tools.fixtures.processes import free_port
 from tools.fixtures.websocket_client import WebSocketClient
 
@@ -60,6 +60,23 @@ def offer(data: Path, model_file: Path, one_part_model_file: Path, monkeypatch: 
     yield Offer(app, may_open)
     may_open.set()
     app.close()
+
+
+# Notes the theme of each frame: that of the cover while it lies over the page, else the page's.
+NOTE_THEMES = """(() => {
+  window.themes = [];
+  const note = () => {
+    const cover = document.getElementById("lpn-loading"), root = document.documentElement;
+    if (cover?.className) themes.push(cover.className);
+    else if (window.lpn) themes.push(root.getAttribute("data-mantine-color-scheme"), getComputedStyle(document.body).colorScheme);
+    requestAnimationFrame(note);
+  };
+  note();
+})()"""
+
+
+def expect_only(page: Page, theme: str) -> None:
+    assert set(page.evaluate("themes")) == {theme}
 
 
 def chip(explorer: ExplorerPage, label: str) -> Locator:
@@ -174,6 +191,72 @@ def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses
     may_build.set()
     expect(page.locator("#lpn-first .reason")).to_be_visible()
     expect(page).to_have_url(re.compile("(?=.*show=whole)(?=.*why=1)"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("phone", [False, True], ids=["wide", "phone"])
+def test_a_change_of_place_on_the_first_screen_shows_no_other_theme(
+    offer: Offer, contexts: Callable[..., BrowserContext], phone: bool
+) -> None:
+    size = {"width": 390, "height": 844} if phone else {"width": 1440, "height": 900}
+    page = contexts(color_scheme="light", viewport=size, has_touch=phone).new_page()
+    offer.may_open.set()
+    page.goto(f"{offer.url}/?screen=first")
+    expect(page.locator("#lpn-first .choice.chosen")).to_have_text("four rings")
+    page.evaluate(NOTE_THEMES)
+    page.locator("#lpn-first .choice", has_text="whole pictures").click()
+    expect(page).to_have_url(re.compile("show=whole"))  # the session of that place has answered
+    expect_only(page, "light")
+
+
+@pytest.mark.slow
+def test_the_stage_of_another_place_is_awaited_by_the_outlines_of_its_pictures_in_the_same_theme(
+    offer: Offer, contexts: Callable[..., BrowserContext], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    build, may_build = ClientSession.__init__, threading.Event()
+
+    def late(session: ClientSession, client: Any, services: WorkspaceServices, *rest: Any) -> None:
+        assert services.workspace.key != "whole" or may_build.wait(PATIENCE)
+        build(session, client, services, *rest)
+
+    monkeypatch.setattr(ClientSession, "__init__", late)
+    offer.may_open.set()
+    explorer = ExplorerPage(contexts(color_scheme="light").new_page())
+    explorer.open(offer.url)
+    over, coming = explorer.page.locator("#lpn-hud > *"), explorer.page.locator("#lpn-hud .coming")
+    query = box(explorer.page.locator("#lpn-stage-query"))
+    explorer.page.evaluate(NOTE_THEMES)
+    chip(explorer, "whole pictures").click()
+    expect(coming).to_have_count(3)  # the pair and the strip of tiles
+    expect(over).to_have_count(3)
+    assert box(coming.first)["height"] == pytest.approx(query["height"], abs=2)
+    may_build.set()
+    expect_workspace(explorer, "whole pictures", 1)
+    expect(explorer.page.locator("#lpn-turn")).to_be_visible()
+    expect(coming).to_have_count(0)
+    expect_only(explorer.page, "light")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("system", "search", "theme"),
+    [
+        ("light", "?screen=first", "light"),
+        ("dark", "?screen=all&theme=light", "light"),
+        ("light", "?screen=first&theme=dark", "dark"),
+        ("light", "?show=whole&screen=first", "light"),
+    ],
+)
+def test_a_page_opens_in_its_theme(
+    offer: Offer, contexts: Callable[..., BrowserContext], system: str, search: str, theme: str
+) -> None:
+    page = contexts(color_scheme=system).new_page()
+    page.add_init_script(NOTE_THEMES)
+    offer.may_open.set()
+    page.goto(f"{offer.url}/{search}")
+    expect(page.locator("#lpn-loading")).to_have_count(0)
+    page.wait_for_function("lpn.screen() && !document.querySelector('#lpn-first .wait')")  # the first answer
+    expect_only(page, theme)
 
 
 def test_a_page_draws_nothing_before_its_address_is_read(offer: Offer, monkeypatch: pytest.MonkeyPatch) -> None:

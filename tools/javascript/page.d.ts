@@ -145,6 +145,7 @@ interface Lpn {
   hideTip(): void;
   stageMap(ground: Ground | null): void;
   stopFlying(): void;
+  clearStage(): void;
   stagePhoto: { (photo: { source: string; aspect: number; flips: number } | null): void; on(): boolean };
 
   // Maps and their drawing.
@@ -187,6 +188,7 @@ interface Lpn {
   backEndsStory(): boolean;
   backQuietly(): void;
   keepTheme(name: string): void;
+  themed(name: string): void;
   keepWords(name: string): void;
   tellWords(): void;
   linked: boolean;
@@ -200,7 +202,7 @@ interface Lpn {
 interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }
 interface Window {
   lpn: Lpn;
-  lpnWay: { look(): Promise<Fault | null> };
+  lpnWay: { look(): Promise<Fault | null>; theme(search: string): "light" | "dark" };
   // Of viser.
   __viserMutable: any;
   __viserSceneTree: any;

@@ -4,9 +4,14 @@
   const cover = document.getElementById("lpn-loading");
   const line = cover.querySelector("span");
 
-  let theme = null;
-  try { theme = localStorage.getItem("lpn-theme"); } catch {} // the browser may deny its storage
-  cover.classList.add(theme || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
+  // The theme that was chosen in this browser, else that of an address, else the system's.
+  const theme = (search) => {
+    let chosen = null;
+    try { chosen = localStorage.getItem("lpn-theme"); } catch {} // the browser may deny its storage
+    const known = [chosen, new URLSearchParams(search).get("theme")].find((one) => one === "light" || one === "dark");
+    return known ?? (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark");
+  };
+  cover.classList.add(theme(location.search));
 
   // A proxy that serves /maps/ may redirect /maps, and a websocket follows no redirect. viser leaves the last slash out of the
   // websocket's address; it is tried with it first. All files of the page are below its folder, so its own address needs the slash.
@@ -136,5 +141,5 @@
   };
   setTimeout(watch, CHECK);
   setTimeout(() => (line.textContent = "LPN Explorer is still opening. If this lasts, check that its server is running, and reload the page."), LONG);
-  window.lpnWay = { look };
+  window.lpnWay = { look, theme };
 })();

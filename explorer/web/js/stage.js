@@ -21,6 +21,21 @@
     link(linked);
   };
 
+  // Another place is coming: its pictures will lie about where those of the last one lay.
+  lpn.clearStage = () => {
+    held = late = null;
+    link(-1);
+    lpn.stageMap(null);
+    lpn.stagePhoto(null);
+    const places = [...hud.querySelectorAll("#lpn-stage-query, #lpn-stage-tile, #lpn-stage-cards")];
+    hud.replaceChildren(...places.map((place) => {
+      const coming = document.createElement("div");
+      coming.className = "place coming";
+      coming.style.cssText = /** @type {HTMLElement} */ (place).style.cssText;
+      return coming;
+    }));
+  };
+
   // ---- a part under the mouse: its borders on both pictures, its bars, its rows, and its share of each tile
   let linked = -1;
   const SVG = "http://www.w3.org/2000/svg";

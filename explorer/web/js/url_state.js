@@ -57,10 +57,16 @@
     history.back();
   };
 
-  // The theme that was chosen in this browser, else the system's.
-  const THEME = "lpn-theme";
-  lpn.keepTheme = (name) => lpn.store("local", THEME, name);
-  const light = () => (lpn.stored("local", THEME) || (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark")) === "light";
+  // templates/connection.js reads it.
+  lpn.keepTheme = (name) => lpn.store("local", "lpn-theme", name);
+
+  // The cover of a page that opens goes when the page has the theme that the server gave it, or when no server has answered.
+  const UNANSWERED = 10000; // ms
+  const cover = () => document.getElementById("lpn-loading");
+  lpn.themed = (name) => {
+    if (document.documentElement.getAttribute(lpn.viser.SCHEME) === name) cover()?.remove();
+    else if (cover()) requestAnimationFrame(() => lpn.themed(name));
+  };
 
   // Plain words, until somebody asks for the field's terms, which the browser keeps. Those that come unasked with the workbench are the
   // tab's, as long as that shows the workbench.
@@ -73,14 +79,14 @@
     clearInterval(greeting);
     const held = lpn.resume();
     begun = true;
-    document.getElementById("lpn-loading")?.remove(); // the page says from here on what it waits for
+    setTimeout(() => cover()?.remove(), UNANSWERED); // the page says below it what it waits for
     const names = [...new URLSearchParams(search).keys()].filter((key) => !["theme", "words"].includes(key) && lpn.keys.includes(key));
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
     // Another place may take seconds to open; its first screen says so, too.
     if (!names.length || new URLSearchParams(search).get("screen") === "first") lpn.opening();
     const chosen = lpn.stored("local", WORDS), words = (names.length && lpn.stored("session", WORDS)) || chosen;
     const speech = { plain: words !== "expert", start_plain: chosen !== "expert" };
-    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: light(), theme: lpn.stored("local", THEME), viewport: lpn.openingSize() });
+    const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: window.lpnWay.theme(search) === "light", viewport: lpn.openingSize() });
     greeting = lpn.every(500, hello);
     hello();
     held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));

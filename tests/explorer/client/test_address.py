@@ -38,7 +38,7 @@ class _Page:
         self.address = PageAddress(
             workspace, self.links, views, lock, lambda: self.shown[-1], self.show_other, None, Mock(), before
         )
-        self.address.greet(Greeting(search, plain=True))
+        self.address.greet(Greeting(search, plain=True, light="theme=light" in search))  # as the page reads it
 
     @property
     def state(self) -> SessionState:
