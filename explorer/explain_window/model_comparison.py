@@ -13,6 +13,7 @@ from explorer import judge
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
+from explorer.compute.scorings import TERMS
 from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
 from explorer.web.render import call, render, run, send
@@ -22,6 +23,7 @@ from lpn.core.views import View
 from lpn.drawing import charts, heatmaps, overlays
 from lpn.drawing.charts import ModelPoint
 from lpn.drawing.verdicts import ordinal
+from lpn.drawing.words import plain, say
 from lpn.explain.centre import centre_box, centre_share, has_centre
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture, Match
@@ -187,7 +189,7 @@ class ModelComparison:
             ),
             has_box=any(one.share is not None for drawn in maps for one in drawn),
             changes=changes(*rankings) if len(rankings) == 2 else None,
-            scoring="" if own is analysis else task.scoring,
+            scoring="" if own is analysis else TERMS[task.scoring],
             queries=task.queries,
             thumbnail=workspace.thumbnail,
             ordinal=ordinal,
@@ -300,7 +302,7 @@ class ModelComparison:
                 one.label,
                 None if one.workspace is None else _recall(one.workspace, self._shared_task(state)),
                 index == state.beside,
-                "" if one.opening else "not opened" if one.error else "R@1 not known yet",
+                "" if one.opening else "not opened" if one.error else f"{say('R@1')} not known yet",
             )
             for index, one in enumerate(self._workspace.beside)
         ]
@@ -329,7 +331,9 @@ class ModelComparison:
                 ModelPoint(key, name, *property_of(contract), recall, _role(key, state))
                 for key, name, contract, recall in known
             ]
-            chart = charts.model_chart(points, "R@1 of the whole task, %", title, _attributes, joined=len(differ) == 1)
+            chart = charts.model_chart(
+                points, f"{say('R@1')} of the whole task, %", title, _attributes, joined=len(differ) == 1
+            )
             drawn.append(chart)
         return drawn
 
@@ -366,11 +370,12 @@ def _progress(lazy: LazyWorkspace) -> str:
 
 def _mean_text(mean: CentreMean) -> str:
     """Say in words how far a mean over the test set is known."""
+    everything = "all pictures" if plain() else "test set"
     if mean.error:
-        return f"test set: no mean. {mean.error}"
+        return f"{everything}: no mean. {mean.error}"
     if mean.percent is None:
-        return "test set: not known yet"
-    value = f"test set: {mean.percent:.1f} %"
+        return f"{everything}: not known yet"
+    value = f"{everything}: {mean.percent:.1f} %"
     if mean.done < mean.total:
         return f"{value} so far ({mean.done:,} of {mean.total:,})"
     drawn = f" of {mean.pictures:,} drawn at random" if mean.total < mean.pictures else ""

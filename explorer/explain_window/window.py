@@ -410,7 +410,8 @@ class ExplainWindow:
             return None
         interval = self._models.advance(content.analysis.state)
         self._tabs[-1].draw()
-        self._live.show(self._models.live(content.analysis.state))
+        with speaking(self._workspace.vocabulary(content.analysis.state.plain)):
+            self._live.show(self._models.live(content.analysis.state))
         if self._left:  # meanwhile, what was joined would go on for nobody
             self._models.leave()
         return interval

@@ -34,8 +34,9 @@ from lpn.drawing.words import say, speaking, spoken
 # Share of the stage, from its top, that the compared pair takes, unless that leaves less than so many pixels to the window.
 _PAIR_SHARE, _LEAST_HEIGHT = 0.49, 380
 _ROW_HEIGHT = 27  # pixels
-# Height of the window without the table, and of the line that offers the second model's ranks, in pixels.
-_FRAME_HEIGHT, _OFFER_HEIGHT = 180, 22
+# Height in pixels of the window without the table, of the line that offers the second model's ranks, and of the lines that say
+# that the models are ranked differently.
+_FRAME_HEIGHT, _OFFER_HEIGHT, _UNLIKE_HEIGHT = 180, 22, 44
 # The page's buttons give the window this name.
 _NAME = "All pictures in a table"
 # Seconds between two looks at the second model's ranks.
@@ -405,7 +406,8 @@ class FailureLabWindow:
         if self._shell[0] != shell:
             self._shell = shell, self._shell[1] + 1
         offered = bool(self._workspace.beside) and findings.second is None
-        frame = _FRAME_HEIGHT + (_OFFER_HEIGHT if offered else 0)
+        unlike = findings.second is not None and not findings.second.alike
+        frame = _FRAME_HEIGHT + _OFFER_HEIGHT * offered + _UNLIKE_HEIGHT * unlike
         height = max(self._size[1] - frame, 6 * _ROW_HEIGHT)
         self._body.show(table.table(findings, lab, len(rows), self._shell[1], height))
         if not len(rows):

@@ -82,7 +82,18 @@ def circle(flight: LocatedFlight) -> str:
 def refusal(located: LocatedFrame, stage: str) -> str | None:
     """Return that a stage's answer is refused, and why; None if it is not."""
     answer = located.stages.get(stage)
-    return None if answer is None or answer.state != "refused" else f"{label(stage)}: refused. {answer.sentence}"
+    return None if answer is None or answer.state != "refused" else f"{label(stage)}: refused. {_why(located, stage)}"
+
+
+def _why(located: LocatedFrame, stage: str) -> str:
+    """Return why a stage refuses its answer; in plain words that of the neighbours has neither sigma nor probability."""
+    answer, own = located.stages[stage], located.stages.get("retrieval")
+    unreadable = own is not None and own.state == "refused"
+    if not plain() or stage != "sequence" or answer.radius is None or unreadable:
+        return answer.sentence
+    if answer.unverified:
+        return "Nothing shows that the map is of this place."
+    return f"Its neighbours do not settle where it is: this place may be {answer.radius:.0f} m off, or more."
 
 
 def refusals(located: LocatedFrame) -> list[str]:
@@ -93,7 +104,7 @@ def refusals(located: LocatedFrame) -> list[str]:
 def reason(view: FlightView, frame: int) -> str:
     """Return the grounds of the verdict on a frame; "" where they are those of a stage that refuses."""
     located, verdict = view.flight.frames[frame], view.beliefs[frame]
-    if any(text.endswith(verdict.reason) for text in refusals(located)):
+    if any(one.state == "refused" and one.sentence.endswith(verdict.reason) for one in located.stages.values()):
         return ""
     answer = located.stages.get("registration")
     against = [one for one in view.contradictions if one.frame == frame and one.one == "registration"]

@@ -589,7 +589,7 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
     if not tried:
         return f"{look}."
     count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
-    look += f"; their details placed {count}"
+    look += f"; their details placed {count}{' so far' if len(tried) < len(workspace.flight.frames) else ''}"
     doubted, unchecked = len(set().union(*_doubted(workspace))), sum(map(is_unchecked, placed))
     kinds = [
         f"{many} {of}"

@@ -19,7 +19,8 @@ from lpn.core.arrays import Int64Array
 from lpn.core.numbers import distance
 from lpn.drawing import verdicts, words
 from lpn.flights.cut import TurnedFrame
-from lpn.locate.belief import Belief, beliefs, disagreements
+from lpn.locate.belief import beliefs, disagreements
+from lpn.locate.located import LocatedFlight
 from lpn.maps.named_window import WindowCut
 
 # Kinds of picture that are listed at most.
@@ -82,7 +83,7 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
     return WrongAnswer(
         int(at[0]) + 1,
         len(listed),
-        _overall(listed, int(outcomes.known.sum()), _verdicts(workspace)),
+        _overall(listed, int(outcomes.known.sum()), workspace.flight),
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
         _sentence(analysis, right),
@@ -94,23 +95,19 @@ def _name(kind: FailingKind) -> str:
     return kind.name(words.column_name(kind.column.name))
 
 
-def _verdicts(workspace: Workspace) -> list[Belief] | None:
-    """Return the verdicts on all photos of a flight; None without one, and before they are registered."""
-    flight = workspace.flight
-    if flight is None or not any("registration" in located.stages for located in flight.frames):
-        return None
-    return beliefs(flight.frames, disagreements(flight.frames))
-
-
-def _overall(listed: Int64Array, graded: int, verdicts_of_all: Sequence[Belief] | None) -> str:
+def _overall(listed: Int64Array, graded: int, flight: LocatedFlight | None) -> str:
     wrong = f"he first answer is wrong for {len(listed):,} of {graded:,} pictures ({100 * len(listed) / graded:.0f} %)."
-    if verdicts_of_all is None:
+    tried = [] if flight is None else ["registration" in located.stages for located in flight.frames]
+    if flight is None or not any(tried):
         return f"T{wrong}"
+    verdicts_of_all = beliefs(flight.frames, disagreements(flight.frames))
     placed = [one for one in map(verdicts_of_all.__getitem__, listed.tolist()) if one.stage == "registration"]
     all_of_them = f"all {len(placed):,}" if len(placed) == len(listed) else f"{len(placed):,} of these {len(listed):,}"
+    so_far = "" if all(map(tried.__getitem__, listed.tolist())) else "so far "
     doubted = sum(one.sign is None for one in placed)
     doubt = f", {doubted:,} of them in doubt" if doubted else ""
-    return f"By their look alone, t{wrong} Laid over the map by their details, {all_of_them} are placed all the same{doubt}."
+    placed_all_the_same = f"{so_far}{all_of_them} are placed all the same{doubt}."
+    return f"By their look alone, t{wrong} Laid over the map by their details, {placed_all_the_same}"
 
 
 def _sentence(analysis: StateAnalysis, right: str) -> str:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from urllib.parse import parse_qs
 
 import msgspec
 import viser
@@ -241,6 +242,9 @@ class StoryWindow:
         self._call("tell", msgspec.to_builtins(chosen))
 
     def _show_step(self, index: int, shows: str) -> None:
+        """Show what a step shows; one that names no words has plain ones where the page has."""
+        if self._state().plain and "words" not in parse_qs(shows):
+            shows += "&words=plain"
         if problems := self._go(shows):
             self._call("say", f"Not all of step {index + 1} can be shown. {' '.join(problems)}", 12)
 

@@ -16,6 +16,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.templates import environment
 from lpn.drawing import charts, overlays
+from lpn.drawing.words import plain, say
 from lpn.explain.part_activation import value_ranges
 
 # From this ratio of width to height on, a picture is a panorama, and fewer fit in a row.
@@ -25,6 +26,12 @@ _IN_A_ROW, _PANORAMAS_IN_A_ROW = 5, 3
 
 def note(n_parts: int) -> str:
     """Say what the heatmaps of a model of so many parts show."""
+    if plain():
+        each = f", {say('part')} by {say('part')} (the paper’s Figure 7)" if n_parts > 1 else ""
+        return (
+            f"The brighter a cell, the more strongly the model reacts there{each}. The numbers have no unit, and each "
+            "picture has its own: Why tells what speaks for two pictures together."
+        )
     cells = "in the cells of a part (the paper’s Figure 7)" if n_parts > 1 else "in each cell"
     return (
         f"Activation is the channel sum of the last feature map {cells}. It has no unit, and it belongs to one picture; "
@@ -43,7 +50,7 @@ class PictureActivation:
     """One picture of a pair.
 
     Attributes:
-        name: "query", "tile", or "true tile".
+        name: "query", "tile", or "true tile", in the words that are spoken.
         maps: the activation of each part, (n, h, w), see `lpn.explain.part_activation`.
         pixels: the picture with its parts, (H, W, 3) uint8.
     """
@@ -107,13 +114,19 @@ def draw(
             for picture, (low, high) in zip(pictures, ranges[:, part].tolist(), strict=True)
         ]
         columns.append(
-            (part, f"part {name}" if len(names) > 1 else "the whole picture", charts.part_colour(part), panels)
+            (part, f"{say('part')} {name}" if len(names) > 1 else "the whole picture", charts.part_colour(part), panels)
         )
     height, width = pictures[0].pixels.shape[:2]
     most = _PANORAMAS_IN_A_ROW if width >= _PANORAMA * height else _IN_A_ROW
     rows = math.ceil(len(columns) / most)
     return Markup(
-        _template().render(columns=columns, in_a_row=math.ceil(len(columns) / rows), aspect=f"{width} / {height}")
+        _template().render(
+            columns=columns,
+            in_a_row=math.ceil(len(columns) / rows),
+            aspect=f"{width} / {height}",
+            parts=say("part", 2),
+            activation=say("activation"),
+        )
     )
 
 

@@ -181,6 +181,8 @@ def test_the_table_scrolls_to_its_end_and_is_used_by_keys(lab: LabPage, truth: t
     grid.focus()
     lab.page.keyboard.press("ArrowDown")  # begins in sight, not at the open query
     expect(grid).to_have_attribute("aria-activedescendant", "lpn-lab-rows-0")
+    beyond = "grid => (({ outlineOffset, outlineWidth }) => parseFloat(outlineOffset) + parseFloat(outlineWidth))"
+    assert grid.evaluate(f"{beyond}(getComputedStyle(grid))") == 0, "the frame covers nothing around the table"
     lab.page.keyboard.press("End")
     expect(lab.rows_of_table.last).to_have_attribute("data-row", str(rows[-1]))
     assert len(lab.shown()) < 40

@@ -24,6 +24,7 @@ from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.drawing import charts
 from lpn.drawing.charts import ModelPoint
+from lpn.drawing.words import speaking
 from lpn.explain.centre import centre_share, centre_shares
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
 from tools.fixtures import small_worlds
@@ -83,6 +84,26 @@ def test_both_models_show_query_and_tile_with_their_shares_in_the_centre(
             expected.append(100 * centre_share(side.trace.activation))
     np.testing.assert_allclose(shares, expected, atol=0.051)
     assert page.count(f'tile <span class="dim">{analysis.task.gallery[3].name}') == 2
+
+
+def test_plain_words_name_pictures_and_scoring_as_the_page_does(
+    workspace: Workspace, comparison: ModelComparison
+) -> None:
+    analysis = analysed(workspace)
+    settled(comparison, analysis.state)
+    # The page ranks by CSLS, and the second model does not.
+    analysis = replace(analysis, task=replace(analysis.task, neighbours=5))
+    expert = comparison.page(analysis)
+    with speaking(workspace.vocabulary(True)):
+        plain = comparison.page(analysis)
+        live = comparison.live(analysis.state)
+    assert re.findall("<figcaption>(query|tile|picture|answer) <span", expert) == ["query", "tile"] * 2
+    assert re.findall("<figcaption>(query|tile|picture|answer) <span", plain) == ["picture", "answer"] * 2
+    assert "all pictures: " in live
+    assert "test set" not in live
+    assert "Models are compared as plain here" in expert
+    assert "Pictures are compared as they are here, because they are not adjusted for all models." in plain
+    assert not re.search("channel sum|activation of|calibrated|R@1", plain)
 
 
 def test_the_means_are_those_of_the_whole_test_set(workspace: Workspace, comparison: ModelComparison) -> None:

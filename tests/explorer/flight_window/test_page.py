@@ -482,6 +482,28 @@ def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refuse
     assert "Not placed 0" in page.lists(waiting)["counts"]
 
 
+def test_plain_words_say_of_a_refused_sequence_how_far_off_it_may_be(flight: LocatedFlight) -> None:
+    frame, radius = (
+        flight.frames[2],
+        "Its radius of 126 m (1 sigma along each axis) is larger than a piece of the map, 40 m wide.",
+    )
+    likely = "The frame lies within 30 m of this place with a probability of 0.86, and 0.98 are needed."
+    for sentence, unverified, told in (
+        (radius, False, "Its neighbours do not settle where it is: this place may be 126 m off, or more."),
+        (likely, False, "Its neighbours do not settle where it is: this place may be 126 m off, or more."),
+        ("Nothing shows that the map is of this place: steps.", True, "Nothing shows that the map is of this place."),
+    ):
+        refused = msgspec.structs.replace(
+            frame.stages["sequence"], state="refused", sentence=sentence, radius=126.4, unverified=unverified
+        )
+        stages = {"retrieval": frame.stages["retrieval"], "sequence": refused}
+        one = view_of(replace(flight, frames=[*flight.frames[:2], replace(frame, stages=stages)]))
+        assert f"Sequence: refused. {sentence}" in page.lists(one)["refused"]
+        with speaking(Vocabulary(plain=True)):
+            assert f"By its neighbours: refused. {told}" in page.lists(one)["refused"]
+            assert sentence not in page.lists(one)["refused"] + page.card(one, 2, "x/")
+
+
 def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, flight: LocatedFlight) -> None:
     placed = page.lists(view)
     assert "Not placed 0<" in placed["counts"], "its neighbours place the frame whose registration was refused"

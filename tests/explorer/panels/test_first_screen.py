@@ -31,7 +31,7 @@ from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, first_screen, pages
+from explorer.panels import answer_text, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
@@ -751,6 +751,17 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map away from its "
         "middle (3 more here)." in said
     )
+    last = flight.frames[-1]
+    waiting = replace(last, stages={name: answer for name, answer in last.stages.items() if name != "registration"})
+    comparing = replace(flight, frames=[*flight.frames[:-1], waiting])
+    with monkeypatch.context() as while_compared:
+        while_compared.setattr(workspace, "flight", comparing)
+        said = text(first_screen.page(analyse(workspace, state), workspace))
+        wrong = np.flatnonzero(~np.array(right[:-1]))
+        overall = [wrong_answer._overall(rows, 30, comparing) for rows in (wrong, np.array([29]))]
+    assert re.search(r"their details placed all 29 so far \(", said)
+    assert "so far" not in overall[0]
+    assert "by their details, so far 0 of these 1 are placed" in overall[1]
     with speaking(workspace.vocabulary(True)):
         told = first_screen.said(analyse(workspace, state), workspace)
     assert workspace.basemap is not None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 
 import pytest
@@ -37,7 +38,7 @@ def off_m(shown: StateAnalysis, match: Match) -> str:
 
 
 def adds(wrong: Match, part: int) -> str:
-    return f"adds only {wrong.contributions[part]:.3f} to the wrong tile's d² of {wrong.distance2:.3f}"
+    return f"adds only {wrong.contributions[part]:.3f} to the wrong picture's difference of {wrong.distance2:.3f}"
 
 
 def is_found(shown: StateAnalysis) -> bool:
@@ -54,27 +55,31 @@ def costs_most(shown: StateAnalysis, part: int) -> float:
 # For each step: the compared tile, whether the true tile is first, and what the caption must say by the analysis.
 FACTS: list[list[tuple[str, bool, Callable[[StateAnalysis], list[str]]]]] = [
     [
-        ("0394", True, lambda a: [f"Of {len(a.task.gallery)} satellite tiles"]),
+        ("0394", True, lambda a: [f"Of {len(a.task.gallery)} satellite pictures"]),
         ("0338", True, lambda a: [off_m(a, a.chosen), f"behind by {a.chosen.distance2 - positive(a).distance2:.2f}"]),
         (
             "0394",
             True,
-            lambda a: [f"{signed((negative(a).contributions - positive(a).contributions)[2], 2)} of the margin"],
+            lambda a: [f"{signed((negative(a).contributions - positive(a).contributions)[2], 2)} of the lead"],
         ),
         ("0394", True, lambda a: [off_m(a, a.chosen)]),
     ],
     [
-        ("0447", True, lambda a: [f"a margin of {margin(a):.2f}"]),
+        ("0447", True, lambda a: [f"a lead of {margin(a):.2f}"]),
         ("0459", True, lambda a: [off_m(a, a.chosen), "comes second"][: a.chosen.rank]),
         ("0459", True, lambda a: ["Without ring 2", f"to {margin(a):.2f}"]),
         ("0452", False, lambda a: ["rings 3 and 4 alone", f"is {ordinal(positive(a).rank)}"]),
-        ("0447", True, lambda a: ["ring 2 alone", f"a margin of {margin(a):.2f}"]),
+        ("0447", True, lambda a: ["ring 2 alone", f"a lead of {margin(a):.2f}"]),
     ],
     [
         ("0450", False, lambda a: [f"is {ordinal(positive(a).rank)}", off_m(a, a.chosen)]),
         ("0449", False, lambda a: [f"{-margin(a):.2f} behind", f"most: {signed(costs_most(a, 2), 2)}"]),
-        ("0450", False, lambda a: [adds(a.chosen, 2), f"but {positive(a).contributions[2]:.3f} to the true tile's"]),
-        ("0449", True, lambda a: ["centre and ring 3", f"a margin of {margin(a):.2f}"]),
+        (
+            "0450",
+            False,
+            lambda a: [adds(a.chosen, 2), f"but {positive(a).contributions[2]:.3f} to the right picture's"],
+        ),
+        ("0449", True, lambda a: ["centre and ring 3", f"a lead of {margin(a):.2f}"]),
         ("0450", False, lambda _: ["both frames overlap"]),
     ],
 ]
@@ -115,6 +120,15 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     assert places is not None
     apart = abs(places.ground[shown.chosen.index] - places.ground[positive(shown).index])
     assert (apart < places.width).all(), "the frames overlap"
+
+
+def test_the_shipped_stories_are_told_in_plain_words() -> None:
+    for told in library.read_all(DEMO).by_name.values():
+        for step in told.steps:
+            said = f"{step.caption} {step.notes}"
+            assert not re.search(
+                r"\b(tiles?|margin|d²|query|queries|parts?|descriptors?|rank|evidence)\b|n = ", said
+            ), said
 
 
 def test_the_demo_s_first_screen_offers_three_stories() -> None:

@@ -110,6 +110,18 @@ def test_what_is_shown_is_recorded_with_the_verdict_as_its_caption(page: Page) -
     assert not (page.workspace.root / "stories.json").exists()
 
 
+def test_a_step_is_told_in_the_words_of_the_page_unless_it_names_its_own(page: Page) -> None:
+    for plain, shows, went in (
+        (True, "query=0010", "query=0010&words=plain"),
+        (True, "query=0010&words=expert", "query=0010&words=expert"),
+        (False, "query=0010", "query=0010"),
+    ):
+        page.state = replace(page.state, first_screen=True, plain=plain)
+        page.send("step", [0, shows])
+        assert page.went[-1] == went
+        assert page.url_state.read(page.went[-1], SessionState(TASK, 4))[0].plain is ("plain" in went)
+
+
 def test_a_step_keeps_what_the_laboratory_shows_or_says_what_it_loses(page: Page) -> None:
     choices = LabChoices(
         "maps", "failed", "rank > 3", colour="rank", selections=(Selection("in pca", "lasso", (0, 2, 3)),)

@@ -12,6 +12,7 @@ import pytest
 from lpn.core.arrays import UInt8Array
 from lpn.drawing import heatmaps, overlays
 from lpn.drawing.heatmaps import PictureActivation
+from lpn.drawing.words import Vocabulary, speaking
 
 
 def decoded(uri: str) -> UInt8Array:
@@ -134,3 +135,15 @@ def test_only_the_strong_cells_of_a_lead_are_painted() -> None:
     assert abs(drawn[20, 20] - 90).max() <= 1, "a weak cell shows the picture"
     still = overlays.with_lead(picture, np.zeros((20, 20)), ((255, 200, 30), (70, 120, 240)))
     assert abs(still.astype(int) - 90).max() <= 1
+
+
+def test_plain_words_name_parts_and_activation_as_the_page_does() -> None:
+    with speaking(Vocabulary(plain=True, part="ring")):
+        plain = heatmaps.draw(pair(2), ["1 centre", "2 outer"])
+        said = heatmaps.note(2)
+    assert 'title="ring 1 centre"' in plain
+    assert "where the model reacts, ring 1 centre" in plain
+    assert "ring by ring" in said
+    assert not re.search("activation|channel sum|part ", plain.lower() + said.lower())
+    assert 'title="part 1 centre"' in heatmaps.draw(pair(2), ["1 centre", "2 outer"])
+    assert "channel sum" in heatmaps.note(2)
