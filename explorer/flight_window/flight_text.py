@@ -75,7 +75,7 @@ def circle(flight: LocatedFlight) -> str:
         f"Circle around its place: if errors are as estimated, the true place of {inside:.0f} of 100 photos lies in it"
     )
     text += "." if plain() else " (1 sigma along each axis)."
-    unconfirmed = flight.radii_confirmed().get("registration") is False
+    unconfirmed = flight.radii_confirmed.get("registration") is False
     return f"{text} The flight's GPS tags do not confirm that." if unconfirmed else text
 
 
