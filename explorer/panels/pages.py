@@ -75,7 +75,8 @@ def heat_legend(analysis: StateAnalysis, workspace: Workspace) -> str:
     if kind is None or analysis.state.first_screen or analysis.state.flight or analysis.state.shows_reasons:
         return ""
     scale = overlays.evidence_scale if kind == "evidence" else overlays.heat_scale
-    of_part = "" if part is None else f" of part {workspace.part_names[part]}"
+    of = "," if words.plain() else " of"
+    of_part = "" if part is None else f"{of} {words.say('part')} {workspace.part_names[part]}"
     return render("panels/heat_legend", kind=kind, of_part=of_part, scale=overlays.data_uri(scale(*_SCALE), 95))
 
 

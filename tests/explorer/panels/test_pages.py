@@ -18,6 +18,7 @@ from explorer.stories.story import Step
 from explorer.web import style
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.drawing import captions, theme
+from lpn.drawing.words import speaking
 from lpn.sources import Published
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
@@ -156,6 +157,8 @@ def test_the_heatmap_on_the_stage_has_a_legend(workspace: Workspace) -> None:
 
     assert "Activation: weak" in legend()
     assert f"Activation of part {workspace.part_names[1]}:" in legend(heat_part=1)
+    with speaking(workspace.vocabulary(True)):
+        assert f"Where the model reacts, ring {workspace.part_names[1]}:" in legend(heat_part=1)
     assert "Evidence: against" in legend(heat_kind="evidence")
     for hidden in ({"heat": False}, {"map": True}, {"first_screen": True}):
         assert not legend(**hidden)
