@@ -72,6 +72,9 @@
     const pair = page.querySelector("[data-query]"), reason = page.querySelector(".reason");
     const another = query && pair && pair.dataset.query !== query;
     lpn.pins(page, pair?.dataset.query);
+    /** @type {HTMLElement | null} */
+    const place = page.querySelector(".choice.chosen");
+    if (place) place.parentElement.scrollLeft = place.offsetLeft + place.offsetWidth - place.parentElement.clientWidth; // a phone has no room for all
     restoreDetails(!another);
     if (offer && !another) page.querySelector(".acts:has([data-act=upload])")?.after(offer); // an answer to all pictures may come meanwhile
     if (reason && !explained && query) page.querySelector("[data-act=why]")?.focus({ preventScroll: true });
