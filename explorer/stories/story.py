@@ -6,8 +6,8 @@ A step may point at a place of the page, `points_at`: it is then told in a card 
 shows nothing leaves the page as it is.
 
 `shows` is the query string of the page's address. It lacks the workspace, as a story belongs to one data set, the theme, which
-is the presenter's choice, and the first screen, which would cover the stage and the caption. A step that names no words is told in
-those of the page.
+is the presenter's choice, and the first screen, which would cover the stage and the caption. A step that names no words
+is told in those of the page.
 """
 
 from __future__ import annotations
