@@ -10,6 +10,7 @@ from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
 from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.numbers import shown_difference
 from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.theme import Colour
 from lpn.drawing.verdicts import ordinal
@@ -37,6 +38,7 @@ def page(
         return render("explain/comparison", comparison=None)
     ranking, followed, change = analysis.ranking, comparison.followed, comparison.change
     margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
+    total = shown_difference(comparison.other.distance2, followed.distance2)
     right = judge.judged_piece(analysis, workspace) or f"the {say('positive')}"
     names, name = workspace.part_names, right if followed.true else f"this {say('tile')}"
     without = comparison.without
@@ -56,14 +58,14 @@ def page(
         tile_picture=lambda index: _picture(workspace.card(analysis.task, index)),
         ordinal=ordinal,
         name=name,
-        margin_sentence=verdicts.describe_margin(margin, names, name),
+        margin_sentence=verdicts.describe_margin(margin, names, name, total),
         region=analysis.state.region,
         part_names=names,
         several=workspace.has_parts,
-        steps=charts.waterfall(margin, sure),
+        steps=charts.waterfall(margin, sure, total),
         painted="" if cells is None else _painted(analysis, workspace, cells, colours),
         places=0.0 if cells is None else float(cells.sum()),
-        total=float(margin.sum()),
+        total=total,
         no_place=no_place(analysis),
         swatches=[theme.css(colour) for colour in colours],
         ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",

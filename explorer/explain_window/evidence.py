@@ -50,11 +50,13 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     views = (analysis.task.query_view, analysis.task.gallery_view)
     cells = evidence.cell_maps(part)
     limit = overlays.evidence_limit(*cells)
+    cosines, taken = verdicts.rounded_cosines(evidence.weighted_cosines.tolist(), evidence.csls_shares)
     sides = zip(("query", "tile"), (analysis.query, analysis.tile), views, cells, pair.correspondences, strict=True)
     return render(
         "explain/evidence",
         evidence=evidence,
         sentence=verdicts.describe_evidence(evidence, workspace.part_names, *views),
+        weighted_cosines=[*cosines, *taken],
         region=analysis.state.region,
         stacked=workspace.layout.stacked,
         maps=[_map(workspace, limit, *side) for side in sides],

@@ -19,6 +19,7 @@ from explorer.stage.pictures import draw_parts
 from explorer.web.render import call, render, run, send
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.arrays import FloatingArray, Int64Array
+from lpn.core.numbers import shown_difference
 from lpn.core.views import View
 from lpn.drawing import charts, heatmaps, overlays
 from lpn.drawing.charts import ModelPoint
@@ -445,7 +446,9 @@ def _column(
 
 def _lead(analysis: StateAnalysis) -> float | None:
     truth, wrong = analysis.positive, next((match for match in analysis.matches if match.true is False), None)
-    return None if truth is None or wrong is None or truth.beyond else wrong.distance2 - truth.distance2
+    return (
+        None if truth is None or wrong is None or truth.beyond else shown_difference(wrong.distance2, truth.distance2)
+    )
 
 
 def changes(first: RankingJob, second: RankingJob) -> Changes | None:

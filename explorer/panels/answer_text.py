@@ -12,7 +12,7 @@ from explorer.panels import place_text
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
-from lpn.core.numbers import distance, upper_bound
+from lpn.core.numbers import distance, rounded_to_sum, shown_difference, upper_bound
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
@@ -50,6 +50,7 @@ class Lead:
 
     Attributes:
         terms: each part's term of the lead in d², (n,); positive where the part speaks for the leader.
+        shown: the lead in d² as it is shown, see `shown_difference`.
         other: the tile that the answer is compared with, in words.
         index: that tile's position in the gallery.
         answer: the answer, in words.
@@ -58,6 +59,7 @@ class Lead:
     """
 
     terms: FloatingArray
+    shown: float
     other: str
     index: int
     answer: str
@@ -68,6 +70,11 @@ class Lead:
     def total(self) -> float:
         """The lead in d²; below 0 for a wrong answer, which is nearer than the right picture."""
         return float(self.terms.sum())
+
+    @property
+    def figures(self) -> list[float]:
+        """The terms as they are shown: rounded, they add up to the lead that is shown."""
+        return rounded_to_sum(self.terms.tolist(), total=self.shown)
 
     @property
     def decisive(self) -> list[int]:
@@ -512,7 +519,8 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     rival: Match | None
     if first.true is False and (rival := analysis.positive) is not None:
         name = judged or "the right picture"
-        return Lead(first.contributions - rival.contributions, name, rival.index, answer, of_answer=False)
+        shown = shown_difference(first.distance2, rival.distance2)
+        return Lead(first.contributions - rival.contributions, shown, name, rival.index, answer, of_answer=False)
     if first.true:
         rival = next((match for match in others if not match.true), None)
         name = "the best piece of another place" if judged else "the best wrong picture"
@@ -520,7 +528,8 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
         rival, name = next(iter(others), None), "the next best picture"
     if rival is None:
         return None
-    return Lead(rival.contributions - first.contributions, name, rival.index, answer, sure=bool(first.true))
+    shown = shown_difference(rival.distance2, first.distance2)
+    return Lead(rival.contributions - first.contributions, shown, name, rival.index, answer, sure=bool(first.true))
 
 
 def answer_name(analysis: StateAnalysis) -> str:

@@ -271,7 +271,7 @@ def page(
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
         bring=_BRING,
-        gap=analysis.matches[0].gap,
+        gap=analysis.matches[0].shown_gap,
         bars=_bar_colours(sure),
         places=None if cells is None else float(cells.sum()),
         no_place=no_place(analysis),

@@ -175,10 +175,13 @@ def matches(analysis: StateAnalysis, workspace: Workspace, buttons: Sequence[str
 
 def parts_table(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Return the compared pair part by part; the shares add up to the distance."""
+    chosen, weights = analysis.chosen, analysis.ranking.weights
+    terms = [-constant for constant in chosen.constants or ()]
     return render(
         "panels/parts_table",
-        chosen=analysis.chosen,
-        weights=analysis.ranking.weights,
+        chosen=chosen,
+        taken=verdicts.rounded_cosines((chosen.cosines * weights).tolist(), terms)[1],
+        weights=weights,
         part_names=workspace.part_names,
         claim=analysis.task.contract.claim,
     )

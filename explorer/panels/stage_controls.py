@@ -15,7 +15,7 @@ from explorer.session_state import SessionState, StateChange
 from explorer.stage.pictures import lead_colours
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.core.numbers import rounded_to_sum, signed
+from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.drawing import theme
 from lpn.drawing.theme import Colour
 
@@ -59,14 +59,19 @@ def part_bars(
     if chosen.index not in (first.index, None if lead is None else lead.index):
         terms = chosen.contributions - first.contributions
         lead = answer_text.Lead(
-            terms, "this tile", chosen.index, answer_text.answer_name(analysis), sure=bool(first.true)
+            terms,
+            shown_difference(chosen.distance2, first.distance2),
+            "this tile",
+            chosen.index,
+            answer_text.answer_name(analysis),
+            sure=bool(first.true),
         )
     full = (_UNLIKE if chosen.constants is None else _UNLIKE_CSLS) * float(analysis.ranking.weights.max())
     most = max([*chosen.contributions.tolist(), *([] if lead is None else (2 * abs(lead.terms)).tolist())])
     while most > full:
         full *= 2
     shares = rounded_to_sum(chosen.contributions.tolist())
-    figures = [] if lead is None else rounded_to_sum(lead.terms.tolist())
+    figures = [] if lead is None else lead.figures
     bars = []
     for part, name in enumerate(names):
         share = float(chosen.contributions[part])

@@ -20,18 +20,28 @@ def signed(value: float, digits: int = 3) -> str:
     return text.replace("-", "−") if float(text) else f"+{0:.{digits}f}"
 
 
-def rounded_to_sum(values: Sequence[float], digits: int = 3) -> list[float]:
-    """Round numbers so that they add up to their rounded sum, by the largest remainders; one by one if any is not finite."""
+def rounded_to_sum(values: Sequence[float], digits: int = 3, total: float | None = None) -> list[float]:
+    """Round numbers so that they add up to their rounded sum, by the largest remainders; one by one if any is not finite.
+
+    Args:
+        total: the sum as it is shown, if that is rounded otherwise; less than one unit of the last digit from the sum.
+    """
     if not all(map(math.isfinite, values)):
         return [round(float(value), digits) for value in values]
     scale = 10**digits
     exact = [float(value) * scale for value in values]
     rounded = [math.floor(value) for value in exact]
-    total = round(round(math.fsum(map(float, values)), digits) * scale)
+    shown = math.fsum(map(float, values)) if total is None else total
+    missing = round(round(shown, digits) * scale) - sum(rounded)
     by_remainder = sorted(range(len(exact)), key=lambda i: rounded[i] - exact[i])
-    for i in by_remainder[: total - sum(rounded)]:
+    for i in by_remainder[: max(missing, 0)]:
         rounded[i] += 1
     return [value / scale for value in rounded]
+
+
+def shown_difference(one: float, other: float, digits: int = 3) -> float:
+    """Return the difference of two numbers that are shown rounded: 1.641 less 1.161 is 0.480, even if it is 0.4794 unrounded."""
+    return round(round(one, digits) - round(other, digits), digits)
 
 
 def distance(metres: float) -> str:

@@ -168,7 +168,7 @@ def evidence_bars(evidence: Evidence, span: Span) -> list[Markup]:
     return drawn
 
 
-def waterfall(margin: FloatingArray, sure: bool = True) -> list[Markup]:
+def waterfall(margin: FloatingArray, sure: bool = True, sum_shown: float | None = None) -> list[Markup]:
     """Draw a margin, (n,), as steps: one drawing for each part, and a last one for the sum; stacked, they join.
 
     Bars to the right of the zero line speak for the positive, bars to its left for the hardest negative. The numbers are rounded
@@ -176,15 +176,16 @@ def waterfall(margin: FloatingArray, sure: bool = True) -> list[Markup]:
 
     Args:
         sure: one tile is known to be right and the other wrong; else the colours are those of what speaks for and against.
+        sum_shown: the sum as it is shown elsewhere, see `lpn.core.numbers.shown_difference`.
     """
     ends = np.concatenate([[0.0], np.cumsum(margin)])
     scale = (100 - 2 * _LABEL_ROOM) / max(float(np.ptp(ends)), 1e-9)
     places = [round(float(place), 2) for place in _LABEL_ROOM + (ends - ends.min()) * scale]
-    zero, total = places[0], float(ends[-1])
+    zero, total = places[0], float(ends[-1]) if sum_shown is None else sum_shown
     drawn = [
         _draw("step", zero, begin, end, value, part_colour(part), begin, end)
         for part, (value, (begin, end)) in enumerate(
-            zip(rounded_to_sum(margin.tolist()), pairwise(places), strict=True)
+            zip(rounded_to_sum(margin.tolist(), total=sum_shown), pairwise(places), strict=True)
         )
     ]
     ahead, behind = ("right", "wrong") if sure else ("for", "against")

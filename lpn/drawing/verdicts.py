@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
-from lpn.core.numbers import distance, rounded_to_sum, signed, wrap_degrees
+from lpn.core.numbers import distance, rounded_to_sum, shown_difference, signed, wrap_degrees
 from lpn.core.texts import listed
 from lpn.core.views import View
 from lpn.drawing.words import capitalised, plain, say, unit
@@ -65,6 +65,12 @@ def pictures_of(task: Task) -> str:
     return "pieces of the map" if task.of_map else _PICTURES[task.views[1]]
 
 
+def rounded_cosines(cosines: Sequence[float], taken: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Return the parts' weighted cosines, and what CSLS takes from them, rounded so that each and both add up as shown."""
+    totals = rounded_to_sum([sum(cosines), sum(taken)])
+    return rounded_to_sum(cosines, total=totals[0]), rounded_to_sum(taken, total=totals[1])
+
+
 def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
     """Say which part, and which places of the two pictures, a pair's score comes from; of one part, the places alone."""
     weighted = evidence.weighted_cosines
@@ -78,14 +84,15 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     else:
         verb = "agree" if query_place == "all around" else "agrees"
         places = f"where {_place(say('query'), query_place)} {verb} with {_place(say('tile'), tile_place)}"
-    similarity, what = float(weighted.sum()), say("score" if evidence.csls is None else "part cosine")
+    rounded, taken = rounded_cosines(weighted.tolist(), evidence.csls_shares)
+    similarity, what = sum(rounded), say("score" if evidence.csls is None else "part cosine")
     constants = float(evidence.query.constants @ evidence.weights)
     if len(names) == 1:
         mainly = re.sub("^(from )?(where|places)", r"mainly from \2", places)
         text = f"The {what} is {signed(similarity)}"
         text += "." if constants > similarity / 2 > 0 else f", {mainly}."
     else:
-        share = f"{signed(weighted[best])} of {signed(similarity)}"
+        share = f"{signed(rounded[best])} of {signed(similarity)}"
         verb = "adds most to" if weighted[best] > 0 else "takes least from"
         text = f"{capitalised(say('part'))} {names[best]} {verb} the {what} ({share}), {places}."
     if constants > similarity / 2 > 0:
@@ -94,10 +101,10 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
             "what they show."
         )
     if weighted[worst] < 0 and len(names) > 1:
-        text += f" {capitalised(say('part'))} {names[worst]} speaks against the pair ({signed(weighted[worst])})."
+        text += f" {capitalised(say('part'))} {names[worst]} speaks against the pair ({signed(rounded[worst])})."
     if evidence.csls is not None:
-        taken = f"{-sum(evidence.csls_shares):.3f} from it, because both pictures have near neighbours elsewhere."
-        text += f" Holding favourites back takes {taken}" if plain() else f" CSLS takes {taken}"
+        took = f"{-sum(taken):.3f} from it, because both pictures have near neighbours elsewhere."
+        text += f" Holding favourites back takes {took}" if plain() else f" CSLS takes {took}"
     return text
 
 
@@ -211,10 +218,11 @@ def verdict(
         if negative is None:
             return True, found, f"No wrong tile is near; {next_tile(first)}."
         margin = negative.contributions - positive.contributions
+        total = shown_difference(negative.distance2, positive.distance2)
         return (
             True,
             found,
-            f"It leads the {say('hardest negative')} by {float(margin.sum()):.3f}{unit()}{_decisive(margin, part_names)}.",
+            f"It leads the {say('hardest negative')} by {total:.3f}{unit()}{_decisive(margin, part_names, total)}.",
         )
     top = "answer" if plain() else "top match"
     if positive.beyond and positive.distance2 < first.distance2:
@@ -225,11 +233,12 @@ def verdict(
             f"It would lead the {top} by {lead:.3f}{unit()}: the index searches approximately.",
         )
     margin = first.contributions - positive.contributions
+    total = shown_difference(first.distance2, positive.distance2)
     off = "" if error_m is None else f" The answer lies {distance(error_m)} from the place photographed."
     return (
         False,
         f"Wrong: the {say('positive')} is {describe_rank(positive)}",
-        f"It is {-float(margin.sum()):.3f}{unit()} behind the {top}{_decisive(margin, part_names, costs=True)}.{off}",
+        f"It is {abs(total):.3f}{unit()} behind the {top}{_decisive(margin, part_names, total, costs=True)}.{off}",
     )
 
 
@@ -238,21 +247,25 @@ def next_tile(first: Match) -> str:
     if first.gap is None:
         return "there is no other tile"
     if plain():
-        return f"the next best is {first.gap:.3f} behind it"
-    return f"the next tile is {first.gap:.3f} further away (d²)"
+        return f"the next best is {first.shown_gap:.3f} behind it"
+    return f"the next tile is {first.shown_gap:.3f} further away (d²)"
 
 
-def describe_margin(margin: FloatingArray, part_names: Sequence[str], name: str | None = None) -> str:
+def describe_margin(
+    margin: FloatingArray, part_names: Sequence[str], name: str | None = None, total: float | None = None
+) -> str:
     """Say by how much a tile leads or trails another one, and which parts decide it.
 
     Args:
         margin: each part's share of the margin in squared distance, (n,).
         name: of the tile; by default, it is the true one.
+        total: the sum of the margin as it is shown, see `shown_difference`.
     """
-    total, name = float(margin.sum()), capitalised(name or f"the {say('positive')}")
+    name = capitalised(name or f"the {say('positive')}")
+    total = float(margin.sum()) if total is None else total
     if total >= 0:
-        return f"{name} leads by {total:.3f}{unit()}{_decisive(margin, part_names)}."
-    return f"{name} is {-total:.3f}{unit()} behind{_decisive(margin, part_names, costs=True)}."
+        return f"{name} leads by {total:.3f}{unit()}{_decisive(margin, part_names, total)}."
+    return f"{name} is {-total:.3f}{unit()} behind{_decisive(margin, part_names, total, costs=True)}."
 
 
 def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str | None = None) -> str:
@@ -358,12 +371,12 @@ def leading_parts(differences: FloatingArray) -> list[int]:
     return [part for part in order if part == order[0] or differences[part] >= least > 0]
 
 
-def _decisive(margin: FloatingArray, part_names: Sequence[str], costs: bool = False) -> str:
+def _decisive(margin: FloatingArray, part_names: Sequence[str], total: float, costs: bool = False) -> str:
     """Name the parts that make most of a margin, or, if it `costs`, that take most of it, as a clause; empty for one part."""
     if len(part_names) == 1:
         return ""
     parts, verbs = (leading_parts(-margin), _COSTS) if costs else (leading_parts(margin), _LEADS)
-    rounded = rounded_to_sum(margin.tolist())
+    rounded = rounded_to_sum(margin.tolist(), total=total)
     names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
     if len(parts) == 1:
         return f"; {say('part')} {names} {verbs[0]} ({figures})"

@@ -8,6 +8,7 @@ from typing import cast
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
+from lpn.core.numbers import shown_difference
 from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
@@ -73,6 +74,11 @@ class Match:
     constants: tuple[float, float] | None = None
 
     @property
+    def shown_gap(self) -> float | None:
+        """The gap beside the rounded squared distances of both tiles, see `shown_difference`."""
+        return None if self.gap is None else shown_difference(self.distance2 + self.gap, self.distance2)
+
+    @property
     def rank_text(self) -> str:
         """The rank in figures, such as "12", or "> 100" beyond a depth of 100, or "not returned"."""
         if self.missed:
@@ -125,7 +131,7 @@ class Ranking:
             index=index,
             score=float(self.scores[index]),
             distance2=2.0 - 2.0 * float(self.scores[index]),
-            gap=None if last else 2.0 * float(self.scores[index] - self.scores[self.order[position + 1]]),
+            gap=None if last else 2.0 * (float(self.scores[index]) - float(self.scores[self.order[position + 1]])),
             cosines=self.cosines[index],
             contributions=self._contributions(index),
             true=None if self.relevant is None else bool(self.relevant[index]),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,17 +14,20 @@ import pytest
 import lpn
 from explorer import reports
 from explorer.compute import scorings
+from explorer.explain_window import evidence
 from explorer.failure_lab import table
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.opening import open_model
-from explorer.panels import pages, shortcuts
+from explorer.panels import answer_text, pages, shortcuts
+from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.datasets import open_dataset
+from lpn.drawing import verdicts
 from lpn.retrieval.csls import NEIGHBOURS
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
@@ -119,6 +123,40 @@ def test_a_search_the_whole_ranking_the_laboratory_and_the_report_agree(workspac
     _, page = reports.of_selection(workspace, job.task, [0], "one query")
     assert f"{job.results['recall@1']:.1f}" in page.decode()
     assert ("(CSLS)" in page.decode()) == (scoring == "csls")
+
+
+def test_figures_of_evidence_and_of_a_lead_add_up_as_they_are_shown(workspace: Workspace) -> None:
+    analyser, number = StateAnalyser(workspace), r"[+−]?\d\.\d{3}"
+
+    def figures(text: str) -> list[float]:
+        return [float(found.replace("−", "-")) for found in re.findall(number, text)]
+
+    for query in range(22):
+        analysis = analyser.analyse(state_of(workspace, "csls", query=query, why=True), 5)
+        html = evidence.page(analysis, workspace)
+        pair = analysis.pair_evidence
+        assert pair is not None
+        *_, total, taken = figures(
+            verdicts.describe_evidence(pair.evidence, workspace.part_names, "drone", "satellite")
+        )
+        table = [
+            figures(row)[-1] for row in re.findall("<tr.*?</tr>", html.partition('class="num sums"')[2], re.DOTALL)[1:8]
+        ]
+        shares, csls, score = table[:4], table[4:6], table[6]
+        assert round(sum(shares), 3) == total
+        assert round(-sum(csls), 3) == taken
+        assert round(total - taken, 3) == score
+        bars, lead, _ = part_bars(analysis, workspace.part_names)
+        assert lead is not None
+        first, other = (
+            next(match for match in analyser.analyse(analysis.state, 22).matches if match.index == index)
+            for index in (analysis.matches[0].index, lead.index)
+        )
+        shown = round(round(other.distance2, 3) - round(first.distance2, 3), 3)
+        assert lead.shown == (shown if lead.of_answer else -shown)
+        assert round(sum(figures(" ".join(bar.lead[0] for bar in bars if bar.lead))), 3) == lead.shown
+        _, _, sentence = answer_text.verdict(analysis, workspace)
+        assert figures(sentence)[0] == abs(lead.shown)
 
 
 def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Workspace) -> None:

@@ -157,7 +157,7 @@ def test_the_comparison_shows_the_margin_and_the_smallest_change(workspace: Work
         pair = compared(analysis)
         assert pair is not None
         html = comparison.page(analysis, workspace, pair, None, False)
-        behind = pair.other.distance2 - pair.followed.distance2
+        behind = round(pair.other.distance2, 3) - round(pair.followed.distance2, 3)  # as both stand in the page
         assert f"{-behind:.3f} (d²) behind" in html
         assert html.count('class="chart step"') == 5
         assert "gold places of the query speak for the true tile" in " ".join(re.sub("<[^>]*>", "", html).split())

@@ -155,14 +155,14 @@ def test_why_shows_the_lead_part_by_part_and_it_adds_up(workspace: Workspace, fo
     assert (lead.total > 0) == found
     html = first_screen.page(analysis, workspace)
     assert html.count('class="track"') == 4
-    assert f"{lead.total:+.3f}".replace("-", "−") in text(html)
+    assert f"{lead.shown:+.3f}".replace("-", "−") in text(html)
     assert all(workspace.part_names[part] in text(html) for part in lead.decisive)
     cells = first_screen._lead_cells(analysis, lead)
     assert cells is not None
     np.testing.assert_allclose(cells.sum(axis=(1, 2)), lead.terms, atol=3e-5)
     assert "comes from no place" not in text(html)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(first_screen, "_lead_cells", lambda *_: np.full_like(cells, (lead.total + 1) / cells.size))
+        patch.setattr(first_screen, "_lead_cells", lambda *_: np.full_like(cells, (lead.shown + 1) / cells.size))
         assert "comes from no place" not in text(first_screen.page(analysis, workspace)), "all of it is of cells"
         patch.setattr(first_screen, "no_place", lambda _: "what re-ranking takes")
         rest = "A further −1.000 comes from no place, but from what re-ranking takes."
@@ -258,7 +258,7 @@ def test_every_answer_says_how_far_to_trust_it(workspace: Workspace, monkeypatch
         assert f"it was right {times} times ({20 * times} %)." in shown
         assert ("That holds for pictures like those of" in shown) != known
         reason = text(first_screen.page(analyse(workspace, replace(analysis.state, why=True)), workspace))
-        assert f"The answer is {gap:.3f} ahead of the second best. {words}" in reason
+        assert f"The answer is {analysis.matches[0].shown_gap:.3f} ahead of the second best. {words}" in reason
     assert told >= 2
     # The gap of a graded query is the one that its ranking tells.
     assert result.ranking.gap[right.state.query] == pytest.approx(right.matches[0].gap, abs=1e-3)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lpn.core.numbers import rounded_to_sum, signed, upper_bound, wrap_degrees
+from lpn.core.numbers import rounded_to_sum, shown_difference, signed, upper_bound, wrap_degrees
 
 
 @pytest.mark.parametrize(
@@ -36,6 +36,17 @@ def test_rounded_numbers_add_up_to_their_rounded_sum(values: list[float]) -> Non
     rounded = rounded_to_sum(values)
     assert sum(rounded) == pytest.approx(round(sum(values), 3), abs=1e-9)
     assert all(abs(one - value) < 0.001 for one, value in zip(rounded, values, strict=True))
+
+
+def test_parts_add_up_to_the_difference_of_two_numbers_that_are_shown_rounded() -> None:
+    far, near = 1.6406, 1.1612  # 1.641 and 1.161
+    total = shown_difference(far, near)
+    assert total == 0.480
+    assert round(far - near, 3) == 0.479
+    parts = [0.2050, 0.1004, 0.1002, 0.0738]
+    assert sum(rounded_to_sum(parts, total=total)) == pytest.approx(0.480, abs=1e-9)
+    assert sum(rounded_to_sum(parts)) == pytest.approx(0.479, abs=1e-9)
+    assert shown_difference(2.4557, 2.4332) == 0.023
 
 
 def test_numbers_beside_one_that_is_not_finite_are_rounded_one_by_one() -> None:
