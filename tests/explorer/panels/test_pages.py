@@ -125,6 +125,24 @@ def test_what_alters_the_ranking_stands_beside_the_verdict_and_is_undone(workspa
     assert altered == plain
 
 
+def test_plain_words_head_the_page_with_the_place_and_fold_the_names_of_files(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def heading() -> tuple[str, str]:
+        head, _, rest = pages.header(workspace, next(iter(workspace.tasks.values()))).partition("</h2>")
+        return " ".join(re.sub("<[^>]*>", "", head.partition("<h2>")[2]).split()), rest
+
+    named = f"{workspace.data_name} by the model {workspace.model_name}"
+    assert heading()[0] == named
+    with speaking(workspace.vocabulary(True)):
+        assert heading()[0] == workspace.data_name
+        monkeypatch.setattr(workspace, "choices", {workspace.key: "a real flight"})
+        head, rest = heading()
+    assert head == "A real flight"
+    folded = rest.partition("</summary>")[2]
+    assert named in " ".join(re.sub("<[^>]*>", "", folded).split())
+
+
 def test_a_status_line_that_waits_still_says_what_is_shown(workspace: Workspace) -> None:
     state = SessionState(next(iter(workspace.tasks)), 4, query=2)
     shown = pages.ShownAnalysis(StateAnalyser(workspace).analyse(state, 5), 4)
