@@ -137,6 +137,7 @@ class ClientViews:
             "places": tour.places(),
             "keys": services.url_state.keys,
             "noLink": answer_text.NO_LINK,
+            "docked": True,
             "ownHint": answer_text.own_hint(workspace, shows_rendered(workspace.root)),
         }
         self.bridge = PageBridge(client.gui, {**of_views, **receivers}, properties, style.STYLE)

@@ -104,7 +104,7 @@ def test_each_part_has_a_heatmap_of_query_and_tile_and_both_may_share_a_scale(ex
         assert float(high) == pytest.approx(max(float(side[part][2]) for side in own), abs=0.6)
     cells.first.hover()
     expect(page.locator(".lpn-value")).to_have_text(
-        re.compile(r"query, activation of part 1 centre, row \d, column \d: ")
+        re.compile(r"query, activation, part 1 centre, row \d, column \d: ")
     )
     box.click()
     explorer.eventually(lambda: _assert_equal([scales(side) for side in sides], own))

@@ -95,6 +95,9 @@ interface Lpn {
   head(html: string): void;
   say(text: string, seconds?: number): void;
   openingSize(): number[] | null;
+  docked?: boolean; // there are panels beside the stage
+  greeted: number;
+  settled(act: () => void): void;
   isHere: boolean;
   named(text: string): string;
   focus(uuid: string): void;

@@ -77,6 +77,7 @@
   // Repeat the greeting until the server answers: the page may not be connected yet.
   lpn.greet = () => {
     clearInterval(greeting);
+    const now = (lpn.greeted = performance.now());
     const held = lpn.resume();
     begun = true;
     setTimeout(() => cover()?.remove(), UNANSWERED); // the page says below it what it waits for
@@ -87,9 +88,12 @@
     const chosen = lpn.stored("local", WORDS), words = (names.length && lpn.stored("session", WORDS)) || chosen;
     const speech = { plain: words !== "expert", start_plain: chosen !== "expert" };
     const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: window.lpnWay.theme(search) === "light", viewport: lpn.openingSize() });
-    greeting = lpn.every(500, hello);
-    hello();
-    held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
+    lpn.settled(() => {
+      if (now !== lpn.greeted) return; // the page has been drawn anew
+      greeting = lpn.every(500, hello);
+      hello();
+      held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
+    });
   };
 
   // Browsers limit how often the address may change, so the newest is written after this many milliseconds.

@@ -154,21 +154,31 @@
     const room = lpn.canvas()?.parentElement;
     return room?.clientWidth && room.clientHeight ? [room.clientWidth, room.clientHeight] : null;
   };
+  // viser draws the panels beside the stage one after the other, and moves them into their places; a busy browser takes its time.
+  const LAID = 10000; // ms from the page's greeting, after which the stage's size counts as it is
+  const laid = () => !lpn.docked || phone.matches || document.querySelector(SELECTORS.left);
+  lpn.settled = (act) => {
+    const before = String(lpn.stageSize());
+    const look = () => (laid() && String(lpn.stageSize()) === before) || performance.now() - lpn.greeted > LAID ? act() : lpn.settled(act);
+    if (document.hidden) act(); // it draws no frames
+    else requestAnimationFrame(() => requestAnimationFrame(look));
+  };
   // The size that the stage of a page that opens will have: a panel that was left open unfolds only when the server knows of it.
   lpn.openingSize = () => {
     const size = lpn.stageSize(), beside = Number(lpn.stored("local", BESIDE));
     return size && !lpn.folded() && beside ? [innerWidth - beside, size[1]] : size;
   };
   let sizing = 0;
+  const tellSize = () => {
+    const size = lpn.stageSize();
+    if (size) lpn.send("viewport", size);
+    // On a resize viser may report the camera with the size of before, and the stage would be framed for that.
+    lpn.viser.sendCamera();
+  };
   const stage = new ResizeObserver(() => {
     lpn.placeStage();
     clearTimeout(sizing);
-    sizing = setTimeout(() => {
-      const size = lpn.stageSize();
-      if (size) lpn.send("viewport", size);
-      // On a resize viser may report the camera with the size of before, and the stage would be framed for that.
-      lpn.viser.sendCamera();
-    }, 250);
+    sizing = setTimeout(() => lpn.settled(tellSize), 250);
   });
   // viser draws no frame of a stage that is out of sight, and draws the next one a second after it has come into sight.
   const sight = new IntersectionObserver((seen) => seen.at(-1)?.isIntersecting && lpn.viser.draw());
