@@ -33,8 +33,8 @@ EVIDENCE = (
     "of them errs. What the map has away from a photo's middle is a third."
 )
 WORST = (
-    "The photo that lies farthest from its GPS tag, or its correction by hand, comes first: the error of both together. A ? "
-    "marks contradicted ones. Mere guesses come last."
+    "Contradicted photos, which have a ?, come first, by how far they exceed what is allowed. The others follow by their metres "
+    "from the GPS tag, or from the correction by hand: the error of both together. Mere guesses come last."
 )
 UNCHECKED = (
     "Their details place these photos. Away from the middle of each, too few places were found on the map to check that all "
@@ -191,7 +191,8 @@ def _side(across: float, down: float) -> str:
 def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
     """Return frame, name, and words of each photo that has a place, the worst first.
 
-    Placed photos are first, by their metres from the GPS tag; without a tag they follow by their radii. Best guesses are last.
+    Contradicted ones are first, by how many times the metres that are allowed; then placed ones by their metres from the GPS tag,
+    and without a tag by their radii. Best guesses are last.
     """
     doubts: dict[int, list[Disagreement]] = {}
     for one in view.contradictions:
@@ -203,7 +204,8 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
         against = [one for one in doubts.get(i, ()) if verdict.stage == "registration" and not verdict.sign]
         answer, error = located.stages[verdict.stage], located.error(verdict.stage)
         radius = answer.radius or 0.0
-        order = (verdict.stage in PLACED, -1.0 if error is None else error, radius)
+        excess = max((one.metres / max(one.allowed, 0.1) for one in against), default=0.0)
+        order = (verdict.stage in PLACED, excess, -1.0 if error is None else error, radius)
         words = [] if error is None else [f"{error:.1f} m from {_truth(located)}{_allowed(against, 'tag')}"]
         if verdict.stage != "registration" or not plain() or error is None:
             words += [

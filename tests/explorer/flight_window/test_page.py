@@ -241,6 +241,10 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert "Not checked 0" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert re.findall(r"<b>(photo\d.png)</b>", lists["worst"]) == ["photo1.png", "photo0.png"]
     assert "away from its middle 4.0 m off where 3.0 m are allowed" in lists["worst"]
+    bent = page.lists(view_of(compared(flight, 0, 40.0, 41.0, 3.2)))["worst"]
+    assert re.findall(r"<b>(photo\d.png)</b>", bent) == ["photo0.png", "photo1.png"], (
+        "by its tag, photo1 is farther off"
+    )
     known = flight_text.accuracy(view)
     assert known is not None
     assert known[0].endswith("and 1 of 1 photos do not fit the map away from their middle.")
