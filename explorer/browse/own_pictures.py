@@ -66,11 +66,13 @@ class HandedOver:
 
     Attributes:
         opened: position of the one that was opened last.
+        sent: by their keys, the workspace that each was sent at.
         comparisons: of the pictures with the maps of all places that the page has shown.
     """
 
     pictures: list[_Held]
     opened: int
+    sent: dict[str, str]
     comparisons: OwnPhotoComparisons = field(default_factory=OwnPhotoComparisons)
 
 
@@ -121,8 +123,9 @@ class OwnPictures:
         feeds: Feeds,
         change: Callable[[StateChange], None],
         notify_error: Callable[[str, str], None],
+        place: str,
     ) -> None:
-        self._feeds, self._change, self._notify_error = feeds, change, notify_error
+        self._feeds, self._change, self._notify_error, self._place = feeds, change, notify_error, place
         self._lock = threading.RLock()
         self._held: list[_Held] = []
         # The picture that was opened last, and its position among those held.
@@ -131,8 +134,8 @@ class OwnPictures:
         # Files of the batch in progress that were read, and all of them; the first picture of it.
         self._read = self._files = self._first = 0
         self._asked = 0
-        # The keys of pictures that the page had in another workspace.
-        self._brought: set[str] = set()
+        # By the keys of pictures that were held before, the workspace that each was sent at.
+        self._sent: dict[str, str] = {}
         # How often the pictures were closed.
         self._closed = 0
         self._left = False
@@ -214,7 +217,8 @@ class OwnPictures:
     def brought(self) -> bool:
         """Whether the picture that `reopen` shows was sent at another workspace."""
         with self._lock:
-            return bool(self._held) and self._held[max(self._opened[1], 0)].key in self._brought
+            shown = self._held[max(self._opened[1], 0)].key if self._held else ""
+            return self._sent.get(shown, self._place) != self._place
 
     def reopen(self, state: SessionState) -> SessionState | None:
         """Return the state of the picture that was opened last; None if none is held."""
@@ -245,7 +249,8 @@ class OwnPictures:
     def hand_over(self) -> HandedOver:
         """Return the pictures for `take_over`, and hold them no longer: the page is about to show another workspace."""
         with self._lock:
-            over = HandedOver(self._held, self._opened[1])
+            sent = {held.key: self._sent.get(held.key, self._place) for held in self._held}
+            over = HandedOver(self._held, self._opened[1], sent)
             self._held, self._opened, self._closed = [], (None, -1), self._closed + 1
         return over
 
@@ -253,7 +258,7 @@ class OwnPictures:
         """Hold the pictures that the same page had in another workspace, whose bytes are counted already."""
         with self._lock:
             self._held, self._opened = [*over.pictures, *self._held], (None, over.opened)
-            self._brought = {held.key for held in over.pictures}
+            self._sent = over.sent
         self._draw(-1)
 
     def leave(self) -> None:

@@ -168,10 +168,9 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
         if error_m is not None and window is not None:  # a large piece shows places far from its middle
             shown = "that place" if judged else "the place by its details" if details else place
-            off = (
-                f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle, where "
-                f"{window.size / 2:.0f} m each way are allowed"
-            )
+            off = f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle"
+            if error_m <= window.size / 2:  # in a corner of the piece it is more, and allowed
+                off += f", where {window.size / 2:.0f} m each way are allowed"
         return (
             True,
             "Right",

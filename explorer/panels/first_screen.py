@@ -269,7 +269,7 @@ def page(
         lead=lead,
         because=because,
         failures=_failures(workspace, state),
-        context=answer_text.context(analysis, workspace, lead.total) if lead is not None else "",
+        context=answer_text.context(analysis, workspace, lead.shown) if lead is not None else "",
         bring=_BRING,
         gap=analysis.matches[0].shown_gap,
         bars=_bar_colours(sure),
@@ -523,7 +523,9 @@ def _because(
     photo = "your picture" if analysis.state.upload else "the photo"
     known = [] if matched else [f"{_details(details, photo) or 'They fit this map'}: they place it."]
     if not details.accepted:
-        known = ["They fit nowhere on this map well enough to place it, so none is shown.", details.sentence]
+        everywhere = analysis.registered is not None and analysis.registered.whole_map
+        where = "nowhere on this map" if everywhere else "nowhere that was searched on this map"
+        known = [f"They fit {where} well enough to place it, so no detail is shown.", details.sentence]
     doubts, which = [], ", which errs" if errs else ""
     if located is not None:
         contradictions = disagreements([located])
@@ -580,7 +582,14 @@ def _turned_by(analysis: StateAnalysis, workspace: Workspace, turn: MatchingTurn
     text, upload = _TURNED_BY[turn.source], analysis.state.upload
     cut = None if upload is not None else analysis.task.queries[analysis.state.query].cut
     details = workspace.details(analysis)
-    if turn.source != "registration" or not isinstance(cut, TurnedFrame) or details is None or details.heading is None:
+    by_hand = analysis.state.angle != 0
+    if (
+        turn.source != "registration"
+        or by_hand
+        or not isinstance(cut, TurnedFrame)
+        or details is None
+        or details.heading is None
+    ):
         return text
     return (
         f"{text} Its top points to {heading_figure(details.heading)}° by its details, and to {heading_figure(cut.heading)}° by "

@@ -85,7 +85,7 @@ class QueryPanel:
         self.own: OwnPictures | None = None
         if has_model:
             gui.add_html(render("browse/choose"))
-            self.own = OwnPictures(gui, feeds, change, notify_error)
+            self.own = OwnPictures(gui, feeds, change, notify_error, workspace.key)
             navigation.step_own = self.own.step
         with gui.add_folder("Pictures"):
             self.find_box = gui.add_text("Find name", "")

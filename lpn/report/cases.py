@@ -10,6 +10,7 @@ from lpn.analysis.analyser import Analysis, OwnPicture, QueryAnalyser, QueryRequ
 from lpn.analysis.comparison import effect_on
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
+from lpn.core.numbers import shown_difference
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.drawing.part_areas import PartAreas
@@ -157,6 +158,14 @@ class Case:
     change: Reweighting | None
     effect: Effect | None
     profile: SweepResult | None
+
+    @property
+    def margin_shown(self) -> float | None:
+        """The margin as it is shown beside both squared distances, see `shown_difference`; None without one."""
+        if self.margin is None:
+            return None
+        distance2 = {pair.match.index: pair.match.distance2 for pair in self.pairs}
+        return shown_difference(distance2[self.margin.negative], distance2[self.margin.positive])
 
     @property
     def verdict(self) -> bool | None:

@@ -171,7 +171,7 @@ def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
             for match, entry in ((match, task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
-        None if case.margin is None else case.margin.total,
+        case.margin_shown,
         _decisive(case, task),
     )
 

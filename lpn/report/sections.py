@@ -60,7 +60,7 @@ def section(case: Case, task: Task, number: int) -> Markup:
         scale=overlays.data_uri(overlays.evidence_scale(240, 20), 90),
         heatmaps=_heatmaps(case, task),
         heatmaps_note=heatmaps.note(len(task.part_names)),
-        steps=charts.waterfall(case.margin.parts) if case.margin else [],
+        steps=charts.waterfall(case.margin.parts, sum_shown=case.margin_shown) if case.margin else [],
         profile=case.profile and charts.profile_charts(case.profile, task.part_names, _CHART_WIDTH),
         followed=followed and ("the true tile" if followed.true else f"tile {task.gallery[followed.tile].name}"),
     )
@@ -69,7 +69,7 @@ def section(case: Case, task: Task, number: int) -> Markup:
 def summary(case: Case, task: Task) -> tuple[str, str]:
     """Return the headline of a case and the sentence that gives its reason."""
     if not case.known:
-        gap = case.matches[0].gap
+        gap = case.matches[0].shown_gap
         apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
         why = (
             "It is not graded, as no tile is right for certain" if case.doubtful else "Its true place is not known here"

@@ -324,7 +324,7 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
     for back in (fresh.locator("#lpn-header .home").click, fresh.go_back):
         first.locator("[data-act=all]").first.click()
         expect(tools).to_contain_text("Plain words")
-        fresh.wait_for_timeout(500)  # the address is written 0.2 s later
+        fresh.wait_for_function("() => !location.search.includes('screen=first')")  # the address is written 0.2 s later
         back()
         expect(words).to_have_text("Expert words")
     # It keeps expert words that were asked for.

@@ -155,13 +155,20 @@
     return room?.clientWidth && room.clientHeight ? [room.clientWidth, room.clientHeight] : null;
   };
   // viser draws the panels beside the stage one after the other, and moves them into their places; a busy browser takes its time.
+  const FRAMELESS = 3000; // ms, as a page that is hidden draws no frames
   const LAID = 10000; // ms from the page's greeting, after which the stage's size counts as it is
   const laid = () => !lpn.docked || phone.matches || document.querySelector(SELECTORS.left);
   lpn.settled = (act) => {
     const before = String(lpn.stageSize());
-    const look = () => (laid() && String(lpn.stageSize()) === before) || performance.now() - lpn.greeted > LAID ? act() : lpn.settled(act);
-    if (document.hidden) act(); // it draws no frames
-    else requestAnimationFrame(() => requestAnimationFrame(look));
+    let looked = false;
+    const look = () => {
+      if (looked) return;
+      looked = true;
+      if ((laid() && String(lpn.stageSize()) === before) || performance.now() - lpn.greeted > LAID) act();
+      else lpn.settled(act);
+    };
+    requestAnimationFrame(() => requestAnimationFrame(look));
+    setTimeout(look, FRAMELESS);
   };
   // The size that the stage of a page that opens will have: a panel that was left open unfolds only when the server knows of it.
   lpn.openingSize = () => {

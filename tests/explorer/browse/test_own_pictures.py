@@ -56,13 +56,13 @@ def photo(number: int, place: tuple[float, float] | None = None) -> bytes:
 class Page:
     """One browser's own pictures, its state, and what its page shows."""
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, place: str = "data") -> None:
         self.contents: list[SimpleNamespace] = []
         self.errors: list[tuple[str, str]] = []
         self.state = SessionState(TASK, 4)
         self.feeds = Feeds(workspace)
         gui = SimpleNamespace(add_html=self._add)
-        self.own = OwnPictures(gui, self.feeds, self.change, lambda *error: self.errors.append(error))  # type: ignore[arg-type]
+        self.own = OwnPictures(gui, self.feeds, self.change, lambda *error: self.errors.append(error), place)  # type: ignore[arg-type]
         self.send = Receivers({BrowseMessage: self.own.receive}).hand_on
 
     def _add(self, content: str) -> SimpleNamespace:
@@ -257,7 +257,7 @@ def test_a_large_file_is_held_small_and_shown_the_same(page: Page, monkeypatch: 
 
 
 def test_the_next_session_of_a_page_holds_its_pictures_with_those_it_had_counted(workspace: Workspace) -> None:
-    first, second, before = Page(workspace), Page(workspace), own_pictures.held_bytes.total
+    first, second, before = Page(workspace), Page(workspace, "flight"), own_pictures.held_bytes.total
     for number, name in enumerate(("a.jpg", "b.jpg", "c.jpg")):
         first.own.take(name, photo(number))
     first.send("own-pick", ["own", 1])
@@ -275,7 +275,11 @@ def test_the_next_session_of_a_page_holds_its_pictures_with_those_it_had_counted
     assert again.upload is found
     assert found is not None
     assert found.name == "b.jpg"
+    back = Page(workspace)
+    back.own.take_over(second.own.hand_over())
+    assert not back.own.brought, "the picture was sent here"
     second.own.leave()
+    back.own.leave()
     assert own_pictures.held_bytes.total == before
 
 

@@ -680,7 +680,7 @@ def assert_details_come_first(workspace: Workspace, state: SessionState, monkeyp
     refused = first_screen.page(analyse(workspace, state), workspace)
     stages["registration"] = before
     assert "data-pin" not in refused
-    assert "well enough to place it, so none is shown. Too few agree." in text(refused)
+    assert "well enough to place it, so no detail is shown. Too few agree." in text(refused)
 
 
 def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from lpn.cli import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.core.numbers import signed
+from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
@@ -173,9 +173,11 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     ranking = rank(task, task.query_descriptors[query], query)
     expected = [match.distance2 for match in ranking.top(5)]
     np.testing.assert_allclose(sums[:5], expected, atol=5e-4)
-    steps = outcomes.parts[query]
-    for step in (*steps, steps.sum()):
+    positive = next(match for match in ranking.top(len(task.gallery)) if match.true)
+    total = shown_difference(ranking.top(1)[0].distance2, positive.distance2)
+    for step in (*rounded_to_sum(outcomes.parts[query].tolist(), total=total), total):
         assert signed(step) in text
+    assert f"It is {-total:.3f} (d²) behind the top match" in text
     assert f"{task.metrics['recall@1']:.1f} %" in text
     without = counterfactual.ranks_without_parts(ranking)
     assert without is not None
