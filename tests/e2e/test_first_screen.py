@@ -67,7 +67,9 @@ def fresh(browser: Browser) -> Iterator[Page]:
 
 
 @pytest.mark.slow
-def test_save_waits_visibly_until_the_answer_is_saved(app: RunningApp, fresh: Page) -> None:
+def test_save_waits_visibly_for_a_file_of_which_paper_shows_what_is_folded(
+    app: RunningApp, fresh: Page, tmp_path: Path
+) -> None:
     fresh.goto(app.url)
     save = fresh.locator("#lpn-first [data-act=report]")
     expect(save).to_have_text("Save")
@@ -75,6 +77,13 @@ def test_save_waits_visibly_until_the_answer_is_saved(app: RunningApp, fresh: Pa
         assert save.evaluate("(button) => { button.click(); return button.classList.contains('waiting'); }")
         assert save.evaluate("(button) => getComputedStyle(button, '::before').animationName") != "none"
     assert download.value.suggested_filename == "0007.html"
+    download.value.save_as(tmp_path / "0007.html")
+    fresh.goto((tmp_path / "0007.html").as_uri())
+    experts = fresh.locator("details.experts")
+    room = "(folded) => folded.offsetHeight - folded.firstElementChild.offsetHeight"
+    on_screen = experts.evaluate(room)
+    fresh.emulate_media(media="print")
+    assert experts.evaluate(room) > on_screen + 200
 
 
 @pytest.mark.slow
