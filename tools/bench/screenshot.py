@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from contextlib import ExitStack
@@ -118,12 +119,19 @@ def _encoded(picture: UInt8Array, before: Path) -> bytes:
 
 def main() -> None:
     """Start the app with each model, open it, take the pictures."""
-    out = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description="Take the pictures of the docs from the app.")
+    parser.add_argument("folder", type=Path, help="of the pictures; those that are there are replaced")
+    parser.add_argument(
+        "names", nargs="*", metavar="NAME", help="of the pictures to take, such as flight.webp; all by default"
+    )
+    given = parser.parse_args()
+    if unknown := sorted(set(given.names) - {shot.file for shot in SHOTS}):
+        parser.error(f"There is no picture {unknown[0]}; expected some of {', '.join(shot.file for shot in SHOTS)}.")
     with ExitStack() as stack:
         browser = launch(stack.enter_context(sync_playwright()))
         for shot in SHOTS:
-            if not sys.argv[2:] or shot.file in sys.argv[2:]:
-                _take(browser, shot, out)
+            if not given.names or shot.file in given.names:
+                _take(browser, shot, given.folder)
         browser.close()
 
 
