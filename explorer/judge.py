@@ -50,7 +50,10 @@ def is_sure(analysis: StateAnalysis, workspace: Workspace) -> bool:
 
 
 def shown(analysis: StateAnalysis, workspace: Workspace) -> StateAnalysis:
-    """Return an analysis for signs and colours: without grades where the judge is not sure."""
+    """Return an analysis for signs and colours: without grades where the judge is not sure.
+
+    The piece that this judge calls right stays, as the screen names it, and `Analysis.ungraded` leaves it out.
+    """
     if is_sure(analysis, workspace):
         return analysis
     positive = analysis.positive

@@ -215,7 +215,7 @@ class OwnPictures:
 
     @property
     def brought(self) -> bool:
-        """Whether the picture that `reopen` shows was sent at another workspace."""
+        """True if the picture that `reopen` shows was sent at another workspace."""
         with self._lock:
             shown = self._held[max(self._opened[1], 0)].key if self._held else ""
             return self._sent.get(shown, self._place) != self._place

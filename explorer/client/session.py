@@ -216,7 +216,7 @@ class ClientSession:
 
     @property
     def kept(self) -> SessionState | None:
-        """What the page shows, whose theme and words go on in another workspace; None if its address has opened that one."""
+        """The state that hands its theme and words on to another workspace; None if the page's address has opened that one."""
         return None if self._built_address.leads_elsewhere else self._state
 
     def wait_for(self, label: str) -> viser.NotificationHandle:

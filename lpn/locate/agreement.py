@@ -9,12 +9,12 @@ from __future__ import annotations
 from typing import cast
 
 import cv2
-import msgspec
 import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
+from lpn.locate.photo_places import PhotoPlaces, offset_rows
 from lpn.maps import Map, Window
 
 # Pixels of the square that holds the laid photo, of a place's side, and of how far from its place it is looked for.
@@ -35,38 +35,19 @@ _FEW_PLACES = 3
 _BORDER = 0.9
 
 
-class MapAgreement(msgspec.Struct, frozen=True):
+class MapAgreement(PhotoPlaces, frozen=True):
     """Places of a photo, and how far from them the map has what they show.
 
     Attributes:
-        rows: for each place its shares of the photo's width and height, then from where the photo has it to where the map has
-            it, metres east and north.
         reach: metres east, west, north, and south within which a place was looked for.
     """
 
-    rows: list[tuple[float, float, float, float]]
     reach: float
 
     @classmethod
     def of(cls, places: Float64Array, offsets: Float64Array, reach: float) -> MapAgreement:
         """Keep places (N, 2) and offsets (N, 2), to centimetres."""
-        rounded = np.hstack([places.round(4), offsets.round(2)]).tolist()
-        return cls([(across, down, east, north) for across, down, east, north in rounded], round(reach, 2))
-
-    @property
-    def places(self) -> Float64Array:
-        """The places as shares of the photo's width and height, (N, 2)."""
-        return np.array(self.rows, np.float64).reshape(-1, 4)[:, :2]
-
-    @property
-    def offsets(self) -> Float64Array:
-        """From where the photo has them to where the map has them, metres east and north, (N, 2)."""
-        return np.array(self.rows, np.float64).reshape(-1, 4)[:, 2:]
-
-    @property
-    def metres(self) -> Float64Array:
-        """The lengths of `offsets`, (N,)."""
-        return cast(Float64Array, np.hypot(*self.offsets.T))
+        return cls(offset_rows(places, offsets, 2), round(reach, 2))
 
     @property
     def median(self) -> float | None:

@@ -388,7 +388,7 @@ class LocatedFlight:
 
     @cached_property
     def registration_summary(self) -> measures.ErrorSummary | None:
-        """That of the registration, see `summaries`; None while no frame is registered."""
+        """The summary of the registration's errors, see `summaries`; None while no frame is registered."""
         return self.summaries().get("registration")
 
     @cached_property

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import cast
-
-import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.homography import apply_homography
 from lpn.locate.levelled import PhotoView
+from lpn.locate.photo_places import PhotoPlaces, offset_rows
 from lpn.locate.registration import Registration
 
 # The most details of a sample: as many as a person can tell apart in a picture.
@@ -18,17 +16,15 @@ _SAMPLE = 24
 _ROWS = 4
 
 
-class MatchedDetails(msgspec.Struct, frozen=True):
+class MatchedDetails(PhotoPlaces, frozen=True):
     """The matches of a photo that agree with its registration, and a sample of them that is spread over the photo.
 
     Attributes:
-        rows: for each match of the sample its shares of the photo's width and height, then from where the registration lays it to
-            where the map has it, metres east and north.
+        rows: those of the sample.
         median: of the distances of all matches that agree, in metres.
         limit: metres within which a match agrees.
     """
 
-    rows: list[tuple[float, float, float, float]]
     median: float
     limit: float
 
@@ -50,24 +46,8 @@ class MatchedDetails(msgspec.Struct, frozen=True):
         chosen = _spread(places * view.size)
         order = np.lexsort((places[chosen, 0], np.floor(places[chosen, 1] * _ROWS)))
         chosen = chosen[order]
-        rounded = np.hstack([places[chosen].round(4), offsets[agree][chosen].round(3)]).tolist()
-        rows = [(across, down, east, north) for across, down, east, north in rounded]
+        rows = offset_rows(places[chosen], offsets[agree][chosen], 3)
         return cls(rows, round(float(np.median(metres[agree])), 3), round(matched.limit, 3))
-
-    @property
-    def places(self) -> Float64Array:
-        """The places of the sample as shares of the photo's width and height, (N, 2)."""
-        return np.array(self.rows, np.float64).reshape(-1, 4)[:, :2]
-
-    @property
-    def offsets(self) -> Float64Array:
-        """From where the registration lays them to where the map has them, metres east and north, (N, 2)."""
-        return np.array(self.rows, np.float64).reshape(-1, 4)[:, 2:]
-
-    @property
-    def metres(self) -> Float64Array:
-        """The lengths of `offsets`, (N,)."""
-        return cast(Float64Array, np.hypot(*self.offsets.T))
 
     def on_map(self, homography: Float64Array, width: int, height: int) -> Float64Array:
         """Return where the map has the sample, metres east and north, (N, 2).
