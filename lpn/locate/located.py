@@ -235,6 +235,7 @@ class LocatedFlight:
         tags_away: metres from the map's edge to the nearest tag where all lie far off the map, so that they were left out;
             None where they do not.
         shipped: registrations that ship with the flight, by the frame's name, see `lpn.locate.shipped`.
+        prior: metres about each tag that registration searched; None if the search used no tag.
     """
 
     flight: Flight
@@ -249,6 +250,7 @@ class LocatedFlight:
     map_error: float | None = None
     place_error: float = 0.0
     tags_away: float | None = None
+    prior: float | None = None
 
     @property
     def elsewhere(self) -> str:
@@ -393,9 +395,13 @@ class LocatedFlight:
 
     @cached_property
     def radii_confirmed(self) -> dict[str, bool]:
-        """By stage, if three radii hold its errors about as often as right ones would; without stages that no tag checks."""
+        """By stage, if three radii hold its errors about as often as right ones would; without stages that no tag checks.
+
+        A search with a prior finds nothing far from the tags, so these may refute its radii, and confirm none.
+        """
         checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
-        return {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
+        confirmed = {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
+        return confirmed if self.prior is None else {stage: False for stage, held in confirmed.items() if not held}
 
     def field_measures(self) -> dict[str, float]:
         """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.

@@ -101,7 +101,9 @@ def locate(
         elif options.sequence:
             notes += enter_sequence(retrieval, flight, frames, options)
     registrations = {} if answers is None else answers.registration
-    located = LocatedFlight(flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away)
+    located = LocatedFlight(
+        flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior
+    )
     return registered(located, model, options, on_progress) if options.register else located
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -71,6 +72,14 @@ def test_a_track_says_if_the_tags_of_the_flight_confirm_its_radii() -> None:
         ((photo("a.jpg", None),), [""]),
     ):
         located = flight(**{one.frame.name: one for one in frames})
+        for track in (full_track(located), best_track(located)):
+            assert [point.radius_confirmed for point in track] == told
+
+
+def test_tags_that_the_search_used_refute_radii_and_confirm_none() -> None:
+    near, far = photo("a.jpg", (0.0, 999.0)), photo("b.jpg", (0.0, 0.0))
+    for frames, told in (((near,), [""]), ((near, far), ["no", "no"])):
+        located = replace(flight(**{one.frame.name: one for one in frames}), prior=30.0)
         for track in (full_track(located), best_track(located)):
             assert [point.radius_confirmed for point in track] == told
 

@@ -264,6 +264,7 @@ def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight
     assert found.notes[0].startswith("1 of 3 photos has no GPS tag, so how far off its place is cannot")
     assert [point.state for point in found.track()] == ["refused", "refused", "accepted"]
     assert "Registration searched around the GPS tags only (prior 40 m)" in found.notes[1]
+    assert found.prior == 40
 
 
 @pytest.mark.parametrize(
