@@ -153,12 +153,14 @@ class GalleryMap:
         self._query.show(overlays.framed(overlays.square(analysis.query.picture, 256), palette.text, 4))
         colour = theme.verdict_colour(analysis.chosen.true)
         self._tile.show(overlays.framed(overlays.square(analysis.tile.picture, 256), colour, 6))
+        self._show_sign(True)
         return viewpoint
 
     def bare(self) -> None:
-        """Hide all that would lie between the query's camera and the ground: that camera, tiles, lines, and other cameras."""
+        """Hide all but the ground: the query's camera and the others, tiles, lines, and the sign."""
         for tile in self._tiles:
             tile.handle.visible = False
+        self._show_sign(False)
         self._camera.visible = self._lines.visible = self._frame.visible = self._here.visible = False
         self._flight.hide()
 
@@ -167,6 +169,7 @@ class GalleryMap:
         if self.eye is not None:
             for tile, visible in zip(self._tiles, self._seen, strict=True):
                 tile.handle.visible = visible
+            self._show_sign(True)
             self._camera.visible = self._lines.visible = True
             self._frame.visible = self._here.visible = self._framed
             if self._analysis is not None and (places := self._analysis.task.geometry) is not None:
@@ -243,6 +246,10 @@ class GalleryMap:
             points.append(camera)
         points = [point for point in points if np.isfinite(point).all()] or [self._to_stage(np.zeros(2), 0.0)]
         return oblique_view(np.array(points) - MAP_CENTRE, _MIN_VIEW * self._scale)
+
+    def _show_sign(self, visible: bool) -> None:
+        for plane in (self._query, self._caption, self._tile):
+            plane.handle.visible = visible
 
     def put_sign(self, viewpoint: Viewpoint, aspect: float) -> None:
         """Arrange query, caption, and tile along the top of a view in a window of the given aspect."""

@@ -38,11 +38,14 @@ class Scene:
 
     def __init__(self) -> None:
         self.tiles: list[SimpleNamespace] = []
+        self.sign: list[SimpleNamespace] = []
 
     def add_image(self, name: str, *_: Any, **__: Any) -> SimpleNamespace:
         image = SimpleNamespace(visible=True, on_click=lambda _: None)
         if name.startswith("/map/tile") and name != "/map/tile":
             self.tiles.append(image)
+        elif name in ("/map/query", "/map/caption", "/map/tile"):
+            self.sign.append(image)
         return image
 
     def add_line_segments(self, name: str, *_: Any, **__: Any) -> SimpleNamespace:
@@ -234,10 +237,15 @@ def test_the_other_cameras_of_a_flight_and_the_ground_of_their_photos_are_lines_
         assert scene.flight.visible
         assert scene.flight.points.shape == (2 * (8 + 24), 2, 3)
         assert scene.flight.colors.shape == scene.flight.points.shape
+        planes = [*scene.tiles, *scene.sign]
+        assert len(scene.sign) == 3
         shown.bare()
-        assert not any([scene.flight.visible, scene.camera.visible, *(tile.visible for tile in scene.tiles)])
+        assert not any([scene.flight.visible, scene.camera.visible, *(plane.visible for plane in planes)])
         shown.show_photo()
-        assert all([scene.flight.visible, scene.camera.visible, *(tile.visible for tile in scene.tiles)])
+        assert all([scene.flight.visible, scene.camera.visible, *(plane.visible for plane in planes)])
+        shown.bare()
+        shown.show(analysis, Lettering(24, 100.0))
+        assert all(plane.visible for plane in planes), "a photo without a pose is not looked through"
         shown.show(replace(analysis, state=replace(state, cameras=False)), Lettering(24, 100.0))
         assert not scene.flight.visible
     finally:
