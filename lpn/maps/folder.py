@@ -142,11 +142,24 @@ def build_map(
     """
     options = options or MapOptions()
     place = None if place is None else checked_place(place)
+    _check_unwritten(paths)
     files = files_of(paths, options)
     earlier = _written_before(out)
     heights = None if elevation is None else ElevationSource(elevation)
     _check_inputs([*files, *([] if elevation is None else [elevation.path])], out)
     return _build(files, out, options, earlier, on_progress, notes, heights, place)
+
+
+def _check_unwritten(paths: Sequence[Path]) -> None:
+    for path in paths:
+        if not (path / NAME).is_file():
+            continue
+        with suppress(DataError):  # a map.json of another program
+            named = ", ".join(printable(one.file) for one in _read(path).sheets)
+            raise InputError(
+                f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of, which it names so: "
+                f"{named}."
+            )
 
 
 def write_own_map(

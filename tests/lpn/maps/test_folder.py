@@ -136,7 +136,16 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
     good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
     degrees = write_geotiff(tmp_path / "b.tif", smooth(60, 60), matrix=(7e-6, 0, 9.0, 0, -5e-6, 48.0))
     out = tmp_path / "map"
+    build_map([good], tmp_path / "written").close()
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "map.json").write_text("{}")
     for files, words in (
+        (
+            [tmp_path / "written"],
+            "written is a map that lpn map wrote; give the files that it was made of, which it names so: ",
+        ),
+        ([other], "other holds map.json; expected GeoTIFF files"),
         ([tmp_path / "bare.png"], "no georeference"),
         ([good, degrees], "look like degrees"),
         ([tmp_path / "missing.tif"], "There is no file"),
