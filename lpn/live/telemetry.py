@@ -21,9 +21,9 @@ from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
 from lpn.flights.videos import SUBTITLES
 from lpn.live.frames import ArrivedPicture, Say
 
-# Seconds after which a heading, and a height or a position, count no longer.
+# Seconds after which the values that change quickly, and heights, count no longer.
 FRESH, _HEIGHT_HOLDS = 2.0, 10.0
-_ANGLES = ("heading", "heading_source", "pitch", "roll")
+_QUICK = ("heading", "heading_source", "pitch", "roll", "latitude", "longitude")
 # Entries of a link in memory, some seconds of them.
 _ENTRIES = 256
 _WAIT = 0.2
@@ -101,7 +101,7 @@ class LogTelemetry(LiveTelemetry):
 class MavlinkLink(LiveTelemetry):
     """A link by MAVLink, read by a thread of its own.
 
-    Heading and tilt count for 2 s, heights and positions for 10 s.
+    Heading, tilt, and position count for 2 s, heights for 10 s.
 
     Args:
         address: as pymavlink takes it, such as udp:127.0.0.1:14550, tcp:127.0.0.1:5760, or a serial device.
@@ -148,9 +148,10 @@ class MavlinkLink(LiveTelemetry):
         known: dict[str, Any] = {name: value for name in VALUES if (value := getattr(nearest, name)) is not None}
         if abs(age) > FRESH:
             self._warn(
-                f"Telemetry is {age:.1f} s late; frames have no heading, and their height counts for some seconds more."
+                f"Telemetry is {age:.1f} s late; frames have no heading and no position, and their height counts for some "
+                "seconds more."
             )
-            known = {name: value for name, value in known.items() if name not in _ANGLES}
+            known = {name: value for name, value in known.items() if name not in _QUICK}
         elif self._late:
             self._late = False
             self._say("Telemetry is in time again.")

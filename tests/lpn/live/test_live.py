@@ -362,7 +362,7 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
         assert (value.frame.heading, value.frame.heading_source) == (pytest.approx(90), "gimbal")
         assert value.frame.flying_height == HEIGHT
         late = link.value(arrived(frame, 5.0)).frame
-        assert (late.heading, late.flying_height) == (None, HEIGHT)
+        assert (late.heading, late.latitude, late.longitude, late.flying_height) == (None, None, None, HEIGHT)
         assert link.value(arrived(frame, 50.0)).frame.flying_height is None
         other.tell(frame)
         wait_until(lambda: any("System 9" in sentence for sentence in said))
