@@ -299,7 +299,8 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
     while not job.total:
         job.wait(0.01)
     page = pages.header(opened, opened.tasks[TASK], job)
-    assert "3 of 22 " in page
+    assert "3 of 22<progress " in page
+    assert 'value="3" max="22"' in page
     assert "scoring-stop" in page
     job.leave(client)
     assert job.wait(PATIENCE)
