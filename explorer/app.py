@@ -178,10 +178,12 @@ class App:
             notice = session.wait_for(other.label)
             while not job.wait(0.5):
                 if job.total:
+                    session.views.bridge.work(job.done, job.total)
                     notice.body = f"{job.done:,} of {job.total:,} pictures are described; this page goes on until then."
                 if session.client.client_id not in self.server.get_clients():
                     return False
             notice.remove()
+            session.views.bridge.work(0, 0)
         if other.workspace is None:
             session.stay(other.label, other.error)
             return False

@@ -18,6 +18,8 @@ ROOMY = 560
 DEFAULT_STAGE = (780, 820)
 # A stage at least this wide has room for all notes in one line.
 WIDE = 600
+# Widths of the bars from which on their titles take one line, and two; less wide, they take three.
+TITLE_WIDTHS = 840, 500
 _GAP, _CARD_GAP = 12, 8
 _MOST_CARDS = 10
 _SMALLEST_CARD, _LARGEST_CARD = 58, 140
@@ -108,12 +110,17 @@ def layout_for(input_size: tuple[int, int], n_parts: int = 4, stage: tuple[int, 
     aspect = input_size[1] / input_size[0]
     stacked = aspect >= _PANORAMA
     width, height = stage
-    tools, bars = (TOOLS, BAR * (n_parts + 1)) if height >= ROOMY else (0, 0)
+    tools, rows = (TOOLS, BAR * (n_parts + 1)) if height >= ROOMY else (0, 0)
     notes = NOTE if width >= WIDE else 2 * NOTE
     inside = width - 2 * _GAP
-    fixed = tools + bars + notes + (_GAP if bars else 0) + (2 if stacked else 1) * CAPTION + 2 * _GAP
-    chosen = max(_choices(aspect, inside, height - fixed, stacked), key=lambda one: one.worth)
-    picture = chosen.picture, chosen.picture / aspect
+    for lines in range(len(TITLE_WIDTHS) + 1):  # narrower pictures have narrower titles, which take more lines
+        bars = rows + NOTE * lines if rows else 0
+        fixed = tools + bars + notes + (_GAP if bars else 0) + (2 if stacked else 1) * CAPTION + 2 * _GAP
+        chosen = max(_choices(aspect, inside, height - fixed, stacked), key=lambda one: one.worth)
+        picture = chosen.picture, chosen.picture / aspect
+        wide = inside if stacked else 2 * picture[0] + _GAP
+        if lines == sum(wide < one for one in TITLE_WIDTHS):
+            break
     card_height = chosen.card / aspect
     strip = chosen.rows * (card_height + LABEL) + (chosen.rows - 1) * _CARD_GAP
     used = fixed + (2 if stacked else 1) * picture[1] + strip
@@ -134,7 +141,6 @@ def layout_for(input_size: tuple[int, int], n_parts: int = 4, stage: tuple[int, 
         tops, left_of_tile = (top, top), _GAP / 2
     below = max(tops) + CAPTION + picture[1] + _GAP
     caption = picture[0], float(CAPTION)
-    wide = inside if stacked else 2 * picture[0] + _GAP
     cards_top = height - _GAP - strip
     return ScreenLayout(
         stacked=stacked,

@@ -15,6 +15,7 @@ from lpn import report
 from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import InputError, LPNError
+from lpn.core.progress import CountProgress
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
 from lpn.tasks import notes
@@ -95,10 +96,17 @@ class Reporter:
 
     Args:
         model: the queued model for background work.
+        on_progress: receives the finished and the total amount of work, (0, 0) at its end.
     """
 
-    def __init__(self, client: viser.ClientHandle, model: QueuedModel | None) -> None:
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        model: QueuedModel | None,
+        on_progress: CountProgress = lambda *_: None,
+    ) -> None:
         self._client, self._model, self._left = client, model, False
+        self._on_progress = on_progress
         self._job: BackgroundJob[None] | None = None
 
     def make(self, work: MakeReport, noun: str = "report", control: str = "Report") -> None:
@@ -134,6 +142,7 @@ class Reporter:
         def on_progress(done: int, total: int) -> None:
             progress(done, total)
             notification.body = f"{done} of {total} done. {cancel}"
+            self._on_progress(done, total)
 
         try:
             name, contents = work(on_progress, self._model)
@@ -145,6 +154,8 @@ class Reporter:
                 text = str(error)
             notification.title, notification.body, notification.loading = f"No {noun}", text, False
             raise
+        finally:
+            self._on_progress(0, 0)
         # The page may ignore a removal that follows an update at once, so the notification closes by itself.
         notification.title, notification.body = f"The {noun} is made", f"The browser saves {name}."
         notification.loading, notification.auto_close_seconds = False, _TOLD

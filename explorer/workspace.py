@@ -50,7 +50,7 @@ from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
 from lpn.retrieval.calibration import zoom_note
 from lpn.tasks.query_outcomes import Outcomes
-from lpn.tasks.task import Scoring, Task
+from lpn.tasks.task import SCORINGS, Scoring, Task, scored_key
 
 log = logging.getLogger(__name__)
 
@@ -233,6 +233,11 @@ class Workspace:
     def task_of(self, state: SessionState) -> Task:
         """Return the state's task under its scoring, or as it was opened where that one is not ready."""
         return self.rankings[self.supported_state(state).ranking_key].task
+
+    def scored_rankings(self, task: Task) -> list[RankingJob]:
+        """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""
+        keys = [task.key, *(scored_key(task.name, scoring) for scoring in SCORINGS)]
+        return [self.rankings[key] for key in dict.fromkeys(keys) if key in self.rankings]
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
         """Return a task under its scoring if all others rank it so, else as it was opened: models are compared alike."""

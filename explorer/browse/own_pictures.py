@@ -312,20 +312,19 @@ class OwnPictures:
             picture = self._open(self._first) if added else None
         if picture is not None:
             self._change(lambda state: own_query(state, picture))
-            self._say(added, len(refused))
         elif refused:
             self._notify_error(
                 "No picture was taken", f"{len(refused)} files were left out; the list is below the button."
             )
+        self._say(added, len(refused))
 
     def _say(self, added: int, refused: int) -> None:
         """Tell how a batch ended; the first screen shows neither the list of pictures nor that of those left out."""
-        if added + refused == 1:
-            return
         read = "1 picture of your own is read" if added == 1 else f"{added} pictures of your own are read: N and P step"
         left_out = f" {refused} left out: Show everything lists them." if refused else ""
         self._asked += 1
-        self._go.show(run(f"{call('say', f'{read}.{left_out}', 8)};/*{self._asked}*/"))
+        said = call("say", f"{read}.{left_out}", 8) if added and added + refused > 1 else ""
+        self._go.show(run(f"{call('work', 0, 0)};{said};/*{self._asked}*/"))
 
     def _pick(self, index: int) -> None:
         """Show one of the pictures held."""

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 import viser
+from markupsafe import escape
 
 from explorer import judge
 from explorer.browse.messages import BrowseMessage
@@ -80,7 +81,7 @@ class ClientViews:
         self.panels = Panels(client, workspace, services.feeds, services.weight_figures, state(), change)
         self.viewport = viewport = Viewport()
         model = requests.queued(workspace.model, background=True)
-        self.reporter = reporter = Reporter(client, model)
+        self.reporter = reporter = Reporter(client, model, lambda *count: self.bridge.work(*count))
         self.explain_window = ExplainWindow(
             client,
             workspace,
@@ -261,7 +262,7 @@ class ClientViews:
         with speaking(self._workspace.vocabulary(analysis.state.plain)):
             job, covered = analysis.own_photo, analysis.state.first_screen
             if job is not None and not job.wait(0):
-                self.bridge.call("comparing", answer_text.comparing(job))
+                self.bridge.call("comparing", escape(answer_text.comparing(job)))
                 return
             self.flight.show(analysis)
             if covered:

@@ -25,11 +25,10 @@ class RankingProgress:
         self._thread: threading.Thread | None = None
         self._closed = False
 
-    def follow(self, main: RankingJob, other: RankingJob | None = None) -> None:
-        """Wait for the ranking that the page shows, then for another one, and for no others."""
-        needed = (main,) if other is None else (main, other)
+    def follow(self, main: RankingJob, *others: RankingJob) -> None:
+        """Wait for the ranking that the page shows, then for others one by one, and for no further ones."""
         pending = tuple(
-            ranking for ranking in needed if ranking.automatic and ranking.result is None and not ranking.error
+            ranking for ranking in (main, *others) if ranking.automatic and ranking.result is None and not ranking.error
         )
         with self._lock:
             if pending == self._pending or self._closed:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from explorer import judge
 from explorer.compute.centre_mean import CentreMean
@@ -16,7 +16,7 @@ from explorer.compute.request_context import RequestContext
 from explorer.compute.scorings import TERMS
 from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
-from explorer.web.render import call, render, run, send
+from explorer.web.render import call, progress_bar, render, run, send
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.arrays import FloatingArray, Int64Array
 from lpn.core.numbers import shown_difference
@@ -215,7 +215,7 @@ class ModelComparison:
         texts |= {f"choice {i}": _progress(one) for i, one in enumerate(self._workspace.beside) if one.opening}
         if other is None and not compared.error:
             texts["opening"] = _opening(compared, self._workspace.beside)
-        return run(call("fill", "live", texts, self._drawn[1]))
+        return run(call("fill", "live", {key: escape(text) for key, text in texts.items()}, self._drawn[1]))
 
     def _shared_task(self, state: SessionState) -> Task:
         opened = [one.workspace for one in self._workspace.beside if one.workspace is not None]
@@ -361,7 +361,7 @@ def _opening(lazy: LazyWorkspace, beside: Sequence[LazyWorkspace]) -> str:
     """Say what the compared model waits for, while it is not open."""
     ahead = next((one for one in beside if one.opening), lazy)
     first = "" if ahead is lazy else f"{lazy.label} is opened after {ahead.label}. "
-    return f"{first}Opening {ahead.label}: {_progress(ahead)}."
+    return progress_bar(*ahead.progress, f"{first}Opening {ahead.label}: {_progress(ahead)}.", "pictures described")
 
 
 def _progress(lazy: LazyWorkspace) -> str:
@@ -378,7 +378,9 @@ def _mean_text(mean: CentreMean) -> str:
         return f"{everything}: not known yet"
     value = f"{everything}: {mean.percent:.1f} %"
     if mean.done < mean.total:
-        return f"{value} so far ({mean.done:,} of {mean.total:,})"
+        return progress_bar(
+            mean.done, mean.total, f"{value} so far ({mean.done:,} of {mean.total:,})", "pictures of the mean"
+        )
     drawn = f" of {mean.pictures:,} drawn at random" if mean.total < mean.pictures else ""
     return f"{value} (mean of {mean.total:,}{drawn})"
 

@@ -66,11 +66,14 @@ class SecondProgress:
         text: a line that says what they wait for, or why there are none; empty once they are there.
         pending: they are being computed.
         offered: the second model's name, if it is opened on request only.
+        done, total: pictures of the work that goes on; 0 while they are not known.
     """
 
     text: str = ""
     pending: bool = False
     offered: str = ""
+    done: int = 0
+    total: int = 0
 
 
 # The terms of columns. Their names stay as they are in files; a filter takes the plain words, too.
@@ -210,14 +213,14 @@ class FailureLab:
             return SecondProgress()
         if second.workspace is None:
             if second.opening:
-                return SecondProgress(f"rank B: opening {second.label}", True)
+                return SecondProgress(f"rank B: opening {second.label}", True, "", *second.progress)
             failed = f"rank B: {second.label} is not open. {second.error}" if second.error else ""
             return SecondProgress(failed, offered=second.label)
         preparation, name = self._scoring.get(beside), second.workspace.model_name
         if preparation is not None and not preparation.wait(0) and preparation.join(client):
             done, total = preparation.done, preparation.total
             pictures = f"{done:,} of {total:,} pictures" if total else "its pictures"
-            return SecondProgress(f"rank B: calibrating {name}, {pictures}", True)
+            return SecondProgress(f"rank B: calibrating {name}, {pictures}", True, "", done, total)
         ranking = second.workspace.ranked_as(self._workspace.rankings[task].task)
         if ranking is None:
             return SecondProgress(f"rank B: {second.workspace.model_name} does not know the views of {task}")
@@ -227,7 +230,8 @@ class FailureLab:
         job = ranking.join(client)
         if ranking.error:
             return SecondProgress(f"rank B: none. {ranking.error}")
-        return SecondProgress(f"rank B: ranking {job.done:,} of {len(ranking.task.queries):,} queries", True)
+        total = len(ranking.task.queries)
+        return SecondProgress(f"rank B: ranking {job.done:,} of {total:,} queries", True, "", job.done, total)
 
     def open_second(self, beside: int = 0, again: bool = True) -> None:
         """Open the second model in the background, if there is one that is not open.

@@ -131,7 +131,7 @@ def _drawers(lab: LabState, selected: int) -> dict[Drawer, str]:
 
 def second_progress(progress: SecondProgress) -> str:
     """Return a line about the second model's ranks while they are not there; empty without a second model."""
-    return render("failure_lab/second", progress=progress) if progress.text or progress.offered else ""
+    return render("failure_lab/second", second=progress) if progress.text or progress.offered else ""
 
 
 def drawer(

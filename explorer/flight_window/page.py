@@ -16,7 +16,7 @@ from explorer.flight_window.service import FlightView
 from explorer.panels import answer_text
 from explorer.panels.radius_text import reach
 from explorer.web.coordinates import MapCoordinate, describe_point
-from explorer.web.render import call, render, run
+from explorer.web.render import call, progress_bar, render, run
 from explorer.workspace import StateAnalysis
 from lpn.core.arrays import Float64Array, FloatingArray
 from lpn.core.files import printable
@@ -268,7 +268,8 @@ def progress(registration: BackgroundJob[None] | None, frames: int) -> str:
     if registration.wait(0):
         return "" if registration.error is None else f"{_comparison()} failed: {registration.error}"
     work = "Comparing details with the map" if plain() else "Registering"
-    return f"{work} {registration.done}/{registration.total or frames}"
+    done, total = registration.done, registration.total or frames
+    return progress_bar(done, total, f"{work} {done}/{total}", "photos")
 
 
 def _comparison() -> str:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import viser
+from markupsafe import escape
 
 from explorer import session_state
 from explorer.compute.worker import Worker
@@ -232,9 +233,9 @@ class FlightWindow:
         self._progress.show(
             page.calls(
                 {
-                    "sentence": page.sentence(view, running),
+                    "sentence": escape(page.sentence(view, running)),
                     "accuracy": page.accuracy(view),
-                    "status": (message and message.text) or page.progress(job, len(view.flight.frames)),
+                    "status": escape((message and message.text) or page.progress(job, len(view.flight.frames))),
                 }
             )
         )

@@ -35,11 +35,13 @@ class LiveSight:
         view: of its frames; None before the first.
         pictures: of these frames.
         status: age of the last answer and dropped frames in words; before the first answer, what is waited for.
+        described: windows of the map that are described, and all of them; (0, 0) once that has ended.
     """
 
     view: FlightView | None
     pictures: FlightPictures
     status: str = ""
+    described: tuple[int, int] = (0, 0)
 
 
 class _Flown:
@@ -70,7 +72,7 @@ class LiveRecord:
         self.watchers = Watchers()
         self._flown = _Flown(self._flight())
         self._pictures = FlightPictures(self._flown)
-        self._status = _WAITING
+        self._status, self._described = _WAITING, (0, 0)
         # None after a change.
         self._sight: LiveSight | None = None
 
@@ -99,6 +101,7 @@ class LiveRecord:
     def count_windows(self, done: int, total: int) -> None:
         """Take the number of the map's windows that are described, before the first frame is located."""
         with self._lock:
+            self._described = done, total
             self._status = f"{done:,} of {total:,} windows of the map are described"
             self._sight = None
         self.watchers.tell()
@@ -126,7 +129,7 @@ class LiveRecord:
                 if self._frames:
                     self._flown.flight = self._flight()
                     view = FlightView.of(self._flown.flight, {}, "")
-                self._sight = LiveSight(view, self._pictures, self._status)
+                self._sight = LiveSight(view, self._pictures, self._status, self._described if view is None else (0, 0))
             return self._sight
 
     def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:

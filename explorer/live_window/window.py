@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 import viser
+from markupsafe import escape
 
 from explorer.compute.worker import Worker
 from explorer.flight_window import messages as flight_messages
@@ -19,6 +20,7 @@ from explorer.stage.viewport import EDGE, Viewport
 from explorer.web import style
 from explorer.web.bridge import PageBridge
 from explorer.web.html import Html
+from explorer.web.render import progress_bar
 from lpn.drawing import theme
 
 log = logging.getLogger(__name__)
@@ -93,7 +95,9 @@ class LiveWindow:
         view = sight.view
         self._shell.show(page.shell((), max(self._height - _FRAME_HEIGHT, 300), tall=True, live=True))
         if view is None:
-            self._progress.show(page.calls({"waits": f"{sight.status}."}))
+            self._progress.show(
+                page.calls({"waits": progress_bar(*sight.described, f"{sight.status}.", "windows of the map")})
+            )
             return None
         frames = view.flight.frames
         with self._lock:
@@ -105,7 +109,7 @@ class LiveWindow:
         self._data.show(page.calls({"show": data, "lists": page.lists(view)}))
         last = view.beliefs[-1]
         sentence = f"{last.headline}. {page.sentence(view, running=False)}"
-        self._progress.show(page.calls({"sentence": sentence, "status": sight.status}))
+        self._progress.show(page.calls({"sentence": escape(sentence), "status": escape(sight.status)}))
         self._sequence += 1
         followed = {"address": address, "frame": page.chosen(view, frame, address), "answer": None, "scores": None}
         self._followed.show(page.calls({"follow": followed | {"sequence": self._sequence}}))

@@ -9,6 +9,7 @@ from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import TaskRanking
 from explorer.panels import place_text
+from explorer.web.render import progress_bar
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
@@ -377,9 +378,10 @@ def comparing(job: BackgroundJob[OwnPhoto]) -> str:
     if job.value is not None:
         return ""
     tries = f": {job.done} of {job.total} tries" if job.total else ""
-    return (
+    text = (
         f"Its details are compared with the map, which can take a minute and goes on whatever this page shows …{tries}"
     )
+    return progress_bar(job.done, job.total, text, "tries")
 
 
 def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:

@@ -94,10 +94,10 @@ class PageBridge:
         self._dropped = 0
         uuid = uuid_of(self._text)
         initial = json.dumps({**properties, "bridge": uuid})
-        script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet()"
+        script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet();lpn.work(0,0)"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
-        self._address, self._ground, self._call, self._tab, self._stage, self._photo, self._theme = (
-            Html(gui) for _ in range(7)
+        self._address, self._ground, self._call, self._tab, self._stage, self._photo, self._theme, self._work = (
+            Html(gui) for _ in range(8)
         )
 
     def set_address(self, query: str, keys: Sequence[str]) -> None:
@@ -123,6 +123,10 @@ class PageBridge:
     def call(self, function: str, *arguments: object) -> None:
         """Call a function of the page's script. The page may run only the last of several quick calls."""
         self._call.show(run_once(call(function, *arguments)))
+
+    def work(self, done: int, total: int) -> None:
+        """Show at the page's upper edge how far work is that goes on whatever the page shows; nothing at a total of 0."""
+        self._work.show(run(call("work", done, total)))
 
     def open_tab(self, name: str) -> None:
         """Have the page open a tab of a window by its name; other calls do not replace this one."""

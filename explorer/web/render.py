@@ -6,7 +6,7 @@ import json
 import re
 import uuid
 
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from explorer.web.style import part_ink, verdict_ink
 from explorer.web.terms import term
@@ -49,6 +49,16 @@ def render(template: str, **context: object) -> str:
     return _ENVIRONMENT.get_template(f"{template}.html.j2").render(context)
 
 
+def progress_bar(done: int, total: int, text: str = "", name: str = "progress") -> Markup:
+    """Return a text with a bar that is filled by a share; without the bar while the total, 0, is not known.
+
+    Args:
+        name: of the bar, for screen readers.
+    """
+    bar = Markup('<progress class="lpn-progress" value="{}" max="{}" aria-label="{}"></progress>')
+    return escape(text) + (bar.format(done, total, name) if total else "")
+
+
 _ENVIRONMENT = environment("explorer.web")
 _ENVIRONMENT.filters["format"] = format
 _ENVIRONMENT.filters["capitalised"] = words.capitalised
@@ -57,6 +67,7 @@ _ENVIRONMENT.filters["tied"] = lambda text: type(text)(re.sub(r"(?<=\d) (?=%|k?m
 _ENVIRONMENT.globals.update(
     send=send,
     press=press,
+    progress_bar=progress_bar,
     term=term,
     say=words.say,
     plain=words.plain,

@@ -9,26 +9,26 @@ from typing import cast
 Colour = tuple[int, int, int]
 
 # The one table of colours. Right and wrong are yellow and blue as in the paper; evidence for and against is orange and violet.
-# `tests/lpn/drawing/test_theme.py` measures that all differ, and that parts, stages, and opposites differ for any colour vision.
+# `tests/lpn/drawing/test_theme.py` measures that all differ, and those that meet on one screen for any colour vision.
 COLOURS: dict[str, Colour] = {
-    "part-0": (251, 117, 187),
-    "part-1": (122, 221, 255),
-    "part-2": (196, 232, 75),
-    "part-3": (211, 70, 59),
-    "part-4": (165, 241, 214),
-    "part-5": (151, 174, 30),
-    "part-6": (156, 79, 143),
-    "part-7": (185, 121, 115),
-    "right": (255, 200, 30),
-    "wrong": (70, 120, 240),
+    "part-0": (185, 63, 163),
+    "part-1": (142, 194, 236),
+    "part-2": (208, 248, 94),
+    "part-3": (208, 67, 55),
+    "part-4": (178, 255, 227),
+    "part-5": (147, 173, 25),
+    "part-6": (148, 81, 117),
+    "part-7": (198, 133, 125),
+    "right": (244, 189, 0),
+    "wrong": (1, 105, 225),
     "unknown": (130, 130, 130),
-    "for": (255, 128, 32),
-    "against": (158, 120, 255),
+    "for": (243, 123, 22),
+    "against": (177, 132, 255),
     "tag": (255, 255, 255),
-    "by-hand": (255, 61, 138),
-    "retrieval": (250, 197, 186),
-    "sequence": (201, 179, 255),
-    "registration": (84, 176, 96),
+    "by-hand": (244, 19, 118),
+    "retrieval": (253, 209, 183),
+    "sequence": (202, 179, 255),
+    "registration": (83, 170, 85),
     # A place by details that another answer, or the map away from the photo's middle, contradicts.
     "contradicted": (255, 30, 30),
     # The accent marks controls and what is chosen.

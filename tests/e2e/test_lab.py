@@ -319,6 +319,15 @@ def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
     expect(shown).to_have_attribute("data-pictures", re.compile("[1-9]"))  # so few queries are shown as pictures
     lab.page.get_by_label("Pictures in place of points").click()
     expect(shown).to_have_attribute("data-pictures", "0")
+    # A map that is zoomed until nothing is in sight says so, and leads back.
+    nothing = lab.page.get_by_text("No picture lies here.")
+    expect(nothing).to_be_hidden()
+    marks = lab.page.locator(".lab-map .marks")
+    for _ in range(30):
+        marks.press("+")
+    expect(nothing).to_be_visible()
+    nothing.get_by_role("button", name="Show all").click()
+    expect(nothing).to_be_hidden()
     lasso(lab, ALL)
     expect(lab.page.locator(".lab-summary .pick")).to_contain_text("lasso on the PCA")
     expect(lab.count).to_contain_text("40 of 40 queries")

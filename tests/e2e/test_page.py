@@ -572,3 +572,22 @@ def test_a_panel_that_is_unfolded_repeats_no_call(explorer: ExplorerPage) -> Non
     first, second = page.evaluate("said")
     assert first.startswith("Step 1 ")
     assert second.startswith("Step 2 ")
+
+
+@pytest.mark.slow
+def test_titles_of_the_bars_are_whole_on_a_narrow_stage(explorer: ExplorerPage) -> None:
+    explorer.page.set_viewport_size({"width": 1024, "height": 768})
+    titles = explorer.page.locator("#lpn-bars .head > span", has=explorer.page.locator(".term"))
+
+    def are_whole() -> None:
+        assert titles.count() == 2
+        for title in titles.all():
+            assert title.evaluate(
+                "title => title.scrollWidth <= title.clientWidth && getComputedStyle(title).textOverflow === 'clip'"
+            )
+        below = explorer.page.locator("#lpn-bars .part").first.evaluate("part => part.getBoundingClientRect().top")
+        room = explorer.page.locator("#lpn-bars").evaluate("bars => [bars.scrollHeight, bars.clientHeight]")
+        assert all(title.evaluate("title => title.getBoundingClientRect().bottom") <= below for title in titles.all())
+        assert room[0] <= room[1]
+
+    explorer.eventually(are_whole)

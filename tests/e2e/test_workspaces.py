@@ -101,11 +101,15 @@ def test_a_page_changes_its_workspace_and_back(
     chip(explorer, "whole pictures").click()
     notice = explorer.page.locator(".mantine-Notification-root", has_text="Opening whole pictures")
     expect(notice).to_contain_text("3 of 7 pictures are described")
+    bar = explorer.page.locator("#lpn-work")
+    expect(bar).to_have_js_property("value", 3)
+    expect(bar).to_have_js_property("max", 7)
     explorer.fill("Rotate", "33")  # the page goes on meanwhile
     explorer.expect_status("angle", "33")
     offer.may_open.set()
     expect_workspace(explorer, "whole pictures", 1)
     expect(notice).to_have_count(0)
+    expect(bar).to_be_hidden()
     explorer.expect_status("angle", "0")
     expect(explorer.page.locator("html")).to_have_attribute("data-mantine-color-scheme", "light")
     explorer.key("b")  # its windows know the size of the stage

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from explorer.layout import HEIGHT, Box, layout_for
+from explorer.layout import BAR, HEIGHT, NOTE, TITLE_WIDTHS, Box, layout_for
 
 STAGES = [(390, 388), (424, 600), (780, 820), (1070, 900), (1540, 1080), (2200, 1200)]
 Edges = tuple[float, float, float, float]
@@ -47,3 +47,13 @@ def test_the_pair_takes_most_of_the_stage(stage: tuple[int, int]) -> None:
     side = layout.picture[0] * layout.unit
     assert side > 0.9 * stage[0] / 2 or 3 * side > 2 * stage[1]
     assert layout.shown == 10
+
+
+@pytest.mark.parametrize("stage", STAGES[1:])
+@pytest.mark.parametrize("size", [(256, 256), (112, 616)])
+def test_the_titles_of_narrow_bars_have_room_for_more_lines(size: tuple[int, int], stage: tuple[int, int]) -> None:
+    layout = layout_for(size, 4, stage)
+    assert layout.bars is not None
+    width, height = (side * layout.unit for side in layout.bars[1])
+    lines = sum(width < least for least in TITLE_WIDTHS)
+    assert height == pytest.approx(BAR * 5 + NOTE * lines)

@@ -9,6 +9,7 @@ from typing import Any
 from explorer.compute.background_jobs import ReportProgress
 from explorer.explain_window.window import ExplainWindow
 from explorer.reports import Reporter
+from tools.fixtures.waiting import wait_until
 
 
 def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
@@ -26,13 +27,15 @@ def test_the_progress_of_a_report_says_what_to_press_to_cancel_it() -> None:
         return "story.html", b""
 
     client = SimpleNamespace(add_notification=add_notification, send_file_download=lambda *_, **__: sent.set())
-    Reporter(client, None).make(work, "story", "Export")  # type: ignore[arg-type]
+    counts: list[tuple[int, int]] = []
+    Reporter(client, None, lambda *count: counts.append(count)).make(work, "story", "Export")  # type: ignore[arg-type]
     assert sent.wait(60)
     assert (shown[0].title, shown[0].body, shown[0].loading) == (
         "The story is made",
         "The browser saves story.html.",
         False,
     )
+    wait_until(lambda: counts == [(1, 2), (0, 0)])  # the bar of the page is gone at the end
     assert told == ["Press “Export” again to cancel.", "1 of 2 done. Press “Export” again to cancel."]
 
 

@@ -14,6 +14,8 @@ import pytest
 import lpn
 from explorer import reports
 from explorer.compute import scorings
+from explorer.compute.ranking_job import RankingJob
+from explorer.compute.ranking_progress import RankingProgress
 from explorer.explain_window import evidence
 from explorer.failure_lab import table
 from explorer.failure_lab.service import FailureLab
@@ -213,6 +215,21 @@ def test_the_switch_names_what_each_scoring_brings_and_the_best_is_the_default(w
         header = pages.header(workspace, workspace.rankings[state_of(workspace, scoring).ranking_key].task)
         assert all(f"{recall:.1f} %" in header for recall in recalls.values())
         assert header.count('<a class="chosen" ') >= 1
+        _, folded = header.split("<details", 1)
+        in_sight = folded.split("</details>")[1]
+        assert all(f"{recall:.1f} %" in in_sight for recall in recalls.values()), "before anything is pressed"
+
+
+def test_the_switch_waits_for_the_scorings_that_are_not_shown(workspace: Workspace) -> None:
+    shown = workspace.rankings[state_of(workspace, "calibrated").ranking_key]
+    rankings = workspace.scored_rankings(shown.task)
+    assert rankings[0] is shown
+    assert {one.task.scoring for one in rankings} == set(SCORINGS)
+    jobs, told = [RankingJob(one.task) for one in rankings], list[str]()  # none of them is ranked yet
+    progress = RankingProgress(lambda _: None, lambda: told.append("the page is shown anew"))
+    progress.follow(*jobs)
+    wait_until(lambda: len(told) == 3)
+    assert all(job.result is not None for job in jobs)
 
 
 def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace: Workspace) -> None:
@@ -299,7 +316,8 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
     while not job.total:
         job.wait(0.01)
     page = pages.header(opened, opened.tasks[TASK], job)
-    assert "3 of 22 " in page
+    assert "3 of 22<progress " in page
+    assert 'value="3" max="22"' in page
     assert "scoring-stop" in page
     job.leave(client)
     assert job.wait(PATIENCE)
@@ -323,6 +341,8 @@ def test_few_pictures_are_ranked_plainly_and_the_page_says_why(tmp_path: Path, m
         "A calibration takes 20 pictures of each view or more, and there are 5 drone"
     )
     assert opened.scorings.prepare(opened) is None
-    assert opened.scorings.why_not in pages.header(opened, opened.tasks[TASK])
+    page = pages.header(opened, opened.tasks[TASK])
+    assert opened.scorings.why_not in page
+    assert "lpn-scorings" not in page.replace("lpn-no-scorings", "")
     state = opened.supported_state(SessionState(TASK, 4, scoring="csls"))
     assert state.scoring == "plain"

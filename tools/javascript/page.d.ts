@@ -94,6 +94,7 @@ interface Lpn {
   // viewport.js
   head(html: string): void;
   say(text: string, seconds?: number): void;
+  work(done: number, total: number): void;
   openingSize(): number[] | null;
   docked?: boolean; // there are panels beside the stage
   greeted: number;

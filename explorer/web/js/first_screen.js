@@ -106,7 +106,7 @@
 
   // Tell how far the details of an own picture are compared with the map, wherever the page says it.
   lpn.comparing = (text) => {
-    if (text) document.querySelectorAll(".lpn .comparing .so-far").forEach((line) => (line.textContent = text));
+    if (text) document.querySelectorAll(".lpn .comparing .so-far").forEach((line) => (line.innerHTML = text));
   };
 
   // Say which own pictures suit and where they go, before they are chosen; or close that again.

@@ -207,8 +207,8 @@
   const refresh = () => {
     const { root, data, followed, painted } = flight;
     if (!root) return;
-    if (sentence) find(".sentence").textContent = sentence;
-    find(".status").textContent = status;
+    if (sentence) fill(find(".sentence"), sentence);
+    fill(find(".status"), status);
     const unfolded = find(".accuracy details")?.open;
     fill(find(".accuracy"), html.accuracy);
     if (unfolded) find(".accuracy details")?.setAttribute("open", "");

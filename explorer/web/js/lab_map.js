@@ -102,7 +102,7 @@
   const LabMap = (box, number) => {
     let data = null, labels = [];
     const [ground, points, overlay] = box.querySelectorAll("canvas");
-    const counted = box.querySelector(".counted"), position = box.querySelector(".read");
+    const counted = box.querySelector(".counted"), position = box.querySelector(".read"), empty = box.querySelector(".empty");
     let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null, gathered = 0;
     let placed = [], placedAt = 0; // points that have a picture, and the scale at which they were chosen
     let bounds = null, frame = 0, buffer = null, rest = 0, hovered = -1, lasso = null, asked = 0;
@@ -234,6 +234,7 @@
       drawGround(ground.getContext("2d"), k);
       drawPoints(points.getContext("2d"), width, height, k);
       drawOverlay(k);
+      empty.hidden = anyInSight();
       box.dataset.frame = (performance.now() - begun).toFixed(1);
       box.dataset.frames = Number(box.dataset.frames || 0) + 1;
     };
@@ -485,6 +486,11 @@
     const corners = () => {
       const [right, down] = map.size();
       return [[0, 0], [right, 0], [right, down], [0, down]];
+    };
+    const anyInSight = () => {
+      const [[west, north], , [east, south]] = corners().map(map.toPlane);
+      for (let i = 0; 2 * i < plane.length; i++) if (x(i) >= west && x(i) <= east && y(i) >= south && y(i) <= north) return true;
+      return false;
     };
     const inSight = () => inLasso(corners().map(map.toPlane));
     // A map that nobody moved fits its room, also in a room of another size.

@@ -146,7 +146,7 @@
   // Write texts into the elements that have these values of a data attribute.
   lpn.fill = (name, texts) =>
     Object.entries(texts).forEach(([key, text]) => {
-      document.querySelectorAll(`[data-${name}="${key}"]`).forEach((one) => (one.textContent = text));
+      document.querySelectorAll(`[data-${name}="${key}"]`).forEach((one) => (one.innerHTML = text));
     });
 
   // Show the value of the cell of a heatmap under the mouse.

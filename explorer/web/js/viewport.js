@@ -25,6 +25,13 @@
     if (seconds) notice.hiding = setTimeout(() => notice.classList.remove("shown"), 1000 * seconds);
   };
 
+  // Show at the upper edge how far work is that goes on whatever the page shows; nothing at a total of 0.
+  lpn.work = (done, total) => {
+    const bar = /** @type {HTMLProgressElement} */ (document.getElementById("lpn-work") || document.body.appendChild(Object.assign(document.createElement("progress"), { id: "lpn-work", className: "lpn-progress", ariaLabel: "work in progress" })));
+    bar.hidden = !total;
+    if (total) Object.assign(bar, { max: total, value: done });
+  };
+
   const { SELECTORS } = lpn.viser;
   // viser calls its page after itself. Screen readers are told the verdict, whose element is replaced whenever it changes.
   const live = element("lpn-live", document.body);

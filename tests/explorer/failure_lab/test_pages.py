@@ -13,6 +13,7 @@ from explorer.failure_lab.service import Findings
 from explorer.failure_lab.state import LabState
 from explorer.lab_choices import Selection
 from explorer.workspace import Workspace
+from lpn.drawing import words
 from lpn.tasks import notes
 
 
@@ -127,3 +128,10 @@ def test_the_charts_keep_their_places_while_one_chooses(
     whole, narrow = heights(lab), heights(state.add_selection(lab, one))
     assert len(whole) > 2
     assert whole == narrow
+
+
+def test_plain_words_name_no_level_of_evidence(findings: Findings, lab: LabState) -> None:
+    rows = findings.table.rows()
+    for vocabulary, told in ((words.Vocabulary(plain=True), False), (words.EXPERT, True)):
+        with words.speaking(vocabulary):
+            assert ("of evidence" in table.summary(findings, lab, rows)) == told

@@ -240,7 +240,7 @@ def test_ranks_that_are_computed_in_the_background_join_the_table(
     assert waiting.beside[0].open().wait(120)
     assert service.join_second(TASK, "one").pending
     assert begun.wait(120)
-    assert service.join_second(TASK, "one") == SecondProgress("rank B: ranking 5 of 13 queries", True)
+    assert service.join_second(TASK, "one") == SecondProgress("rank B: ranking 5 of 13 queries", True, "", 5, 13)
     assert findings.second is None
     assert service.findings(TASK) is findings  # the page has its table meanwhile
     go.set()
@@ -297,6 +297,7 @@ def test_the_window_shows_the_wait_and_then_the_ranks(waiting: Workspace, held: 
     window, gui, _ = window_of(waiting)
     assert begun.wait(120)
     wait_until(lambda: "rank B: ranking 5 of 13 queries" in gui.shown("lpn-lab-second"))
+    assert 'value="5" max="13"' in gui.shown("lpn-lab-second")
     assert "rank B" not in gui.shown("lpn-lab-table")
     go.set()
     wait_until(lambda: "rank B" in gui.shown("lpn-lab-table"))

@@ -46,6 +46,7 @@ def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, fli
     assert record.sight.view is None
     record.count_windows(128, 3000)
     assert record.sight.status == "128 of 3,000 windows of the map are described"
+    assert record.sight.described == (128, 3000)
     first, refused = flight.frames[0], flight.frames[2]
     record.send(fix(first))
     before = record.sight.view
@@ -58,6 +59,7 @@ def test_frames_are_shown_as_they_come_with_their_photos(record: LiveRecord, fli
     assert view.beliefs[0].stage == "registration"
     assert view.flight.notes == ["Frames come again."]
     assert record.sight.status == "Answered in 0.25 s, 2 frames dropped"
+    assert record.sight.described == (0, 0)
     assert [round(served(record, i).mean(), -1) for i in (0, 1)] == [200, 90]
     assert served(record, 2) is None
     assert len(woken) == 4

@@ -409,6 +409,7 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     assert "When this was saved, its details were still being compared with the map." in early
     comparing = first_screen.page(waiting, workspace)
     assert "2 of 8 tries" in text(comparing)
+    assert 'value="2" max="8"' in comparing
     assert "Its place is not known yet" in text(comparing)
     assert comparing.count("data:image/jpeg") == 1, "no piece of the map is shown as its place before that ends"
     assert "most similar" not in text(comparing).lower()

@@ -11,7 +11,7 @@ import pytest
 
 import explorer.web
 from explorer.panels import pages
-from explorer.web.render import press, render, send
+from explorer.web.render import press, progress_bar, render, send
 
 HOSTILE = (
     "<img src=x onerror=alert(1)>",
@@ -84,3 +84,10 @@ def test_a_control_that_shows_a_sign_has_a_name() -> None:
                 signs += 1
                 assert "aria-label" in attributes, f"{template.name}: <{tag}{attributes}>{text}"
     assert signs > 10
+
+
+def test_a_bar_stands_beside_its_number_and_escapes_the_text() -> None:
+    for text in HOSTILE:
+        assert Attributes(progress_bar(3, 7, text)).names == ["progress", "class", "value", "max", "aria-label"]
+        assert Attributes(progress_bar(0, 0, text)).names == []  # how much it is in all is not known
+    assert 'value="3" max="7"' in progress_bar(3, 7, "3 of 7")

@@ -9,7 +9,7 @@ import pytest
 from lpn.core.arrays import Float64Array
 from lpn.drawing import theme
 
-# Machado, Oliveira, and Fernandes (2009): linear RGB as people without red or without green cones see it.
+# Machado, Oliveira, and Fernandes (2009): linear RGB as people without red, green, or blue cones see it.
 VISION = {
     "normal": np.eye(3),
     "protanopia": np.array(
@@ -18,7 +18,13 @@ VISION = {
     "deuteranopia": np.array(
         [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
     ),
+    "tritanopia": np.array(
+        [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
+    ),
 }
+# The colours that meet over the workbench's pair, with four rings, and in the window of a flight.
+WORKBENCH = ("part-0", "part-1", "part-2", "part-3", "right", "wrong", "unknown", "for", "against", "accent")
+FLIGHT = ("tag", "retrieval", "sequence", "registration", "contradicted", "right", "unknown", "by-hand", "accent")
 
 
 def delta_e(one: theme.Colour, other: theme.Colour, vision: str) -> float:
@@ -50,10 +56,19 @@ def test_colours_that_are_compared_differ_for_any_vision(vision: str) -> None:
     assert delta_e(theme.FOR, theme.AGAINST, vision) > 60
 
 
+@pytest.mark.parametrize("vision", VISION)
+@pytest.mark.parametrize("screen", [WORKBENCH, FLIGHT], ids=["workbench", "flight"])
+def test_colours_that_meet_on_one_screen_differ_for_any_vision(screen: tuple[str, ...], vision: str) -> None:
+    for one, other in combinations(screen, 2):
+        assert delta_e(theme.COLOURS[one], theme.COLOURS[other], vision) > 15, (one, other)
+
+
 @pytest.mark.parametrize("palette", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
 def test_bars_stand_out_on_their_ground_and_still_differ(palette: theme.Palette) -> None:
     marks = {name: palette.mark(colour) for name, colour in theme.COLOURS.items()}
     assert all(theme.contrast(mark, palette.background) >= theme.MARK_CONTRAST for mark in marks.values())
     parts = [marks[f"part-{part}"] for part in range(4)]
     for vision in VISION:
+        for one, other in combinations(WORKBENCH, 2):
+            assert delta_e(marks[one], marks[other], vision) > 9, (one, other, vision)
         assert min(delta_e(*pair, vision) for pair in combinations(parts, 2)) > 15, vision
