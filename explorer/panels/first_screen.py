@@ -658,7 +658,12 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         metres, allowed = tag_figures(located, contradictions)
-        sentence = f"Its GPS tag, the white circle, lies {metres} from there, where {allowed} are allowed."
+        limit = f", where {allowed} are allowed"
+        if words.plain() and all(
+            one.other != "tag" for one in contradictions
+        ):  # the limit is told where it is explained
+            limit = ", as near as tags may"
+        sentence = f"Its GPS tag, the white circle, lies {metres} from there{limit}."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(
         filter(None, [sentence, unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")])

@@ -86,9 +86,9 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
     off = "" if workspace.flight.rendered else " The tags may be off, too."
     # The headline above has a tick, which stands for the ground and not for the radius.
     unknown = "Nobody knows how exact that is" if doubted else "It is found on the map; nobody knows how exactly"
-    return Markup(
-        "<strong>{}:</strong> only {} photos here lie within the estimated {} of their {}, where nearly all should.{}"
-    ).format(unknown, near, limit, _truths(workspace), off)
+    return Markup("<strong>{}:</strong> only {} photos here lie {} to their {} as nearly all should.{}").format(
+        unknown, near, explained("as near", _meaning(answer, workspace)), _truths(workspace), off
+    )
 
 
 def _truths(workspace: Workspace) -> str:

@@ -433,7 +433,7 @@ def test_neighbours_that_alone_disagree_are_not_said_to_leave_the_place_open(fli
     view = view_of(replace(flight, frames=[replace(flight.frames[0], stages=stages), *flight.frames[1:]]))
     assert view.beliefs[0].sign
     assert flight_text.reason(view, 0).endswith(
-        "lies 1.0 m from its GPS tag, where 15.3 m are allowed. Its neighbours would place it 100.0 m from here."
+        "lies 1 m from its GPS tag, where 16 m are allowed. Its neighbours would place it 100.0 m from here."
     )
     listed = page.lists(view)["audit"]
     assert "Its neighbours would place it 100.0 m from here." in listed
