@@ -375,28 +375,19 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         )
         pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
     registered = workspace.details(analysis)
-    dependent, checked = "", ""
-    if registered is not None and registered.accepted:
-        dependent, checked = _dependent(workspace), check(workspace)
+    checked = check(workspace) if registered is not None and registered.accepted else ""
     lead = None if lines.waits else answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
     reasons = _because(analysis, workspace, lead, None if lead is None else _lead_cells(analysis, lead))
     return Said(
         lines.question,
         lines.headline,
-        (*lines.told, *filter(None, [dependent])),
+        lines.told,
         tuple(pictures),
         _photo_facts(analysis),
         _map_facts(workspace),
         tuple((method, tuple(sentences)) for method, sentences in reasons),
         tuple(filter(None, [lines.criterion, checked])),
     )
-
-
-def _dependent(workspace: Workspace) -> str:
-    """Say that a map and the tags that place it are no two witnesses; "" if no tags place it."""
-    if workspace.basemap is None or not placing_sentence(workspace.basemap.notes):
-        return ""
-    return "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details."
 
 
 def _map_facts(workspace: Workspace) -> tuple[tuple[str, str], ...]:

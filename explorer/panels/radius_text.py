@@ -43,6 +43,14 @@ def told_reach(answer: StageRecord) -> str:
     return _radius(answer)
 
 
+def dependence(answer: StageRecord | None, workspace: Workspace) -> str:
+    """Say of an answer that is accepted that the map and the tags that place it are no two witnesses; "" if no tags place it."""
+    basemap = workspace.basemap
+    if answer is None or not answer.accepted or basemap is None or not placing_sentence(basemap.notes):
+        return ""
+    return "GPS tags place this map, so a tag of the same flight is no independent proof."
+
+
 def _radius(answer: StageRecord) -> str:
     return f"± {answer.radius:.1f} m {on_what(answer)}"
 

@@ -709,12 +709,14 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     )
     with speaking(workspace.vocabulary(True)):
         plain = text(first_screen.page(analyse(workspace, state), workspace))
+    assert "GPS tags place this map, so a tag of the same flight is no independent proof." in plain
     told = re.findall(r"[\d.]+ m\b", plain[plain.index("By its details: placed") : plain.index("How far to trust it")])
     assert told == ["10 m", "37 m"], "one distance of the tag and the size of the piece; limits are folded"
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
-        "86; the check of this flight does not confirm it. 268 details of the photo lie where the map has them. Its GPS tag, the "
+        "86; the check of this flight does not confirm it. GPS tags place this map, so a tag of the same flight is no independent "
+        "proof. 268 details of the photo lie where the map has them. Its GPS tag, the "
         "white circle, lies 10 m from there, where 32 m are allowed. "
         "The photo's middle lies at 30.171" in said
     )
@@ -784,7 +786,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "found the piece where details place the photo: it is 37 m wide, and that place lies on it.",
         "the photo's middle lies on it, 3 m from its middle, where 18 m each way are allowed. A GPS tag may lie 32 m from",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
-        "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
+        "The tags may be off, too. GPS tags place this map, so a tag of the same flight is no independent proof.",
         *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
         "Caliterra in Dripping Springs, Texas",
         "All 30 queries of the data set together: R@1 83.3 % (true tile first)",
