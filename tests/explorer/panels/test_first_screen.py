@@ -715,8 +715,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
-        "86; the check of this flight does not confirm it. GPS tags place this map, so a tag of the same flight is no independent "
-        "proof. 268 details of the photo lie where the map has them. Its GPS tag, the "
+        "86; the check of this flight does not confirm it. GPS tags place this map, so a tag of the same flight is no "
+        "independent proof. 268 details of the photo lie where the map has them. Its GPS tag, the "
         "white circle, lies 10 m from there, where 32 m are allowed. "
         "The photo's middle lies at 30.171" in said
     )
