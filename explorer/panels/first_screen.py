@@ -163,6 +163,7 @@ class FirstScreen:
             "fail-previous": navigation.previous,
             "map": lambda state: replace(state, map=True, why=False),
             "apart": lambda state: replace(state, exploded=True, why=False),
+            "on-map": session_state.show_map_alone,
             "flight": lambda state: replace(state, flight=True, why=False),
         }
 

@@ -537,7 +537,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(window.locator("#lpn-flight-verdict")).to_contain_text("Middle of the picture: latitude 30.17")
     expect(window.locator(".time")).to_be_hidden()
     expect(fresh.get_by_text("Matches", exact=True)).to_have_count(0)
-    fresh.get_by_label("Close the flight").click()
+    window.get_by_role("button", name="Back").click()
 
     # Half its size, which is searched in a fifth of the time; tests/lpn/locate/test_own_photo.py has the whole.
     foreign = load_picture(DEMO_FLIGHT[1] / "LPN_0086.webp")

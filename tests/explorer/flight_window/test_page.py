@@ -599,3 +599,10 @@ def test_a_spot_lists_the_frames_that_show_it(view: FlightView) -> None:
 def _decoded(uri: str) -> Any:
     data = base64.b64decode(uri.partition(",")[2])
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def test_a_map_that_stands_alone_has_a_way_back_beside_its_photo() -> None:
+    alone, beside = page.shell(["1"], 500, alone=True), page.shell(["1"], 500)
+    assert 'class="lpn flight alone"' in alone
+    assert "‹ Back" in alone
+    assert "‹ Back" not in beside
