@@ -73,6 +73,7 @@ class SessionState:
         fails: True while the first screen shows the wrong answers, one after the other.
         came_from: the query and the own picture that were shown before `fails`; no address has it.
         under_flight: True while the flight window stands in the laboratory's place, to which its end leads; no address has it.
+        map_alone: True while the flight window fills the page with map and photo, without the workbench; no address has it.
         from_first_screen: True while something is open that was opened there, so that its end leads back; no address has it.
     """
 
@@ -116,6 +117,7 @@ class SessionState:
     fails: bool = False
     came_from: tuple[int, OwnPicture | None] | None = None
     under_flight: bool = False
+    map_alone: bool = False
     from_first_screen: bool = False
 
     def __post_init__(self) -> None:
@@ -213,6 +215,13 @@ def with_windows(state: SessionState, other: SessionState) -> SessionState:
 
 
 def leave_first_screen(before: SessionState, after: SessionState) -> SessionState:
+    """Return what follows the first screen, see `_left`; a map that stood alone does so no more under another window."""
+    left = _left(before, after)
+    alone = left.map_alone and left.flight and left.from_first_screen and not (left.why or left.lab)
+    return replace(left, map_alone=alone)
+
+
+def _left(before: SessionState, after: SessionState) -> SessionState:
     """Return `after` without the first screen if the change from `before` is to something that it does not show.
 
     A change of the query shows the query's top match, whatever was compared before. The end of the last window that was opened
@@ -412,6 +421,11 @@ def show_map(state: SessionState, on: bool) -> SessionState:
 def flip_lab(state: SessionState) -> SessionState:
     """Open or close the failure laboratory."""
     return replace(state, lab=not state.lab)
+
+
+def show_map_alone(state: SessionState) -> SessionState:
+    """Open the flight window; in plain words without the workbench, which is for experts."""
+    return replace(state, flight=True, why=False, map_alone=state.plain)
 
 
 def flip_flight(state: SessionState) -> SessionState:

@@ -12,7 +12,7 @@ from explorer.flight_window.service import FlightView
 from explorer.panels.radius_text import reach, told_reach
 from explorer.web.coordinates import describe_point
 from lpn.core.files import printable
-from lpn.core.numbers import SIGMA, error_figure, upper_bound
+from lpn.core.numbers import SIGMA, distance, error_figure, upper_bound
 from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
@@ -115,8 +115,10 @@ def reason(view: FlightView, frame: int) -> str:
     error = located.error("registration")
     if error is not None and all(one.other != "tag" for one in against):
         place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
-        limit = "" if located.by_hand else f", where {upper_bound(tag_allowance(located))} m are allowed"
-        sentences.append(f"{place} lies {error:.1f} m from {_truth(located)}{limit}.")
+        told, limit = f"{error:.1f} m", ""
+        if not located.by_hand:  # as the first screen rounds them
+            told, limit = distance(error), f", where {upper_bound(tag_allowance(located), 0)} m are allowed"
+        sentences.append(f"{place} lies {told} from {_truth(located)}{limit}.")
     if answer.turn is not None and is_turned_over(answer.turn):
         sentences.append(
             f"The picture is turned by {abs(answer.turn):.0f} degrees here: its file tells another heading, by which the first "

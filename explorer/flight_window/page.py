@@ -45,15 +45,16 @@ _PARTLY = "Placed, though the answer of another method is refused"
 _STATES = {"accepted": 0, "not verified": 1, "refused": 2}
 
 
-def shell(part_names: Sequence[str], height: int, tall: bool = False, live: bool = False) -> str:
+def shell(part_names: Sequence[str], height: int, tall: bool = False, live: bool = False, alone: bool = False) -> str:
     """Return the elements that the script fills.
 
     Args:
         height: of the window in pixels.
         tall: on a phone, fill the whole screen.
         live: the flight goes on, so that nothing is corrected, and no scores are painted.
+        alone: fill the page with map and photo, without the workbench and what is of the whole flight.
     """
-    return render("flight/shell", part_names=part_names, height=height, tall=tall, live=live)
+    return render("flight/shell", part_names=part_names, height=height, tall=tall, live=live, alone=alone)
 
 
 def data(view: FlightView, address: str) -> dict[str, Any]:

@@ -225,7 +225,7 @@ class FlightWindow:
             self._view, self._plain = view, words.plain()
             self._data.show(page.calls({"show": page.data(view, self._pictures.address), "lists": page.lists(view)}))
         names = self._workspace.part_names
-        self._shell.show(page.shell(names, self._panel_height, choices.full_height))
+        self._shell.show(page.shell(names, self._panel_height, choices.full_height, alone=state.map_alone))
         frame = None if state.upload or state.query >= len(view.flight.frames) else state.query
         right = analysis.matches[0].true
         message = self._message_of(frame)

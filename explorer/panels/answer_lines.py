@@ -10,7 +10,7 @@ from markupsafe import Markup, escape
 
 from explorer import session_state
 from explorer.panels import answer_text, place_text
-from explorer.panels.radius_text import holds, with_radius
+from explorer.panels.radius_text import dependence, holds, with_radius
 from explorer.web.render import SIGNS
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.datasets.rendered import shows_rendered
@@ -35,6 +35,7 @@ class AnswerLines:
         verdict: what the program concludes.
         doubted: details place the photo, and something contradicts them.
         radius: how exact the place should be, as HTML.
+        dependence: that the tags which place the map are no second witness.
         by_look: the verdict on the look alone where `verdict` is of all methods; else None.
         comparing: how far the comparison of an own picture's details with the map is.
         waits: that comparison has not ended.
@@ -54,6 +55,7 @@ class AnswerLines:
     verdict: _Verdict
     doubted: bool
     radius: str
+    dependence: str
     by_look: _Verdict | None
     comparing: str
     waits: bool
@@ -76,7 +78,7 @@ class AnswerLines:
         """The other lines as paragraphs without HTML, but for `criterion`."""
         lines = (
             self.verdict[2],
-            self.radius,
+            Markup("{} {}").format(self.radius, self.dependence),
             _NOT_ENDED if self.waits else self.comparing,
             self.ground,
             "" if self.by_look is None else Markup("{} {}").format(_headline(self.by_look), self.by_look[2]),
@@ -135,6 +137,7 @@ def answer_lines(
         verdict=(right, told(headline), told(sentence)),
         doubted=right is None and registered is not None and registered.accepted,
         radius=holds(registered, workspace, right is None),
+        dependence=dependence(registered, workspace),
         by_look=None if concluded is None else looked,
         comparing="" if job is None else answer_text.comparing(job),
         waits=job is not None and job.value is None and job.error is None,

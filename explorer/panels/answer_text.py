@@ -169,9 +169,9 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
         off = "" if error_m is None else f", whose middle lies {distance(error_m)} from {place}"
         if error_m is not None and window is not None:  # a large piece shows places far from its middle
             shown = "that place" if judged else "the place by its details" if details else place
-            off = f": it is {window.size:.0f} m wide, and {shown} lies on it, {distance(error_m)} from its middle"
-            if error_m <= window.size / 2:  # in a corner of the piece it is more, and allowed
-                off += f", where {window.size / 2:.0f} m each way are allowed"
+            off = f": it is {window.size:.0f} m wide, and {shown} lies on it"
+            if not words.plain():  # plain words have the figures folded, see `limit`
+                off += _from_middle(error_m, window)
         return (
             True,
             "Right",
@@ -192,8 +192,17 @@ def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     if window is None or first.true is None or analysis.positive is None:
         return ""
     by = "its GPS tag" if workspace.flight is None else workspace.flight.judge_of(analysis.state.query)
-    lies = "on it" if first.true else "beyond its edge"
+    lies, error_m = "on it" if first.true else "beyond its edge", _error_m(analysis)
+    if first.true and error_m is not None:
+        lies += _from_middle(error_m, window)
     return f"The chosen piece is {window.size:.0f} m wide; by {by}, the photo's middle lies {lies}."
+
+
+def _from_middle(metres: float, window: Window) -> str:
+    """Say how far from the middle of a piece that is right the place lies, and how far it may."""
+    # In a corner of the piece it is more than half of its width, and allowed.
+    limit = f", where {window.size / 2:.0f} m each way are allowed" if metres <= window.size / 2 else ""
+    return f", {distance(metres)} from its middle{limit}"
 
 
 def tag_limit(analysis: StateAnalysis, workspace: Workspace) -> str:

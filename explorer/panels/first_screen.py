@@ -163,6 +163,7 @@ class FirstScreen:
             "fail-previous": navigation.previous,
             "map": lambda state: replace(state, map=True, why=False),
             "apart": lambda state: replace(state, exploded=True, why=False),
+            "on-map": session_state.show_map_alone,
             "flight": lambda state: replace(state, flight=True, why=False),
         }
 
@@ -375,28 +376,19 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         )
         pictures.append(SaidPicture(caption, place_text.piece(task.gallery[positive.index]), picture, right))
     registered = workspace.details(analysis)
-    dependent, checked = "", ""
-    if registered is not None and registered.accepted:
-        dependent, checked = _dependent(workspace), check(workspace)
+    checked = check(workspace) if registered is not None and registered.accepted else ""
     lead = None if lines.waits else answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
     reasons = _because(analysis, workspace, lead, None if lead is None else _lead_cells(analysis, lead))
     return Said(
         lines.question,
         lines.headline,
-        (*lines.told, *filter(None, [dependent])),
+        lines.told,
         tuple(pictures),
         _photo_facts(analysis),
         _map_facts(workspace),
         tuple((method, tuple(sentences)) for method, sentences in reasons),
         tuple(filter(None, [lines.criterion, checked])),
     )
-
-
-def _dependent(workspace: Workspace) -> str:
-    """Say that a map and the tags that place it are no two witnesses; "" if no tags place it."""
-    if workspace.basemap is None or not placing_sentence(workspace.basemap.notes):
-        return ""
-    return "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details."
 
 
 def _map_facts(workspace: Workspace) -> tuple[tuple[str, str], ...]:
@@ -658,7 +650,12 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         cv2.line(drawn, place.tolist(), tag.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         metres, allowed = tag_figures(located, contradictions)
-        sentence = f"Its GPS tag, the white circle, lies {metres} from there, where {allowed} are allowed."
+        limit = f", where {allowed} are allowed"
+        if words.plain() and all(
+            one.other != "tag" for one in contradictions
+        ):  # the limit is told where it is explained
+            limit = ", as near as tags may"
+        sentence = f"Its GPS tag, the white circle, lies {metres} from there{limit}."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(
         filter(None, [sentence, unchecked, *(one.told(concluded) for one in contradictions if one.other == "map")])

@@ -43,6 +43,14 @@ def told_reach(answer: StageRecord) -> str:
     return _radius(answer)
 
 
+def dependence(answer: StageRecord | None, workspace: Workspace) -> str:
+    """Say of an answer that is accepted that the map and the tags that place it are no two witnesses; "" if no tags place it."""
+    basemap = workspace.basemap
+    if answer is None or not answer.accepted or basemap is None or not placing_sentence(basemap.notes):
+        return ""
+    return "GPS tags place this map, so a tag of the same flight is no independent proof."
+
+
 def _radius(answer: StageRecord) -> str:
     return f"± {answer.radius:.1f} m {on_what(answer)}"
 
@@ -86,9 +94,9 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
     off = "" if workspace.flight.rendered else " The tags may be off, too."
     # The headline above has a tick, which stands for the ground and not for the radius.
     unknown = "Nobody knows how exact that is" if doubted else "It is found on the map; nobody knows how exactly"
-    return Markup(
-        "<strong>{}:</strong> only {} photos here lie within the estimated {} of their {}, where nearly all should.{}"
-    ).format(unknown, near, limit, _truths(workspace), off)
+    return Markup("<strong>{}:</strong> only {} photos here lie {} to their {} as nearly all should.{}").format(
+        unknown, near, explained("as near", _meaning(answer, workspace)), _truths(workspace), off
+    )
 
 
 def _truths(workspace: Workspace) -> str:

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.homography import apply_homography, middle_pixel, translation
-from lpn.core.numbers import wrap_degrees
+from lpn.core.numbers import distance, wrap_degrees
 from lpn.locate.matchers import Complex, Features, Matcher, mutual_within
 
 # Residuals up to this share of the ground width are inliers of a similarity. Tilt and relief of a flight at 50 m cause as much.
@@ -268,9 +268,9 @@ def register(
     seeds: list[_Seed] = []
     known: dict[_Seed, _Candidate] = {}
     chosen: list[_Seed] = []
-    best, runner_up = None, 0.0
+    best, runner_up = None, _Rival()
     at_given: _Candidate | None = None
-    rival = 0.0
+    rival = _Rival()
     for turns, heading in _turns(matcher, expected):
         if heading is None and expected.heading is not None and best is not None and not _doubt(best, runner_up):
             at_given, rival = best, runner_up
@@ -281,13 +281,16 @@ def register(
         chosen = _apart(seeds)
         known |= {seed: _guided(seed, ground) for seed in chosen if seed not in known}
         best, runner_up = _ranked([known[seed] for seed in chosen])
-        if best is not None and best.support >= 2 * MIN_SUPPORT and best.support >= 2 * MIN_RATIO * runner_up:
+        if best is not None and best.support >= 2 * MIN_SUPPORT and best.support >= 2 * MIN_RATIO * runner_up.support:
             break
     # A place at the given heading is more probable than one at another, which must have more support, and is no rival else.
     if at_given is not None and best is not None:
         if at_given.support >= best.support:
             best = at_given
-        runner_up = rival if abs(best.b - at_given.b) <= APART * abs(at_given.a) else max(runner_up, at_given.support)
+        if abs(best.b - at_given.b) <= APART * abs(at_given.a):
+            runner_up = rival
+        elif at_given.support > runner_up.support:
+            runner_up = _Rival(at_given.support, at_given.b)
     if best is None:
         return Registration(False, "Fewer than four features of the photo match the map.", matcher.name)
     others = (known[seed] for seed in chosen if known[seed] is not best)
@@ -329,7 +332,8 @@ def contested(
         sum(_support_at(place, matcher, photo, valid, ground) for matcher, ground in searches)
         for place in (own, *others)
     )
-    if not (reason := _rivalled(support, max(others_support))):
+    at = int(np.argmax(others_support))
+    if not (reason := _rivalled(support, own.b, _Rival(others_support[at], others[at].b))):
         return answer
     return replace(answer, accepted=False, reason=reason, support=support)
 
@@ -388,6 +392,13 @@ class _Candidate:
     @property
     def residuals(self) -> Float64Array:
         return cast(Float64Array, np.abs(self.a * self.u + self.b - self.m))
+
+
+class _Rival(NamedTuple):
+    """Another place where a photo may lie: its support, and its middle in metres, east + i north."""
+
+    support: float = 0.0
+    b: complex = 0j
 
 
 @dataclass(frozen=True, eq=False)
@@ -482,14 +493,14 @@ def _apart(seeds: list[_Seed]) -> list[_Seed]:
     return chosen
 
 
-def _ranked(candidates: list[_Candidate]) -> tuple[_Candidate | None, float]:
-    """Return the candidate with most support, and the support of the best other place."""
+def _ranked(candidates: list[_Candidate]) -> tuple[_Candidate | None, _Rival]:
+    """Return the candidate with most support, and the best other place."""
     best = max(candidates, key=lambda candidate: candidate.support, default=None)
     if best is None:
-        return None, 0.0
-    return best, max(
-        (other.support for other in candidates if abs(other.b - best.b) > APART * abs(best.a)), default=0.0
-    )
+        return None, _Rival()
+    apart = (other for other in candidates if abs(other.b - best.b) > APART * abs(best.a))
+    other = max(apart, key=lambda candidate: candidate.support, default=None)
+    return best, _Rival() if other is None else _Rival(other.support, other.b)
 
 
 def _hypotheses(u: Complex, m: Complex, width: float, factor: float, heading: float | None) -> tuple[Complex, Complex]:
@@ -559,7 +570,7 @@ def _concluded(
     matcher: Matcher,
     photo: UInt8Array,
     best: _Candidate,
-    runner_up: float,
+    runner_up: _Rival,
     expected: Expectation,
     bounds: tuple[float, float, float, float] | None,
 ) -> Registration:
@@ -654,27 +665,34 @@ def _covariance(
     return variance * spread + np.outer(between, between)
 
 
-def _doubt(best: _Candidate, runner_up: float) -> str:
+def _doubt(best: _Candidate, runner_up: _Rival) -> str:
     """Return why the support is too low for a place, as a sentence; "" if it is not."""
     if best.support < MIN_SUPPORT:
         return (
             f"Only {max(best.support, 0):.0f} of {len(best.u)} matches agree on a place beyond chance, and {MIN_SUPPORT:.0f} are "
             "needed."
         )
-    return _rivalled(best.support, runner_up)
+    return _rivalled(best.support, best.b, runner_up)
 
 
-def _rivalled(support: float, runner_up: float) -> str:
-    """Return that another place has nearly as much support, as a sentence; "" if it has not."""
-    if support >= MIN_RATIO * runner_up:
+def _rivalled(support: float, b: complex, rival: _Rival) -> str:
+    """Return that another place has nearly as much support, as a sentence; "" if it has not.
+
+    Args:
+        b: the place, see `_Rival`.
+    """
+    if support >= MIN_RATIO * rival.support:
         return ""
-    how = "nearly as well" if runner_up < support else "as well or better"
-    return f"Another place of the map agrees {how}: its support is {runner_up:.0f}, and that of this one {support:.0f}."
+    how = "nearly as well" if rival.support < support else "as well or better"
+    return (
+        f"Another place of the map agrees {how}: beyond chance, {support:.0f} details agree with this place, and "
+        f"{rival.support:.0f} with the other one, {distance(abs(rival.b - b))} away."
+    )
 
 
 def _refusal(
     best: _Candidate,
-    runner_up: float,
+    runner_up: _Rival,
     inliers: BoolArray,
     width: float,
     centre: Float64Array,

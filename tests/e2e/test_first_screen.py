@@ -526,9 +526,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     # The search gives way to all else that the machine does.
     expect(sentence).to_contain_text("On this map.", timeout=3000 * PATIENCE)
     expect(sentence).to_contain_text("your picture fits the map; its GPS tag lies ")
-    expect(first).to_contain_text(
-        "only 19 of 30 photos here lie within the estimated 18.5 m of their GPS tags, where nearly all should"
-    )
+    expect(first).to_contain_text("only 19 of 30 photos here lie as near to their GPS tags as nearly all should")
     expect(captions.nth(2)).to_contain_text("On the map")
     # The opened details and the focus outlast the answer.
     expect(place).to_have_attribute("open", "")
@@ -539,7 +537,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(window.locator("#lpn-flight-verdict")).to_contain_text("Middle of the picture: latitude 30.17")
     expect(window.locator(".time")).to_be_hidden()
     expect(fresh.get_by_text("Matches", exact=True)).to_have_count(0)
-    fresh.get_by_label("Close the flight").click()
+    window.get_by_role("button", name="Back").click()
 
     # Half its size, which is searched in a fifth of the time; tests/lpn/locate/test_own_photo.py has the whole.
     foreign = load_picture(DEMO_FLIGHT[1] / "LPN_0086.webp")

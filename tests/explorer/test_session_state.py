@@ -193,3 +193,19 @@ def test_a_map_that_opens_is_not_hidden_by_the_explanation(state: SessionState) 
     both = replace(explained, map=True)  # the explanation was opened over the map
     assert session_state.show_map(both, True) == both
     assert session_state.show_map(both, False) == explained
+
+
+def test_the_map_of_the_first_screen_stands_alone_in_plain_words_and_leads_back() -> None:
+    first = SessionState("task", 4, first_screen=True, why=True)
+    alone = session_state.leave_first_screen(first, session_state.show_map_alone(first))
+    assert (alone.flight, alone.map_alone, alone.first_screen, alone.why) == (True, True, False, False)
+    stepped = session_state.leave_first_screen(alone, session_state.step(alone, 1, 5))
+    assert (stepped.map_alone, stepped.query) == (True, 1)
+    back = session_state.leave_first_screen(stepped, replace(stepped, flight=False))
+    assert (back.first_screen, back.map_alone, back.query) == (True, False, 1)
+    assert not session_state.leave_first_screen(alone, replace(alone, why=True)).map_alone, (
+        "another window lies in the workbench"
+    )
+    in_terms = replace(first, plain=False)
+    opened = session_state.leave_first_screen(in_terms, session_state.show_map_alone(in_terms))
+    assert (opened.flight, opened.map_alone) == (True, False), "experts have the workbench beside it"

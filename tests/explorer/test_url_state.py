@@ -230,7 +230,17 @@ def test_the_page_that_holds_ones_own_picture_finds_it_by_its_address(workspace:
 
 def test_every_choice_is_in_the_address_or_known_not_to_be(links: UrlState) -> None:
     state = SessionState("drone-to-satellite", 4)
-    left_out = {"n_parts", "upload", "find", "page", "under_flight", "from_first_screen", "came_from", "start_plain"}
+    left_out = {
+        "n_parts",
+        "upload",
+        "find",
+        "page",
+        "under_flight",
+        "from_first_screen",
+        "came_from",
+        "start_plain",
+        "map_alone",
+    }
     named = {"query": "query", "selected": "with", "enabled": "off", "exploded": "apart", "heat_kind": "shows"}
     named |= {
         "heat_part": "part",

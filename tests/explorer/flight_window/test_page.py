@@ -433,7 +433,7 @@ def test_neighbours_that_alone_disagree_are_not_said_to_leave_the_place_open(fli
     view = view_of(replace(flight, frames=[replace(flight.frames[0], stages=stages), *flight.frames[1:]]))
     assert view.beliefs[0].sign
     assert flight_text.reason(view, 0).endswith(
-        "lies 1.0 m from its GPS tag, where 15.3 m are allowed. Its neighbours would place it 100.0 m from here."
+        "lies 1 m from its GPS tag, where 16 m are allowed. Its neighbours would place it 100.0 m from here."
     )
     listed = page.lists(view)["audit"]
     assert "Its neighbours would place it 100.0 m from here." in listed
@@ -601,3 +601,10 @@ def test_a_spot_lists_the_frames_that_show_it(view: FlightView) -> None:
 def _decoded(uri: str) -> Any:
     data = base64.b64decode(uri.partition(",")[2])
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+
+
+def test_a_map_that_stands_alone_has_a_way_back_beside_its_photo() -> None:
+    alone, beside = page.shell(["1"], 500, alone=True), page.shell(["1"], 500)
+    assert 'class="lpn flight alone"' in alone
+    assert "‹ Back" in alone
+    assert "‹ Back" not in beside

@@ -704,11 +704,20 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     said = text(page)
     assert "a place that the model was not trained on" in said
     assert "✓ By its look: right, judged by its details." in said
-    assert re.search(r"The chosen piece is \d+ m wide; by its details, the photo's middle lies on it\.", said)
+    assert (
+        "The chosen piece is 37 m wide; by its details, the photo's middle lies on it, 3 m from its middle, where 18 m each way "
+        "are allowed." in said
+    )
+    with speaking(workspace.vocabulary(True)):
+        plain = text(first_screen.page(analyse(workspace, state), workspace))
+    assert "GPS tags place this map, so a tag of the same flight is no independent proof." in plain
+    told = re.findall(r"[\d.]+ m\b", plain[plain.index("By its details: placed") : plain.index("How far to trust it")])
+    assert told == ["10 m", "37 m"], "one distance of the tag and the size of the piece; limits are folded"
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
-        "86; the check of this flight does not confirm it. 268 details of the photo lie where the map has them. Its GPS tag, the "
+        "86; the check of this flight does not confirm it. GPS tags place this map, so a tag of the same flight is no "
+        "independent proof. 268 details of the photo lie where the map has them. Its GPS tag, the "
         "white circle, lies 10 m from there, where 32 m are allowed. "
         "The photo's middle lies at 30.171" in said
     )
@@ -772,12 +781,13 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "268 details of the photo lie where the map has them.",
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
-        "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie within the estimated 18.2 m of their "
-        "GPS tags, where nearly all should. The tags may be off, too.",
-        "found the piece where details place the photo: it is 37 m wide, and that place lies on it, 3 m from its middle, "
-        "where 18 m each way are allowed.",
+        "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to their GPS tags as nearly all "
+        "should. The tags may be off, too.",
+        "Its GPS tag, the white circle, lies 10 m from there, as near as tags may.",
+        "found the piece where details place the photo: it is 37 m wide, and that place lies on it.",
+        "the photo's middle lies on it, 3 m from its middle, where 18 m each way are allowed. A GPS tag may lie 32 m from",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
-        "GPS tags place this map, so the GPS tag of a photo of the same flight is no independent witness beside its details.",
+        "The tags may be off, too. GPS tags place this map, so a tag of the same flight is no independent proof.",
         *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
         "Caliterra in Dripping Springs, Texas",
         "All 30 queries of the data set together: R@1 83.3 % (true tile first)",
@@ -879,8 +889,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "100 m." in of_wrong
     )
     assert (
-        "✓ By its details: placed. It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie within the "
-        "estimated 18.2 m" in of_wrong
+        "✓ By its details: placed. It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to "
+        "their GPS tags as nearly all should." in of_wrong
     )
     assert "±" not in of_wrong
     navigation, shown = Navigation(workspace, lambda *_: None), [state]
@@ -903,17 +913,14 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
         patch.setattr(judge, "confirmed", lambda _: True)
         of_first = text(first_screen.page(analyse(workspace, state), workspace))
-        assert (
-            "the right one: it is 37 m wide, and the place by its details lies on it, 3 m from its middle, where 18 m each way "
-            "are allowed." in of_first
-        )
+        assert "the right one: it is 37 m wide, and the place by its details lies on it." in of_first
     with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
         name = flight.frames[workspace.first_query].frame.name
         patch.setattr(flight, "shipped", {key: one for key, one in flight.shipped.items() if key != name})
         of_first = text(first_screen.page(analyse(workspace, state), workspace))
         assert "right, judged by its GPS tag without its lag." in of_first
         assert "found the piece where the photo's GPS tag lies without its lag: it is" in of_first
-        assert "by its GPS tag without its lag, the photo's middle lies on it." in of_first
+        assert "by its GPS tag without its lag, the photo's middle lies on it, " in of_first
     # The page of wrong answers, the first screen, its reasons, and the flight window say the same of each photo.
     placed, doubted, *_ = (i for i, was_right in enumerate(right) if not was_right)
     of_doubted = flight.frames[doubted]

@@ -71,7 +71,11 @@ def test_a_heading_that_is_not_certain_does_not_lock_the_photo_out(ground: Groun
 
 @pytest.mark.parametrize(
     ("other", "east", "reason"),
-    [(16.0, 0, ""), (25.0, 90, "its support is 20, and that of this one 25."), (40.0, 90, "")],
+    [
+        (16.0, 0, ""),
+        (25.0, 90, "beyond chance, 25 details agree with this place, and 20 with the other one, 90 m away."),
+        (40.0, 90, ""),
+    ],
 )
 def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_not_rival_it(
     ground: Ground, monkeypatch: pytest.MonkeyPatch, other: float, east: float, reason: str
