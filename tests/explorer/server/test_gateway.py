@@ -57,12 +57,16 @@ def picture(size: int = 48) -> bytes:
 
 @pytest.fixture(scope="module")
 def app(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[App]:
-    """The app on synthetic places, in this process."""
+    """The app on synthetic places, in this process. All queries are ranked, which would draw a page anew."""
     folder = tmp_path_factory.mktemp("gateway")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LPN_CACHE", str(folder / "cache"))
         data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
-        served = App(open_model(data, model_file), "127.0.0.1", 0)
+        workspace = open_model(data, model_file)
+        for ranking in workspace.rankings.values():
+            if ranking.automatic:
+                ranking.wait(workspace, lambda *_: None)
+        served = App(workspace, "127.0.0.1", 0)
         yield served
         served.close()
 
