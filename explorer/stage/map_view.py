@@ -46,6 +46,8 @@ _PIECES = 40
 _TAG = 0.1
 # The view includes the query's camera up to this distance from the compared tile, in metres.
 _MAX_CAMERA_DISTANCE = 5000.0
+# Depth of the query's frustum, as a share of the way down to the ground at most: its photo hangs above it.
+_DEPTH = 0.6
 # Longer side in pixels of the photo in the query's camera, and of the one that lies over the view through it.
 _PHOTO, _LOOKED_AT = 512, 1280
 # Two ends in stage units, (3,) each, and a colour.
@@ -97,6 +99,7 @@ class GalleryMap:
         self._analysis: StateAnalysis | None = None
         self._task = ""
         self._scale, self._middle = 1.0, np.zeros(2)
+        self._most_scale = math.inf  # of the frustum
         self._scene = scene = client.scene
         self._city: viser.GlbHandle | None = None
         self._ground = Plane(scene, "/map/ground", 1.0, 1.0, _point(0, 0, 0))
@@ -145,7 +148,7 @@ class GalleryMap:
         self._show_tiles(analysis, places, city, 0.03 if top is None else top, pixels)
         self._show_lines(analysis, places, camera, city, _LINE_HEIGHT if top is None else top)
         self._lines.thickness = 5.0 if city else _THIN
-        self._camera.scale = 0.5 * viewpoint.scale
+        self._camera.scale = min(0.5 * viewpoint.scale, self._most_scale)
         self._show_flight(analysis, places, city)
         self._caption.show(self._draw_caption(analysis, lettering.sign))
         palette = analysis.state.palette
@@ -326,7 +329,7 @@ class GalleryMap:
         answer = None if located is None else located.stages.get("registration")
         if located is not None and answer is not None and answer.accepted and answer.pose is not None:
             return self._show_pose(answer.pose, located.frame, analysis, places)
-        self.eye = None
+        self.eye, self._most_scale = None, math.inf
         place = None if analysis.state.upload else places.queries[analysis.state.query]
         stands = None if place is None else geo.camera(place, places.origin)
         self._camera.visible = stands is not None
@@ -393,6 +396,9 @@ class GalleryMap:
             self._photo = photo, frame.undistorted(images.shrink(picture, _PHOTO))
         self._camera.image = self._photo[1]
         self.eye = Eye(at, np.asarray(forward), np.asarray(top), across, aspect)
+        # In viser's frustum, depth times half of the width times half of the height is three times the cube of the scale.
+        down = pose.altitude - base if pose.height is None else pose.height
+        self._most_scale = _DEPTH * down * self._scale * math.cbrt(across**2 / aspect / 3)
         return at
 
     def _show_lines(

@@ -172,6 +172,33 @@ def test_a_registered_frame_stands_at_its_pose_and_a_click_looks_through_it(work
     assert upright == pytest.approx(2 * np.arctan(eye.across * 3 / 4))
 
 
+def test_the_photo_in_a_frustum_hangs_above_the_ground(workspace: Workspace) -> None:
+    task = workspace.tasks[TASK]
+    assert task.geometry is not None
+    origin = task.geometry.origin
+    scene, scales = Scene(), []
+    try:
+        workspace.basemap = SimpleNamespace(frame=LocalFrame(origin.latitude, origin.longitude))  # type: ignore[assignment]
+        for height in (5.0, 10.0, 5000.0):
+            pose = CameraPose(
+                30.0, 40.0, 150.0, height, 90.0, -90.0, 0.0, 70.0, "told", True, 50, np.eye(6).ravel().tolist()
+            )
+            answer = StageRecord("accepted", "", 30.0, 40.0, True, pose=pose)
+            located = LocatedFrame(Frame("a", task.queries[4].path, 400, 300), None, {"registration": answer})
+            workspace.flight = SimpleNamespace(frames=[located] * 5)  # type: ignore[assignment]
+            shown = GalleryMap(SimpleNamespace(scene=scene), workspace, 6, lambda *_: None)  # type: ignore[arg-type]
+            viewpoint = shown.show(
+                StateAnalyser(workspace).analyse(SessionState(TASK, 4, query=4, map=True), 6), Lettering(24, 100.0)
+            )
+            scales.append(scene.camera.scale)
+    finally:
+        workspace.flight = workspace.basemap = None
+    half_height = np.tan(scene.camera.fov / 2)
+    metres = 3 ** (1 / 3) * scales[0] / (half_height**2 * 4 / 3) ** (1 / 3) * shown.ground(task.geometry)["metres"]
+    assert metres == pytest.approx(3.0), "three fifths of the way down"
+    assert scales[1:] == [pytest.approx(2 * scales[0]), 0.5 * viewpoint.scale]
+
+
 @pytest.mark.parametrize(("posed", "plain"), [(True, False), (False, True)])
 def test_the_ground_of_an_own_picture_that_is_registered_is_framed_and_its_camera_stands_there(
     workspace: Workspace, posed: bool, plain: bool
