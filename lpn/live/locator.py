@@ -60,6 +60,9 @@ _KEPT, _PENDING = 320, 64
 _RECENT, _TURNS = 7, 3
 # Registrations in a row that agree with each other, after which they count although they contradict those before.
 _NEW_TRACK = 3
+# A certain heading differs from a registration's like those of the frames before: within so many degrees of their median, or
+# so many times what they spread; and the registrations in a row after which the heading itself counts as changed.
+_TURNED, _TURNED_SPREADS, _NEW_HEADING = 5.0, 2.0, 10
 # Speeds of the motion model that a drone does not exceed.
 _MOST_SPEEDS = 3.0
 # Probability that an accepted registration is false, for the belief that it is weighed with.
@@ -137,6 +140,8 @@ class _Track:
     # The last accepted registration: place, radius, time; and those since that contradict it.
     last: tuple[float, float, float, float] | None = None
     apart: list[tuple[float, float, float, float]] = field(default_factory=list)
+    # Registrations in a row that were refused for their turn.
+    turned: int = 0
     # The middle of the photo that counted last as proof of the map.
     counted: Float64Array | None = None
 
@@ -473,8 +478,18 @@ class LiveLocator:
         track.heading = answer.heading
 
     def _continuous(self, answer: StageRecord, frame: Frame) -> StageRecord:
-        """Refuse a registration that the drone cannot have flown to since the last one, unless three in a row agree on it."""
+        """Refuse a registration that is turned otherwise than those before, or that the drone cannot have flown to.
+
+        Three in a row that agree with each other, and ten that are turned, count again.
+        """
         track = self._track
+        if (turn := self._other_turn(answer, frame)) is not None:
+            return msgspec.structs.replace(
+                answer,
+                state="refused",
+                sentence=f"The photo fits the map here, but turned by {turn:.0f}° from where its heading and those of the frames "
+                "before have it: it may be an equal building.",
+            )
         assert answer.x is not None
         assert answer.y is not None
         here = answer.x, answer.y, answer.own_radius, math.nan if frame.time is None else frame.time
@@ -494,6 +509,27 @@ class LiveLocator:
             sentence="The photo fits the map here, but the drone cannot have flown here since the last registered frame: it may "
             "be an equal building.",
         )
+
+    def _other_turn(self, answer: StageRecord, frame: Frame) -> float | None:
+        """Return the degrees between a registration's turn and those before, if these show that it is another place."""
+        track = self._track
+        if answer.turn is None or len(track.turns) < _TURNS or not heading_is_certain(frame):
+            return None
+        # Files may be saved upside down, so half turns count as none.
+        turns = (np.array(track.turns) - track.turns[0] + 90.0) % 180.0 - 90.0
+        turned = abs((answer.turn - track.turns[0] - float(np.median(turns)) + 90.0) % 180.0 - 90.0)
+        if turned <= max(_TURNED, _TURNED_SPREADS * float(np.ptp(turns))):
+            track.turned = 0
+            return None
+        track.turned += 1
+        if track.turned < _NEW_HEADING:
+            return turned
+        track.turned = 0
+        track.turns.clear()
+        self._notes.append(
+            f"{_NEW_HEADING} registrations in a row are turned otherwise than those before; the headings count as changed."
+        )
+        return None
 
     def _reachable(self, one: tuple[float, float, float, float], other: tuple[float, float, float, float]) -> bool:
         elapsed = abs(other[3] - one[3])

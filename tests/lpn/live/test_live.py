@@ -136,17 +136,18 @@ def test_a_newer_picture_replaces_the_one_that_waits() -> None:
 
 
 @pytest.fixture
-def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, float] | None]:
-    """Registrations of frames by name, in place of matched features: where they lie, None where they are refused."""
-    places: dict[str, tuple[float, float] | None] = {f"{i}.png": place for i, place in enumerate(PLACES)}
+def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...] | None]:
+    """Registrations of frames by name, in place of matched features: place and turn, None where they are refused."""
+    places: dict[str, tuple[float, ...] | None] = {f"{i}.png": (*place, 0.0) for i, place in enumerate(PLACES)}
 
     width = 50.0  # neighbours are 0.3 of it apart, and so are views of their own
 
     def register(search: PhotoSearch) -> StageRecord:
         if (place := places.get(search.located.frame.name)) is None:
             return StageRecord("refused", "It fits nowhere.")
-        matrix = np.linalg.inv(ground_to_photo(place, 90.0, width, SIZE))
-        return StageRecord("accepted", "It fits.", *place, True, 1.0, 90.0, 0.0, width, 50, matrix.ravel().tolist())
+        x, y, turn = place
+        matrix = np.linalg.inv(ground_to_photo((x, y), 90.0 + turn, width, SIZE)).ravel().tolist()
+        return StageRecord("accepted", "It fits.", x, y, True, 1.0, 90.0 + turn, turn, width, 50, matrix)
 
     monkeypatch.setattr(lpn.live.locator, "register_photo", register)
     return places
@@ -187,9 +188,9 @@ def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
 
 
 def test_a_drone_that_hovers_proves_no_map(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, float] | None]
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
 ) -> None:
-    laid |= dict.fromkeys(laid, PLACES[0])
+    laid |= dict.fromkeys(laid, (*PLACES[0], 0.0))
     locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
     photo = ArrivedPicture(flight.frames[0], 0).pixels()
     frames = [replace(flight.frames[0], time=float(i)) for i in range(10)]
@@ -197,13 +198,31 @@ def test_a_drone_that_hovers_proves_no_map(
 
 
 def test_a_registration_that_cannot_be_reached_is_refused_until_three_agree(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, float] | None]
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
 ) -> None:
-    laid |= {"2.png": (80.0, 80.0), "4.png": (20.0, -80.0), "5.png": (25.0, -80.0), "6.png": (30.0, -80.0)}
+    jumps = {"2.png": (80.0, 80.0), "4.png": (20.0, -80.0), "5.png": (25.0, -80.0), "6.png": (30.0, -80.0)}
+    laid |= {name: (*place, 0.0) for name, place in jumps.items()}
     frames = [replace(frame, time=float(i) / 2) for i, frame in enumerate(flight.frames)]
     lines, said = lines_of(town, [*frames, replace(frames[-1], name="6.png", time=3.0)])
     assert [line["stage"] == "registration" for line in lines] == [True, True, False, True, False, False, True]
     assert said == ["3 registrations in a row lie elsewhere than those before, which count no longer."]
+
+
+def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_are(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(10)]
+    turns = (179.0, -179.0, 0.0, 180.0, -1.0, 1.0)
+    laid |= {f"{i}.png": (*place, turn) for i, (place, turn) in enumerate(zip(PLACES, turns, strict=True))}
+    laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned}
+    lines, said = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 9 + [True]
+    assert (
+        said[-1] == "10 registrations in a row are turned otherwise than those before; the headings count as changed."
+    )
+    unsure = [replace(frame, heading_source="aircraft") for frame in (*flight.frames, *turned)]
+    lines, _ = lines_of(town, unsure)
+    assert [line["stage"] == "registration" for line in lines] == [True] * 16
 
 
 def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
@@ -237,9 +256,9 @@ def test_frames_that_cannot_be_read_and_clocks_that_jump_are_said_and_the_flight
 
 
 def test_a_flight_that_leaves_the_map_is_said(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, float] | None]
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
 ) -> None:
-    laid["0.png"] = (-70.0, 5.0)
+    laid["0.png"] = (-70.0, 5.0, 0.0)
     beyond = [replace(flight.frames[0], name=f"sea {i}", time=1.0 + i) for i in range(10)]
     lines, said = lines_of(town, [flight.frames[0], *beyond])
     assert [line["state"] for line in lines] == ["accepted"] + ["refused"] * 10
