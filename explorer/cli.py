@@ -366,6 +366,8 @@ class StoryCommand:
     """Seconds for which each step stands; by default as long as its caption takes to read."""
     light: bool = False
     """Use the light theme."""
+    expert: bool = False
+    """Speak the field's terms in place of plain words, where a step does not name its words."""
 
     def run(self) -> None:
         from rich.console import Console
@@ -401,7 +403,13 @@ class StoryCommand:
             stage_bars(Console(stderr=True), "Recording {}") as on_progress,
         ):
             takes = film.record(
-                page.url, chosen, self.size, not self.light, self.seconds, partial(on_progress, "steps")
+                page.url,
+                chosen,
+                self.size,
+                not self.light,
+                self.seconds,
+                partial(on_progress, "steps"),
+                plain=not self.expert,
             )
         film.write(takes, self.record)
         length = sum(take.seconds for take in takes) + (len(takes) - 1) * (film.FADE - 1) / film.RATE

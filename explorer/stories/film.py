@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import parse_qs
+from urllib.parse import parse_qs, urlsplit
 
 import cv2
 import msgspec
@@ -54,6 +54,14 @@ class Take:
     seconds: float
 
 
+def address(url: str, shows: str, dark: bool, plain: bool) -> str:
+    """Return the address of the app's page for a step, in the words that the step names, else in plain ones or the field's."""
+    given = {"theme": "dark" if dark else "light", "screen": "all", "words": "plain" if plain else "expert"}
+    named = parse_qs(shows)
+    pairs = [shows, *(f"{key}={value}" for key, value in given.items() if key not in named)]
+    return f"{url}{'&' if '?' in url else '?'}{'&'.join(filter(None, pairs))}"
+
+
 def reading_time(caption: str) -> float:
     """Return the seconds in which a caption is read and its picture looked at, from `SHORTEST` to `LONGEST`."""
     return float(np.clip(len(caption) / _LETTERS + _LOOK, SHORTEST, LONGEST))
@@ -74,7 +82,13 @@ def check_film(out: Path, story: Story, size: tuple[int, int]) -> None:
 
 
 def record(
-    url: str, story: Story, size: tuple[int, int], dark: bool, seconds: float | None, on_progress: CountProgress
+    url: str,
+    story: Story,
+    size: tuple[int, int],
+    dark: bool,
+    seconds: float | None,
+    on_progress: CountProgress,
+    plain: bool = True,
 ) -> list[Take]:
     """Show each step of a story in the app's page, and take its picture once the page is at rest.
 
@@ -82,6 +96,7 @@ def record(
         url: address of the running app.
         size: width and height of the page in pixels.
         seconds: for which each step stands; by default the reading time of its caption.
+        plain: the page speaks plain words, unless a step names its words.
 
     Raises:
         InputError: if no browser is installed.
@@ -100,7 +115,7 @@ def record(
         shows = ""
         for index, step in enumerate(story.steps):
             shows = step.shows or shows  # a step that shows nothing leaves the page as it is
-            picture = _picture(page, url, story, index, shows, dark)
+            picture = _picture(page, address(url, shows, dark, plain), story, index)
             takes.append(Take(picture, reading_time(step.caption) if seconds is None else seconds))
             on_progress(index + 1, len(story.steps))
         browser.close()
@@ -140,14 +155,13 @@ def _launch(playwright: Playwright) -> Browser:
         ) from error
 
 
-def _picture(page: Page, url: str, story: Story, index: int, shows: str, dark: bool) -> UInt8Array:
-    """Return the picture of a step at rest, (H, W, 3) uint8 RGB."""
+def _picture(page: Page, shown: str, story: Story, index: int) -> UInt8Array:
+    """Return the picture of a step at rest, (H, W, 3) uint8 RGB, given the address that shows it."""
     from playwright.sync_api import TimeoutError as NotReady
 
-    query = parse_qs(shows).get("query", [None])[0]
-    address = "&".join(filter(None, (shows, f"theme={'dark' if dark else 'light'}", "screen=all")))
+    query = parse_qs(urlsplit(shown).query).get("query", [None])[0]
     try:
-        page.goto(f"{url}{'&' if '?' in url else '?'}{address}", timeout=_PATIENCE * 1000)
+        page.goto(shown, timeout=_PATIENCE * 1000)
         page.wait_for_function(_READY, arg=query, timeout=_PATIENCE * 1000)
         # viser's notices are about this browser, and no part of the story.
         notices = page.evaluate("lpn.viser.SELECTORS.notification")

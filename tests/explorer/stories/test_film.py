@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -82,3 +83,15 @@ def test_the_command_lists_the_stories(capsys: pytest.CaptureFixture[str]) -> No
 def test_the_command_refuses_a_story_that_is_missing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="There is no story 'Lost'; there are Found, "):
         StoryCommand(name="Lost", record=tmp_path / "film.mp4").run()
+
+
+def test_a_film_speaks_plain_words_unless_it_is_told_or_a_step_names_others() -> None:
+    def words_of(shows: str, plain: bool) -> list[str]:
+        query = parse_qs(urlsplit(film.address("http://host/?key=a", shows, True, plain)).query)
+        assert (query["key"], query["theme"], query["screen"]) == (["a"], ["dark"], ["all"])
+        return query["words"]
+
+    assert words_of("query=a", True) == ["plain"]
+    assert words_of("", False) == ["expert"]
+    assert words_of("query=a&words=expert", True) == ["expert"]
+    assert not StoryCommand().expert
