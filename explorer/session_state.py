@@ -303,6 +303,11 @@ def show_fails(state: SessionState, query: int, queries: int) -> SessionState:
     return replace(chosen, first_screen=True, why=False, fails=True, came_from=came_from)
 
 
+def start_place(state: SessionState, query: int, queries: int) -> SessionState:
+    """Show a place as it is when it is opened: its first picture on the first screen, unexplained, as all parts count alike."""
+    return _only_first_screen(choose_query(equal_parts(state), query, queries))
+
+
 def leave_upload(state: SessionState) -> SessionState:
     """Go from the user's own picture back to the chosen query: upright, and compared with its top match."""
     return replace(upright(state), upload=None, selected=None)

@@ -83,7 +83,9 @@ class ClientSession:
         # The scoring that this page waits for.
         self._preparing: BackgroundJob[None] | None = None
         self._left = left or {}
-        self._state = self._opening_state(workspace)
+        # The first screen's button of a place starts it anew; the workbench's goes on.
+        starts = before is not None and before.first_screen
+        self._state = self._opening_state(workspace, {} if starts else self._left)
         self._requests = RequestContext(workspace.inference)
         self._analyser = StateAnalyser(workspace, self._requests.queued(workspace.model))
         with self._lock:  # a control works as soon as it is in the page; its callback waits here for the rest
@@ -192,7 +194,7 @@ class ClientSession:
         workspace, shown = services.workspace, self._state
         if not shown.first_screen:
             return None
-        read = services.url_state.read(search, self._opening_state(workspace))[0]
+        read = services.url_state.read(search, self._opening_state(workspace, {}))[0]
         state = as_before(opened_alone(services.url_state, workspace, search, read), shown)
         if not state.first_screen:
             return None
@@ -366,9 +368,13 @@ class ClientSession:
             self._comparisons.forget()
         return replace(analysis, own_photo=self._own_photo.follow(picture, windows))
 
-    def _opening_state(self, workspace: Workspace) -> SessionState:
-        """Return the state that a page of a workspace has before its address is read: the picture that it showed there last."""
-        task, query = self._left.get(workspace.key, (next(iter(workspace.tasks)), workspace.first_query))
+    def _opening_state(self, workspace: Workspace, left: Mapping[str, tuple[str, int]]) -> SessionState:
+        """Return the state that a page of a workspace has before its address is read.
+
+        Args:
+            left: task and picture that the page showed last in each workspace, with which it goes on.
+        """
+        task, query = left.get(workspace.key, (next(iter(workspace.tasks)), workspace.first_query))
         scoring = workspace.default_scoring(task)
         return workspace.supported_state(SessionState(task, workspace.contract.n_parts, query=query, scoring=scoring))
 

@@ -115,10 +115,10 @@ def reason(view: FlightView, frame: int) -> str:
     error = located.error("registration")
     if error is not None and all(one.other != "tag" for one in against):
         place = "The place below the drone" if answer.camera else "The ground at the photo's middle"
-        told, limit = f"{error:.1f} m", ""
+        metres, limit = f"{error:.1f} m", ""
         if not located.by_hand:  # as the first screen rounds them
-            told, limit = distance(error), f", where {upper_bound(tag_allowance(located), 0)} m are allowed"
-        sentences.append(f"{place} lies {told} from {_truth(located)}{limit}.")
+            metres, limit = distance(error), f", where {upper_bound(tag_allowance(located), 0)} m are allowed"
+        sentences.append(f"{place} lies {metres} from {_truth(located)}{limit}.")
     if answer.turn is not None and is_turned_over(answer.turn):
         sentences.append(
             f"The picture is turned by {abs(answer.turn):.0f} degrees here: its file tells another heading, by which the first "

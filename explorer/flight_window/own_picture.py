@@ -48,10 +48,11 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
     corners = None if located is None or answer is None else outline(located)
     agreement = None if answer is None else answer.agreement
     fit, pins = "", []
-    if located is not None and answer is not None and agreement is not None and answer.homography is not None:
-        if not agreement.unchecked:  # the verdict says it
-            fit = flight_text.agreement(FlightView.of(replace(flight, frames=[located]), {}, ""), 0, agreement)
-        pins = page.offsets(np.array(answer.homography).reshape(3, 3), located, agreement)
+    if located is not None and answer is not None and answer.homography is not None:
+        pins = page.pins(np.array(answer.homography).reshape(3, 3), located)
+    # The verdict says that it is not checked.
+    if located is not None and agreement is not None and not agreement.unchecked:
+        fit = flight_text.agreement(FlightView.of(replace(flight, frames=[located]), {}, ""), 0, agreement)
     job = analysis.own_photo
     sign, headline, sentence = answer_text.plain_verdict(analysis, workspace)
     card = render(
@@ -89,7 +90,7 @@ def own_picture(analysis: StateAnalysis, workspace: Workspace, flight: LocatedFl
         },
         "card": card,
         "homography": None if answer is None else answer.homography,
-        "offsets": pins,
+        "pins": pins,
         "corrected": False,
         "size": [width, height],
         "saves": 0,

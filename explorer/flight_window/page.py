@@ -249,17 +249,25 @@ def chosen(
         "frame": frame,
         "card": card(view, frame, address, retrieval_right, agreement),
         "homography": None if laid is None else laid.ravel().tolist(),
-        "offsets": [] if laid is None or agreement is None else offsets(laid, located, agreement),
+        "pins": [] if laid is None else pins(laid, located),
         "corrected": view.corrected(frame) is not None,
         "size": [located.frame.width, located.frame.height],
         "saves": saves,
     }
 
 
-def offsets(laid: Float64Array, located: LocatedFrame, agreement: MapAgreement) -> list[list[float]]:
-    """Return where a laid photo has its compared places, and from there to where the map has them: metres east and north."""
-    pixels = agreement.places * (located.frame.width, located.frame.height) - 0.5
-    return _rounded(np.hstack([apply_homography(laid, pixels), agreement.offsets]))
+def pins(laid: Float64Array, located: LocatedFrame) -> list[list[float]]:
+    """Return where a laid photo has the numbered details of *Why?*, in their order, and from there to where the map has them.
+
+    Both are metres east and north. A photo without an accepted registration has none.
+    """
+    answer = located.stages.get("registration")
+    if answer is None or not answer.accepted or answer.details is None or answer.homography is None:
+        return []
+    size = located.frame.width, located.frame.height
+    places = apply_homography(laid, answer.details.places * size - 0.5)
+    on_map = answer.details.on_map(np.array(answer.homography).reshape(3, 3), *size)
+    return _rounded(np.hstack([places, on_map - places]))
 
 
 def progress(registration: BackgroundJob[None] | None, frames: int) -> str:

@@ -149,8 +149,8 @@ class FirstScreen:
             "failure": navigation.next_failure,
             "why": session_state.flip_why,
             "start": session_state.to_first_screen,
-            "data": session_state.leave_upload,
-            "first": lambda state: session_state.choose_query(
+            "data": lambda state: replace(session_state.leave_upload(state), why=False),
+            "first": lambda state: session_state.start_place(
                 state, workspace.first_query, len(workspace.tasks[state.task].queries)
             ),
             "all": session_state.show_everything,
@@ -292,7 +292,7 @@ def page(
         rendered=rendered,
         untried=place_text.untried(workspace),
         damage=place_text.UNTRIED,
-        moved_on=state.task == next(iter(workspace.tasks)) and state.query != workspace.first_query,
+        moved_on=state.task == next(iter(workspace.tasks)) and (state.query != workspace.first_query or state.why),
     )
 
 

@@ -196,7 +196,7 @@ def test_a_map_that_opens_is_not_hidden_by_the_explanation(state: SessionState) 
 
 
 def test_the_map_of_the_first_screen_stands_alone_in_plain_words_and_leads_back() -> None:
-    first = SessionState("task", 4, first_screen=True, why=True)
+    first = SessionState("task", 4, first_screen=True, why=True, plain=True)
     alone = session_state.leave_first_screen(first, session_state.show_map_alone(first))
     assert (alone.flight, alone.map_alone, alone.first_screen, alone.why) == (True, True, False, False)
     stepped = session_state.leave_first_screen(alone, session_state.step(alone, 1, 5))
@@ -209,3 +209,15 @@ def test_the_map_of_the_first_screen_stands_alone_in_plain_words_and_leads_back(
     in_terms = replace(first, plain=False)
     opened = session_state.leave_first_screen(in_terms, session_state.show_map_alone(in_terms))
     assert (opened.flight, opened.map_alone) == (True, False), "experts have the workbench beside it"
+
+
+def test_a_place_starts_clean_at_its_first_picture() -> None:
+    walked = SessionState(
+        "task", 4, query=3, first_screen=True, why=True, angle=30.0, weights=(0.5, 1, 1, 1), plain=True
+    )
+    start = session_state.start_place(walked, 1, 5)
+    assert (start.query, start.why, start.angle, start.first_screen) == (1, False, 0.0, True)
+    assert not start.altered_weights
+    fails = session_state.show_fails(walked, 2, 5)
+    start = session_state.start_place(fails, 1, 5)
+    assert (start.query, start.fails, start.came_from) == (1, False, None)

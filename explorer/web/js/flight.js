@@ -185,7 +185,7 @@
     if (!flight.hidden.has("tag") && flight.data.tracks.tag.x.some((x) => x !== null)) parts.push("Thin dashed line: the GPS tags.");
     if (shown.some((track) => track.radius[flight.chosen])) parts.push(escaped(flight.data.circle));
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
-    parts.push(`Pins${flight.data.plain ? ", with Swipe" : ""}: the head is where the map has a place, the other end where the photo has it.`);
+    parts.push(`Pins${flight.data.plain ? ", with Swipe" : ""}, numbered as the details of Why?: the head is where the map has a place, the other end where the photo has it.`);
     return parts.map((part) => `<p class="dim">${part}</p>`).join("");
   };
   flight.fillLegend = () => {

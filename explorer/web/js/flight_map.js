@@ -152,11 +152,13 @@
       stroke(pen, lpn.colour("retrieval"), 1.5, [2, 3]);
     }
     // From where the photo has a place to where the map has it.
-    const pins = followed?.frame === chosen && (!data.plain || flight.photo.compares()) ? followed.offsets : [];
-    for (const [x, y, east, north] of pins) {
+    const pins = followed?.frame === chosen && (!data.plain || flight.photo.compares()) ? followed.pins : [];
+    for (const [i, [x, y, east, north]] of pins.entries()) {
       path(pen, [[x, y], [x + east, y + north]]);
       stroke(pen, lpn.colour("accent"), 2);
-      dot(pen, map.toPixels([x + east, y + north]), 3, lpn.colour("accent"), false);
+      const [left, top] = map.toPixels([x + east, y + north]);
+      dot(pen, [left, top], 3, lpn.colour("accent"), false);
+      text(pen, String(i + 1), left + 6, top - 6);
     }
     if (own) drawOwn(pen, own);
     // The answer that counts is there, too, where its track is switched off.

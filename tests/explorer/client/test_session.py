@@ -34,6 +34,22 @@ def test_an_error_goes_with_the_next_picture_and_that_of_an_address_stays_until_
     assert session.views.panels.forget_error.called == forgotten
 
 
+def test_the_first_screen_of_another_place_starts_at_its_first_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = SessionState("drone-to-satellite", 4, query=2, first_screen=True, why=True)
+    session: Any = MagicMock(_state=shown, _left={"there": ("drone-to-satellite", 5)})
+    session._opening_state = lambda *arguments: ClientSession._opening_state(session, *arguments)
+    services: Any = MagicMock()
+    services.workspace.key, services.workspace.tasks, services.workspace.first_query = "there", {shown.task: None}, 1
+    services.workspace.contract.n_parts = 4
+    services.workspace.supported_state.side_effect = lambda state: state
+    services.url_state.read.side_effect = lambda _, state: (state, [])
+    analysed: list[SessionState] = []
+    analyser = MagicMock(analyse=lambda state, _: analysed.append(state))
+    monkeypatch.setattr("explorer.client.session.StateAnalyser", lambda *_, **__: analyser)
+    ClientSession.preview(session, services, "?show=there&screen=first")
+    assert [(state.query, state.why) for state in analysed] == [(1, False)]
+
+
 def test_a_session_that_ends_waits_for_what_its_flight_window_draws() -> None:
     begun, may_end, drawn = threading.Event(), threading.Event(), list[bool]()
 

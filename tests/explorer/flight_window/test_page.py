@@ -27,6 +27,7 @@ from lpn.locate.audit import TagAudit
 from lpn.locate.belief import Belief
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
+from lpn.locate.matched_details import MatchedDetails
 from lpn.locate.summary import describe_flight, placed_errors
 from lpn.maps import open_map
 from lpn.maps.tag_placed import placing_sentence
@@ -320,11 +321,6 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
     assert page.accuracy(view_of(replace(flight, frames=unplaced))).strip() == ""
     checked = compared(flight, 0, 0.5, 4.0, 1.0)
-    agreement = checked.frames[0].stages["registration"].agreement
-    offsets = page.chosen(view_of(checked), 0, "x/", agreement=agreement)["offsets"]
-    np.testing.assert_allclose(offsets[0], [-20.0, 1.0, 0.0, 0.5], atol=1e-6)
-    assert len(offsets) == 3
-    assert page.chosen(view_of(flight), 0, "x/")["offsets"] == []
     _, of = lines(frames=checked.frames)
     assert of["All of a photo"].startswith("1.0 m Median of 3 places of 1 photos that were found on the map one by one")
     assert "within ± 9.0 m at least" in of["All of a photo"]
@@ -608,3 +604,24 @@ def test_a_map_that_stands_alone_has_a_way_back_beside_its_photo() -> None:
     assert 'class="lpn flight alone"' in alone
     assert "‹ Back" in alone
     assert "‹ Back" not in beside
+
+
+def test_pins_are_the_numbered_details_of_why(flight: LocatedFlight) -> None:
+    located = flight.frames[0]
+    answer = located.stages["registration"]
+    rows = [(0.25, 0.5, 0.0, 0.5), (0.75, 0.5, 0.3, -0.1)]
+    located.stages["registration"] = msgspec.structs.replace(answer, details=MatchedDetails(rows, 0.4, 0.9))
+    assert answer.homography is not None
+    laid, size = np.array(answer.homography).reshape(3, 3), (located.frame.width, located.frame.height)
+    chosen = page.chosen(view_of(flight), 0, "x/")["pins"]
+    np.testing.assert_allclose([pin[2:] for pin in chosen], [row[2:] for row in rows], atol=0.011)
+    details = located.stages["registration"].details
+    assert details is not None
+    on_map = details.on_map(laid, *size)
+    np.testing.assert_allclose([[x + east, y + north] for x, y, east, north in chosen], on_map, atol=0.011)
+    moved = np.array([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]]) @ laid
+    np.testing.assert_allclose(
+        np.array(page.pins(moved, located))[:, 2], [row[2] - 5 for row in rows], atol=0.011
+    )  # a photo that is moved by hand has its details elsewhere, and the map has them where it had them
+    located.stages["registration"] = msgspec.structs.replace(answer, details=None)
+    assert page.chosen(view_of(flight), 0, "x/")["pins"] == []
