@@ -21,7 +21,7 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.locate.belief import disagreements, tag_allowance
 from lpn.locate.located import LocatedFrame
-from lpn.locate.registered_stage import AROUND
+from lpn.locate.registered_stage import AROUND, FEWEST
 
 # Share of the views that fit a map of another place by chance, and the log odds that exceed it.
 _CHANCE, _EVIDENCE = 0.2, 4.0
@@ -29,8 +29,6 @@ _CHANCE, _EVIDENCE = 0.2, 4.0
 _POINTS = 41
 # Shares of overlapping neighbours over which the odds are averaged.
 _SHARES = 20
-# Flights of fewer frames tell nothing either way.
-_FEWEST = 5
 # Photos whose middles are nearer than this share of their ground width, or than their radii, are of one view.
 ONE_VIEW = 0.25
 # Photos nearer than this share of their ground width see some of the same things, which may mislead both alike.
@@ -56,7 +54,7 @@ def refuse_unproven(
         side: of the windows in metres about which a model had it searched; None without a model.
     """
     registered = [located for located in frames if _registered(located)]
-    if len(frames) < _FEWEST or not registered or _shown(frames):
+    if len(frames) < FEWEST or not registered or _shown(frames):
         return []
     views = new_views(frames)
     if _tags_agree(frames, bounds, prior):

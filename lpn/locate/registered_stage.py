@@ -68,6 +68,8 @@ _BEYOND = 0.05
 _SWAY = 0.1
 # Pitches at which a photo is levelled that tells none and is not placed as it is, and the field of view where that is not told.
 _TRIED_PITCHES = (-60.0, -42.0)
+# Flights of fewer frames do not show by themselves that the map is of their place.
+FEWEST = 5
 # Levelled so, a photo needs so many times the usual support, as each try is a chance to agree with a wrong place.
 _TRIED_SUPPORT = 2.0
 # Each model of a registration in words: the matches agree on it.
@@ -95,6 +97,8 @@ def register_frames(
     key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]
     file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"
     records = LineRecords(file, StageRecord)
+    # So few photos show nothing together: without a tag on the map each proves the map alone, as a photo of no flight does.
+    alone = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
     widths: list[float] = []
     ratios: list[float] = []
     heading: float | None = None
@@ -105,10 +109,12 @@ def register_frames(
         # An answer depends on the frames before it, whose widths it takes over.
         places = located.searched_places(options.prior is not None)
         around = None if places is None else places.tolist()
-        trail = _digest([trail, frame_identity(located.frame), _plain(located.frame), around])
+        anywhere = alone and located.tag is None
+        identity = [frame_identity(located.frame), _plain(located.frame), around, *["anywhere"] * anywhere]
+        trail = _digest([trail, *identity])
         answer = shipped.get(located.frame.name) or records.get(trail)
         if answer is None:
-            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading)
+            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading, anywhere)
             records.append(trail, answer)
         elif answer.accepted and answer.agreement is None:  # it was kept before places were compared
             with suppress(PictureError):  # it is gone since then
@@ -246,19 +252,21 @@ def register_frame(
     ratios: list[float],
     retrieval: MapRetrieval | None,
     heading: float | None = None,
+    anywhere: bool = False,
 ) -> StageRecord:
     """Register one frame, and describe the answer in a sentence.
 
     Args:
         widths, ratios: of the accepted frames before: metres across the picture, and as a share of those that were expected.
         heading: of the accepted frame before, in degrees.
+        anywhere: see `PhotoSearch`.
     """
     try:
         photo = _photo(located.frame)
     except PictureError as error:
         return StageRecord("refused", str(error))
     side = None if retrieval is None else float(np.median(retrieval.sizes))
-    search = PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading)
+    search = PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading, anywhere=anywhere)
     return compared(basemap, register_photo(search), photo)
 
 

@@ -150,6 +150,28 @@ def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pyte
     assert len(registered) == 6
 
 
+@pytest.mark.parametrize(
+    ("count", "tagged", "corrected", "proven"),
+    [(4, 0, False, 4), (4, 1, False, 3), (5, 0, False, 0), (4, 0, True, 0)],
+)
+def test_a_few_photos_without_tags_prove_the_map_one_by_one(
+    count: int, tagged: int, corrected: bool, proven: int, town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four photos of another place are no flight, so none of them is accepted more easily than one alone is."""
+    searches: list[registered_stage.PhotoSearch] = []
+
+    def search(one: registered_stage.PhotoSearch) -> StageRecord:
+        searches.append(one)
+        return StageRecord("refused", "Too few.")
+
+    monkeypatch.setattr(registered_stage, "register_photo", search)
+    frames = [replace(flight.frames[i % 4], name=f"{i}.png") for i in range(count)]
+    frames = [frame if i < tagged else replace(frame, latitude=None, longitude=None) for i, frame in enumerate(frames)]
+    kept = {"0.png": Correction.of(_corners((3.0, 0.0), 90.0), town.frame)} if corrected else None
+    locate(town, replace(flight, frames=tuple(frames)), None, SIFT, corrections=kept)
+    assert [one.anywhere for one in searches] == [i >= tagged and proven > 0 for i in range(count)]
+
+
 def _corners(place: tuple[float, float], heading: float) -> np.ndarray:
     to_photo = ground_to_photo(place, heading, WIDTH, SIZE)
     return apply_homography(np.linalg.inv(to_photo), corner_pixels(*SIZE))
