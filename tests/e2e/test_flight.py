@@ -677,6 +677,12 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
     view.tap(position={"x": left, "y": top})
     expect(tip).to_contain_text("photo4.png. By its details: refused. Too few.")
     assert box(tip)["x"] + box(tip)["width"] <= box(page.locator("#lpn-flight .zoom"))["x"]
+    position = page.locator("#lpn-flight .view .read")
+    expect(position).to_be_empty()
+    view.dispatch_event("pointermove", {"pointerType": "touch", "pointerId": 7, "clientX": 100, "clientY": 200})
+    expect(position).to_contain_text(" m N")
+    view.dispatch_event("pointercancel", {"pointerType": "touch", "pointerId": 7})
+    expect(position).to_be_empty()
     line, told = page.locator("#lpn-flight .time canvas"), page.locator("#lpn-flight .time .why")
     for leave in (
         lambda: page.locator("#lpn-flight [data-act=next]").tap(),

@@ -347,6 +347,8 @@
       });
       map.view = view;
       box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = find(".why").textContent = ""));
+      // A finger that is lifted points at nothing more; why an answer is refused stays to be read.
+      for (const kind of ["pointerup", "pointercancel"]) box.addEventListener(kind, (event) => event.pointerType !== "mouse" && (find(".read").textContent = ""));
     },
   };
 })();
