@@ -304,8 +304,8 @@ def show_fails(state: SessionState, query: int, queries: int) -> SessionState:
 
 
 def start_place(state: SessionState, query: int, queries: int) -> SessionState:
-    """Show a place as it is when it is opened: its first picture on the first screen, unexplained, as all parts count alike."""
-    return _only_first_screen(choose_query(equal_parts(state), query, queries))
+    """Show a place on its first screen as when it is opened: its first picture, unexplained, as all parts count alike."""
+    return replace(choose_query(equal_parts(state), query, queries), why=False)
 
 
 def leave_upload(state: SessionState) -> SessionState:

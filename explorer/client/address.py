@@ -145,7 +145,10 @@ class PageAddress:
         self._timeout.cancel()
 
     def _stop_waiting(self) -> None:
-        self.waiting = False
+        with self._lock:
+            self.waiting = False
+            if self._before is not None and not self._greeted:  # the page has a theme and words already
+                self._views.show_state(as_before(self._state(), self._before))
         self._wake()
 
 

@@ -81,7 +81,7 @@ def _sentence(findings: Findings, workspace: Workspace) -> str:
     """Say which kind of picture fails most among all queries."""
     flight = workspace.flight
     stages = () if flight is None else [column.name for column in stage_columns(flight)]
-    return describe_failures(findings.outcomes, findings.table, findings.task.query_labels, stages)
+    return describe_failures(findings.graded, findings.table, findings.task.query_labels, stages)
 
 
 def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card]:
@@ -103,8 +103,8 @@ def cards(findings: Findings, lab: LabState, workspace: Workspace) -> list[_Card
 
 def _part_card(findings: Findings, lab: LabState) -> _Card:
     rows = state.selected_rows(findings, lab, "part", any_outcome=True)
-    counts = breakdown.blame(findings.outcomes, rows).tolist()
-    failed = int(findings.outcomes.failed[rows].sum())
+    counts = breakdown.blame(findings.graded, rows).tolist()
+    failed = int(findings.failed[rows].sum())
     title = f"{capitalised(say('part'))} that lowers the {say('margin')} most"
     if not failed:
         return _Card("part", title, [])
@@ -201,7 +201,7 @@ def _tile_picture(findings: Findings, workspace: Workspace, tile: int) -> str:
 
 
 def _rate_card(findings: Findings, lab: LabState, column: Column, rates: list[Rate]) -> _Card:
-    outcomes = findings.outcomes
+    outcomes = findings.graded
     overall = int(outcomes.failed.sum()) / max(int(outcomes.known.sum()), 1)
     chosen = _label(lab, state.selection_kind(column))
     lines = []

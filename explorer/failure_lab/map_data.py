@@ -128,7 +128,7 @@ def labels(findings: Findings, points: MapPoints, colour: str) -> list[dict[str,
         colour: the column that colours the map, whose values they are; empty for the column that tells the clusters apart best.
     """
     columns = [column for column in charted_columns(findings) if colour in ("", column.name)]
-    failed = findings.outcomes.failed
+    failed = findings.failed
     bins = {
         column.name: [(rate.name, rate.holds(column)) for rate in breakdown.rates(failed, column) if rate.known]
         for column in columns

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
@@ -106,10 +107,19 @@ class Findings:
         """Return whether the judge of a query is in doubt, so that nothing is marked as right or wrong."""
         return self.doubtful is not None and self.outcomes.known[row] and bool(self.doubtful[row])
 
+    @cached_property
+    def graded(self) -> Outcomes:
+        """The outcomes, in which the truth of a query whose judge is in doubt is not known."""
+        return (
+            self.outcomes
+            if self.doubtful is None
+            else replace(self.outcomes, known=self.outcomes.known & ~self.doubtful)
+        )
+
     @property
     def failed(self) -> BoolArray:
         """The queries that failed by a judge that is not in doubt, (Q,)."""
-        return self.outcomes.failed if self.doubtful is None else self.outcomes.failed & ~self.doubtful
+        return self.graded.failed
 
     def verdict(self, row: int) -> bool | None:
         """Return whether a query is found; None if its truth is not known, or its judge is in doubt."""

@@ -210,14 +210,15 @@ def extra_columns(lab: LabState, table: Table) -> list[str]:
 
 def outcome_masks(findings: Findings) -> dict[OutcomeFilter, BoolArray]:
     """Return which queries each choice of an outcome shows, (Q,) each; those about two models only where there are two."""
-    outcomes, second = findings.outcomes, findings.second
+    outcomes, second = findings.graded, findings.second
     masks: dict[OutcomeFilter, BoolArray] = {
         "all": np.ones(len(outcomes), bool),
         "failed": outcomes.failed,
         "found": outcomes.hits,
     }
     if second is not None:
-        masks |= {"only A": outcomes.hits & ~second.hits, "only B": second.hits & ~outcomes.hits}
+        of_second = outcomes.known & second.hits
+        masks |= {"only A": outcomes.hits & ~of_second, "only B": of_second & ~outcomes.hits}
     return masks
 
 
@@ -283,12 +284,12 @@ def failure_rates(findings: Findings, lab: LabState, column: Column) -> list[Rat
     The outcome filter and a selection in this column are ignored. If all or none of the selected queries failed, every
     rate would be 1 or 0, so the rates of all queries are returned.
     """
-    known = findings.outcomes.known
+    known = findings.graded.known
     rows = selected_rows(findings, lab, selection_kind(column), any_outcome=True)
     rows = rows[known[rows]]
-    if not 0 < int(findings.outcomes.failed[rows].sum()) < len(rows):
+    if not 0 < int(findings.failed[rows].sum()) < len(rows):
         rows = np.flatnonzero(known)
-    return breakdown.rates(findings.outcomes.failed, column, rows=rows)
+    return breakdown.rates(findings.failed, column, rows=rows)
 
 
 def selection_kind(column: Column) -> str:
@@ -337,7 +338,7 @@ def hub_label(findings: Findings, tile: int) -> str:
 def hubs(findings: Findings, lab: LabState) -> list[breakdown.Hub]:
     """Return the hubs of the selected queries."""
     rows = selected_rows(findings, lab, "hub", any_outcome=True)
-    return breakdown.hubs(findings.outcomes, findings.task.query_labels, rows)
+    return breakdown.hubs(findings.graded, findings.task.query_labels, rows)
 
 
 def select_alike(findings: Findings, tiles: tuple[int, int]) -> Selection:
@@ -354,7 +355,7 @@ def alike_label(findings: Findings, tiles: tuple[int, int]) -> str:
 
 def select_part(findings: Findings, part: int) -> Selection:
     """Select the failures in which this part lowers the margin most."""
-    blamed = findings.outcomes.failed & (findings.outcomes.deciding_part == part)
+    blamed = findings.failed & (findings.outcomes.deciding_part == part)
     return Selection.of("part", f"part {findings.part_names[part]} lowers the margin most", np.flatnonzero(blamed))
 
 
@@ -362,7 +363,7 @@ def confusions(findings: Findings, lab: LabState) -> list[breakdown.Confusion]:
     """Return the confusions among the selected queries, the most frequent first."""
     rows = selected_rows(findings, lab, "pair", any_outcome=True)
     task = findings.task
-    return breakdown.confusions(findings.outcomes, task.query_labels, task.gallery_labels, rows)
+    return breakdown.confusions(findings.graded, task.query_labels, task.gallery_labels, rows)
 
 
 def place_names(findings: Findings, confusion: breakdown.Confusion) -> tuple[str, str]:

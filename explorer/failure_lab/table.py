@@ -103,7 +103,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         selected=len(rows),
         chosen=chosen,
         queries=len(findings.table),
-        failed=int(findings.outcomes.failed[rows].sum()),
+        failed=int(findings.failed[rows].sum()),
         by_look=_by_look(findings),
         narrowed=show_all(lab) != lab,
         notes_error=findings.notes_error,
@@ -318,7 +318,7 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
         answer=answer,
         margin="" if np.isnan(margin) else signed(margin, _DIGITS),
         count=len(rows),
-        failed=int(findings.outcomes.failed[rows].sum()),
+        failed=int(findings.failed[rows].sum()),
     )
 
 

@@ -40,7 +40,7 @@ from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme, verdicts, words
 from lpn.drawing.theme import Colour
-from lpn.explain.lead_places import lead_place
+from lpn.explain.lead_places import LeadPlace, lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.flights.photo_file import PhotoFile
 from lpn.locate.belief import belief, disagreements, tag_figures
@@ -244,6 +244,9 @@ def page(
         third = positive.index
     turn, matched = _turn(analysis, workspace), details_pair(analysis, workspace) if state.why else None
     because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
+    errs = _wrong_because(analysis, workspace) if found.look[0] is False and not state.upload else ""
+    if wrong and errs:
+        wrong = replace(wrong, reasons=[errs, *(one for one in wrong.reasons if one != wrong_answer.UNEXPLAINED)])
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -269,6 +272,7 @@ def page(
         matched=matched,
         lead=lead,
         because=because,
+        errs="" if wrong else errs,
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.shown) if lead is not None else "",
         bring=_BRING,
@@ -470,10 +474,7 @@ def _because(
     if lead is None or cells is None or query is None or tile is None:
         return []
     sign = 1 if lead.of_answer else -1
-    areas = query.cells[0] != 0, tile.cells[0] != 0
-    turn = _turn(analysis, workspace, least=0)
     whose = "your picture" if analysis.state.upload else "the picture"
-    tiles = [(lead.answer, analysis.chosen.index), (lead.other, lead.index)]
     sentences = []
     located = workspace.located(analysis)
     details = workspace.details(analysis)
@@ -487,26 +488,16 @@ def _because(
     if off_map and errs:
         sentences.append(off_map)
     for side in (sign, -sign):
-        ahead, behind = tiles if side == sign else tiles[::-1]
-        terms, places = side * lead.terms, side * cells.sum(axis=0)
-        if terms.max() <= 0:
-            single = "; only single places do" if places.max() > 0 else ""
-            whole = f"No {words.say('part')} as a whole speaks for {ahead[0]}"
-            if len(terms) == 1:
-                whole = f"The picture as a whole does not speak for {ahead[0]}"
+        place = _speaking_place(analysis, workspace, lead, cells, side)
+        ahead, behind = (lead.answer, lead.other)[:: 1 if side == sign else -1]
+        if place is None:
+            single = "; only single places do" if (side * cells.sum(axis=0)).max() > 0 else ""
+            whole = f"No {words.say('part')} as a whole speaks for {ahead}"
+            if len(lead.terms) == 1:
+                whole = f"The picture as a whole does not speak for {ahead}"
             sentences.append(f"{whole}{single}.")
             continue
-        parts = verdicts.leading_parts(terms)
-        grounds = tuple(workspace.ground_of(task, index) for _, index in (ahead, behind))
-        place = lead_place(
-            terms,
-            parts,
-            places,
-            areas,
-            (grounds[0], grounds[1]),
-            None if turn is None else turn.degrees,
-        )
-        names = ahead[0], behind[0]
+        names = ahead, behind
         sentences.append(verdicts.describe_lead_place(place, workspace.part_names, task.query_view, names, whose))
     if off_map and not errs:
         sentences.append(off_map)
@@ -526,6 +517,45 @@ def _because(
         if errs and details.accepted and not concluded.sign:
             which += " if its details are right"
     return [("By its details", [*known, *doubts]), (f"By its look{which}", sentences)]
+
+
+def _speaking_place(
+    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead, cells: Float64Array, side: int
+) -> LeadPlace | None:
+    """Return the place of the query that does most for a tile; None if no part as a whole speaks for it.
+
+    Args:
+        cells: each cell's share of the lead, part by part.
+        side: 1 for the leader, -1 for the follower.
+    """
+    query, tile, task = analysis.query.trace, analysis.tile.trace, analysis.task
+    terms, places = side * lead.terms, side * cells.sum(axis=0)
+    if query is None or tile is None or terms.max() <= 0:
+        return None
+    ahead, behind = (analysis.chosen.index, lead.index)[:: 1 if (side == 1) is lead.of_answer else -1]
+    turn = _turn(analysis, workspace, least=0)
+    return lead_place(
+        terms,
+        verdicts.leading_parts(terms),
+        places,
+        (query.cells[0] != 0, tile.cells[0] != 0),
+        (workspace.ground_of(task, ahead), workspace.ground_of(task, behind)),
+        None if turn is None else turn.degrees,
+    )
+
+
+def _wrong_because(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say of a wrong answer what put it before the right one: which parts, where, and by how much; "" if no part did."""
+    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
+    cells = None if lead is None or lead.of_answer else _lead_cells(analysis, lead)
+    place = None if lead is None or cells is None else _speaking_place(analysis, workspace, lead, cells, -1)
+    if lead is None or place is None:
+        return ""
+    names = lead.answer, lead.other
+    text = verdicts.describe_lead_place(place, workspace.part_names, analysis.task.query_view, names, "the picture")
+    if text.startswith(only := "Only "):
+        return f"Wrong because {text[len(only) : -1]}, and no other {words.say('part')} does."
+    return f"Wrong because {text[:1].lower()}{text[1:]}"
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:

@@ -77,7 +77,8 @@ class Navigation:
         if chosen is None and known is not None and not known.any():
             self._notify("Nothing is known", "No query of this task has a known place, so none can fail.")
         elif chosen is None:
-            self._notify("No failure", "Every query of this task has its true tile at rank 1.")
+            right = "Every query of this task has its true tile at rank 1."
+            self._notify("No failure", "Every first answer here is right." if state.plain else right)
         return chosen
 
     def choose_task(self, name: str) -> StateChange:

@@ -31,7 +31,7 @@ _NEAR = 0.25
 _SCALE = math.sqrt(2)
 # A wrong answer is close if at least this share of the right ones lead by more than its positive lacks.
 _CLOSE = 0.9
-_UNEXPLAINED = "Nothing that was measured tells why. “Why?” shows the places that speak for either picture."
+UNEXPLAINED = "Nothing that was measured tells why. “Why?” shows the places that speak for either picture."
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
         _sentence(analysis, right),
-        _reasons(analysis, workspace, right, disputed, kinds or ()) or [_UNEXPLAINED],
+        _reasons(analysis, workspace, right, disputed, kinds or ()) or [UNEXPLAINED],
     )
 
 

@@ -86,7 +86,7 @@ class WindowSources:
                     selection=state.describe(findings, lab),
                     selected=len(rows),
                     queries=len(findings.table),
-                    failed=int(findings.outcomes.failed[rows].sum()),
+                    failed=int(findings.failed[rows].sum()),
                     error=lab.filter_error,
                     names=None if findings.second is None else findings.second.names,
                     contents=contents,

@@ -677,6 +677,12 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
     view.tap(position={"x": left, "y": top})
     expect(tip).to_contain_text("photo4.png. By its details: refused. Too few.")
     assert box(tip)["x"] + box(tip)["width"] <= box(page.locator("#lpn-flight .zoom"))["x"]
+    position = page.locator("#lpn-flight .view .read")
+    expect(position).to_be_empty()
+    view.dispatch_event("pointermove", {"pointerType": "touch", "pointerId": 7, "clientX": 100, "clientY": 200})
+    expect(position).to_contain_text(" m N")
+    view.dispatch_event("pointercancel", {"pointerType": "touch", "pointerId": 7})
+    expect(position).to_be_empty()
     line, told = page.locator("#lpn-flight .time canvas"), page.locator("#lpn-flight .time .why")
     for leave in (
         lambda: page.locator("#lpn-flight [data-act=next]").tap(),
@@ -694,3 +700,36 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
         expect(view).not_to_be_in_viewport(ratio=0.5)
         line.tap(position={"x": 44, "y": 40})
         expect(view).to_be_in_viewport(ratio=0.9)
+
+
+@pytest.mark.slow
+def test_the_window_opens_again_with_the_whole_flight_and_a_new_flight_waits_for_no_picture(
+    flight_app: RunningFlight, new_page: Callable[[], Page]
+) -> None:
+    page = new_page()
+    page.goto(f"{flight_app.url}/?flight=1&words=plain")
+    swipe, view = page.locator("[data-photo=swipe]"), "lpn.flight.map.view()?.scale"
+    expect(page.locator("#lpn-flight .view")).to_have_attribute("data-missing", "0")
+    whole = page.evaluate(view)
+    swipe.click()
+    expect(swipe).to_have_attribute("aria-pressed", "true")
+    ExplorerPage(page).eventually(lambda: check(page.evaluate(view) > whole))
+    page.get_by_label("Close the flight").click()
+    expect(page.locator("#lpn-flight")).to_be_hidden()
+    page.keyboard.press("w")
+    expect(page.locator("[data-photo=off]")).to_have_attribute("aria-pressed", "true")
+    ExplorerPage(page).eventually(lambda: check(page.evaluate(view) == pytest.approx(whole, rel=0.1)))
+    # A picture that never comes keeps back the next photo of a flight for a while, and no photo of another flight.
+    page.route("**/never", lambda _: None)
+    arrived = """(address) => {
+      const frame = { ...lpn.flight.followed, card: '<b class="new">new</b><img src="never">' };
+      if (address) lpn.flight.show({ ...lpn.flight.data, address });
+      lpn.flight.follow({ address: address || lpn.flight.of, frame, answer: null, scores: null, sequence: 0 });
+      return !!document.querySelector("#lpn-flight .about .new");
+    }"""
+    assert not page.evaluate(arrived, "")
+    assert page.evaluate(arrived, "another")
+
+
+def check(holds: bool) -> None:
+    assert holds

@@ -292,6 +292,11 @@
     cancel: () => flight.photo.use("off"),
     forget: () => flight.photo.forget(),
     turnto: () => flight.map.turnTo(),
+    // The window opens again with the whole flight, without a photo over it.
+    leave: () => {
+      flight.photo.use("off");
+      flight.map.look();
+    },
   };
   const see = (flight.see = (selector) => find(selector).scrollIntoView({ block: "nearest" }));
   const onClick = (event) => {

@@ -128,7 +128,7 @@
     if (at) {
       pen.beginPath();
       pen.arc(...map.toPixels(at), Math.max(radius * map.view.scale, 1), 0, 7);
-      stroke(pen, lpn.colour("registration"), 1.5);
+      stroke(pen, lpn.colour(doubted ? "contradicted" : "registration"), 1.5);
       if (doubted) diamond(pen, map.toPixels(at), 9, lpn.colour("contradicted"));
       else dot(pen, map.toPixels(at), 7, lpn.colour("registration"), false);
     }
@@ -171,7 +171,7 @@
       if (track.radius[chosen]) {
         pen.beginPath();
         pen.arc(left, top, Math.max(track.radius[chosen] * map.view.scale, 1), 0, 7);
-        stroke(pen, track.colour, 1.5, track.state[chosen] === 2 ? [3, 4] : []);
+        stroke(pen, flight.doubted(name, chosen) ? lpn.colour("contradicted") : track.colour, 1.5, track.state[chosen] === 2 ? [3, 4] : []);
       }
       if (flight.doubted(name, chosen)) diamond(pen, [left, top], 9, lpn.colour("contradicted"));
       else dot(pen, [left, top], name === "tag" ? 5 : 7, track.colour, track.state[chosen] === 2);
@@ -347,6 +347,8 @@
       });
       map.view = view;
       box.addEventListener("pointerleave", (event) => event.pointerType === "mouse" && (find(".read").textContent = find(".why").textContent = ""));
+      // A finger that is lifted points at nothing more; why an answer is refused stays to be read.
+      for (const kind of ["pointerup", "pointercancel"]) box.addEventListener(kind, (event) => event.pointerType !== "mouse" && (find(".read").textContent = ""));
     },
   };
 })();

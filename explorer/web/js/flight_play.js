@@ -55,6 +55,8 @@
       [shown, pictures] = [number, images];
       flight.arrive(told);
     };
+    // The photo of another flight is gone at once: the headline is of the new one already.
+    if (flight.of !== told.address && flight.of !== null) return show();
     if (sources.every((source) => pictures.some((image) => image.getAttribute("src") === source))) return show();
     const patience = new Promise((resolve) => setTimeout(resolve, PICTURES));
     Promise.race([patience, Promise.all(images.map((image) => image.decode().catch(() => {})))]).then(show);

@@ -156,3 +156,15 @@ def test_a_first_screen_that_was_opened_with_expert_words_keeps_them_when_it_is_
     again = open_page(page.search)
     assert (again.state.first_screen, again.state.plain) == (True, False)
     assert open_page("?screen=first").state.plain
+
+
+def test_a_page_whose_greeting_is_late_keeps_the_theme_that_it_had(workspace: Workspace) -> None:
+    shown, views, wake = [SessionState(TASK, 4, dark=True)], Mock(), Mock()
+    views.show_state.side_effect = shown.append
+    before = SessionState(TASK, 4, dark=False, plain=True, first_screen=True, start_plain=True)
+    lock, links = threading.RLock(), UrlState(workspace)
+    address = PageAddress(workspace, links, views, lock, lambda: shown[-1], Mock(), "?show=x", wake, before)
+    address.leave()
+    address._stop_waiting()
+    assert (shown[-1].dark, address.waiting) == (False, False)
+    wake.assert_called_once_with()
