@@ -25,7 +25,7 @@ from tools.fixtures.chromium import launch, returning
 from tools.fixtures.processes import free_port
 
 # Panels as a new browser has them, and without viser's notice about software WebGL.
-_AS_OPENED = (
+AS_OPENED = (
     "localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open');"
     "sessionStorage.setItem('lpn-software-webgl', 'seen')"
 )
@@ -85,7 +85,7 @@ SHOTS = (
         "y",
         tab="Turn, shift, zoom",
         choose=".chips a:has-text('Turn')",
-        wait="#lpn-profile[data-done='24']",
+        wait=":root:has(#lpn-matches .row) #lpn-profile[data-done='24']",
     ),
     Shot("story-constant.webp", "0381/02", "y", tab="Why"),
     Shot(
@@ -102,7 +102,7 @@ SHOTS = (
         DEMO_QUERY,
         address="?show=flight&flight=1&query=LPN_0100.webp",
         choose="[data-photo=swipe]",
-        wait="#lpn-flight .status:empty",
+        wait="#lpn-flight:has(.loading:empty) .status:empty",
         part="#lpn-flight",
     ),
 )
@@ -162,7 +162,7 @@ def _seeded_vit(folder: Path) -> str:
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     context = returning(browser, 1456, 835)
-    context.add_init_script(_AS_OPENED)
+    context.add_init_script(AS_OPENED)
     page = context.new_page()
     page.goto(url + (shot.address or f"?query={shot.query}"))
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=600_000)
