@@ -31,7 +31,7 @@ from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, first_screen, pages, wrong_answer
+from explorer.panels import answer_text, details_pair, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
@@ -670,6 +670,9 @@ def assert_details_come_first(workspace: Workspace, state: SessionState, monkeyp
     assert unexplained.count("<tr data-pin=") == 24
     with monkeypatch.context() as patch:
         patch.setattr(images, "load_picture", Mock(side_effect=PictureError("gone")))
+        again = first_screen.page(analyse(workspace, state), workspace)
+        assert again.count("data-pin") == html.count("data-pin"), "photo and map are drawn once"
+        details_pair._draw_once.cache_clear()
         gone = first_screen.page(analyse(workspace, state), workspace)
     assert "data-pin" not in gone
     assert "268 details of the photo lie where the map has them: they place it." in text(gone)
