@@ -144,7 +144,8 @@ def _drawn(analysis: StateAnalysis, located: LocatedFrame, answer: StageRecord, 
         raise PictureError(f"{file.name} cannot be read.") from error
     assert answer.details is not None
     return _draw_once(
-        basemap, _Source((str(file), stamp), (*(answer.homography or ()), *answer.details.rows), answer, located)
+        basemap,
+        _Source((str(file), stamp), (answer.state, *(answer.homography or ()), *answer.details.rows), answer, located),
     )
 
 

@@ -796,6 +796,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
+    assert words.count("<circle ") == 2 * 24, "the details are numbered in photo and map"
+    assert "half of them within 0.43 m, and all within 0.9 m" in words
+    assert len(re.findall(r"\d+: 0\.\d\d m", words)) == 24
     title = re.search(r'title="([^"]*)"[^>]*>turned 11° to match', page)
     assert title is not None
     assert (
