@@ -695,7 +695,7 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         if words.plain() and all(
             one.other != "tag" for one in contradictions
         ):  # the limit is told where it is explained
-            limit = ", as near as tags may"
+            limit = ", which is within what is allowed"
         sentence = f"Its GPS tag, the white circle, lies {metres} from there{limit}."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(

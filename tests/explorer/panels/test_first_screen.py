@@ -785,7 +785,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "Nobody measured where they really are.",
         "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to their GPS tags as nearly all "
         "should. The tags may be off, too.",
-        "Its GPS tag, the white circle, lies 10 m from there, as near as tags may.",
+        "Its GPS tag, the white circle, lies 10 m from there, which is within what is allowed.",
         "found the piece where details place the photo: it is 37 m wide, and that place lies on it.",
         "the photo's middle lies on it, 3 m from its middle, where 18 m each way are allowed. A GPS tag may lie 32 m from",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
