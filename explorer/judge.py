@@ -52,17 +52,13 @@ def is_sure(analysis: StateAnalysis, workspace: Workspace) -> bool:
 def shown(analysis: StateAnalysis, workspace: Workspace) -> StateAnalysis:
     """Return an analysis for signs and colours: without grades where the judge is not sure.
 
-    The piece that this judge calls right stays, as the screen names it, and `Analysis.ungraded` leaves it out.
+    Of `Analysis.ungraded` it differs in the piece that this judge calls right, which stays, as the screen names it.
     """
     if is_sure(analysis, workspace):
         return analysis
     positive = analysis.positive
-    return replace(
-        analysis,
-        matches=[replace(match, true=None) for match in analysis.matches],
-        chosen=replace(analysis.chosen, true=None),
-        positive=None if positive is None else replace(positive, true=None),
-    )
+    named = None if positive is None else replace(positive, true=None)
+    return replace(analysis.ungraded(), ranking=analysis.ranking, positive=named)
 
 
 def doubtful(flight: LocatedFlight | None, ranking: RankingJob) -> BoolArray | None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 
@@ -16,7 +17,8 @@ from lpn.drawing import overlays, theme, words
 from lpn.locate.belief import belief
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.matched_details import MatchedDetails
-from lpn.locate.matched_pictures import matched_pictures
+from lpn.locate.matched_pictures import MatchedPictures, matched_pictures
+from lpn.maps import Map
 
 # The longer side of the pictures in pixels, and the quality of their JPEG.
 _SIDE, _QUALITY = 800, 82
@@ -68,22 +70,39 @@ class DetailsPair:
     scale: tuple[float, float]
 
 
+_Drawn = tuple[MatchedPictures, tuple[str, str, str]]
+
+
+@dataclass(frozen=True)
+class _Source:
+    """What the pictures are drawn from.
+
+    Attributes:
+        file: path and time of the last change of the photo's file.
+        figures: of the answer, by which it is told from another one.
+        picture: the photo; None for the one in the file.
+    """
+
+    file: tuple[object, ...]
+    figures: tuple[object, ...]
+    answer: StageRecord = field(compare=False)
+    located: LocatedFrame = field(compare=False)
+    picture: UInt8Array | None = field(default=None, compare=False)
+
+
 def details_pair(analysis: StateAnalysis, workspace: Workspace) -> DetailsPair | None:
     """Return the photo that is shown beside the map about it; None without an accepted registration, or if it cannot be read."""
     located, basemap = workspace.located(analysis), workspace.basemap
     answer = None if located is None else located.stages.get("registration")
     if located is None or basemap is None or answer is None or answer.details is None:
         return None
-    size = located.frame.width, located.frame.height
     with suppress(DataError, PictureError):  # a file that has gone, or is damaged: the numbers are told without it
-        shown = matched_pictures(basemap, answer, _photo(analysis, located), size, _SIDE)
-        if shown is None:
+        drawn = _drawn(analysis, located, answer, basemap)
+        if drawn is None:
             return None
+        shown, (photo, ground, laid) = drawn
         height, width = shown.photo.shape[:2]
         places = zip(_per_cent(shown.in_photo), _per_cent(shown.on_map), answer.details.metres.tolist(), strict=True)
-        photo, ground, laid = (
-            overlays.data_uri(picture, _QUALITY) for picture in (shown.photo, shown.ground, shown.laid)
-        )
         return DetailsPair(
             sentence(answer, answer.details, "your picture" if analysis.state.upload else "the photo"),
             photo,
@@ -115,10 +134,34 @@ def sentence(answer: StageRecord, details: MatchedDetails, photo: str) -> str:
     )
 
 
-def _photo(analysis: StateAnalysis, located: LocatedFrame) -> UInt8Array:
-    upload = analysis.state.upload
-    picture = images.load_picture(located.frame.file) if upload is None else upload.picture
-    return located.frame.undistorted(picture)
+def _drawn(analysis: StateAnalysis, located: LocatedFrame, answer: StageRecord, basemap: Map) -> _Drawn | None:
+    upload, file = analysis.state.upload, located.frame.file
+    if upload is not None:  # nothing but the page that sent it holds an own picture
+        return _draw(basemap, _Source((), (), answer, located, upload.picture))
+    try:
+        stamp = file.stat().st_mtime_ns
+    except OSError as error:
+        raise PictureError(f"{file.name} cannot be read.") from error
+    assert answer.details is not None
+    return _draw_once(
+        basemap,
+        _Source((str(file), stamp), (answer.state, *(answer.homography or ()), *answer.details.rows), answer, located),
+    )
+
+
+def _draw(basemap: Map, source: _Source) -> _Drawn | None:
+    frame = source.located.frame
+    picture = images.load_picture(frame.file) if source.picture is None else source.picture
+    size = frame.width, frame.height
+    shown = matched_pictures(basemap, source.answer, frame.undistorted(picture), size, _SIDE)
+    if shown is None:
+        return None
+    photo, ground, laid = (overlays.data_uri(one, _QUALITY) for one in (shown.photo, shown.ground, shown.laid))
+    return shown, (photo, ground, laid)
+
+
+# A page draws its reason anew with every change, in which photo and map stay.
+_draw_once = lru_cache(maxsize=16)(_draw)
 
 
 def _bound(metres: float) -> str:

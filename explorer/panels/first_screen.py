@@ -50,7 +50,7 @@ from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
 from lpn.maps.tag_placed import placing_sentence
-from lpn.report import Said, SaidPicture
+from lpn.report import Said, SaidDetails, SaidPicture
 from lpn.retrieval import DescribedPicture
 
 # Map files, and bytes of them, up to which a saved answer has their SHA-256.
@@ -392,6 +392,17 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         _map_facts(workspace),
         tuple((method, tuple(sentences)) for method, sentences in reasons),
         tuple(filter(None, [lines.criterion, checked])),
+        _said_details(analysis, workspace),
+    )
+
+
+def _said_details(analysis: StateAnalysis, workspace: Workspace) -> SaidDetails | None:
+    pair = details_pair(analysis, workspace)
+    if pair is None:
+        return None
+    pins = tuple((pin.in_photo, pin.on_map, pin.metres) for pin in pair.pins)
+    return SaidDetails(
+        pair.sentence, pair.photo, pair.ground, pair.size, tuple(pair.frame), pair.colour, pins, pair.limit
     )
 
 
@@ -684,7 +695,7 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         if words.plain() and all(
             one.other != "tag" for one in contradictions
         ):  # the limit is told where it is explained
-            limit = ", as near as tags may"
+            limit = ", which is within what is allowed"
         sentence = f"Its GPS tag, the white circle, lies {metres} from there{limit}."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked
     sentence = " ".join(

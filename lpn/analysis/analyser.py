@@ -9,7 +9,7 @@ import time
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
 from datetime import date
-from typing import Generic, Literal, TypeVar
+from typing import Generic, Literal, Self, TypeVar
 
 import numpy as np
 
@@ -120,7 +120,7 @@ class Analysis:
     pair_evidence: PairEvidence | None
     seconds: float
 
-    def ungraded(self) -> Analysis:
+    def ungraded(self) -> Self:
         """Return the analysis as of a query whose place is not known."""
         return replace(
             self,

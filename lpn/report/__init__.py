@@ -5,8 +5,8 @@ write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 
 from lpn.analysis.analyser import OwnPicture
-from lpn.report.cases import Options, Said, SaidPicture
+from lpn.report.cases import Options, Said, SaidDetails, SaidPicture
 from lpn.report.leaderboard_page import build_leaderboard
 from lpn.report.page import build
 
-__all__ = ["Options", "OwnPicture", "Said", "SaidPicture", "build", "build_leaderboard"]
+__all__ = ["Options", "OwnPicture", "Said", "SaidDetails", "SaidPicture", "build", "build_leaderboard"]

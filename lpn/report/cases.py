@@ -45,6 +45,31 @@ class SaidPicture:
 
 
 @dataclass(frozen=True)
+class SaidDetails:
+    """A photo beside the map about it, with the same details numbered in both.
+
+    Attributes:
+        sentence: how many details agree, and how well.
+        photo, ground: the pictures as data URIs.
+        size: their width and height in pixels.
+        frame: the photo's corners on the map, per cent of its width and height.
+        colour: of the frame, in CSS.
+        pins: for each detail its places in photo and map, per cent of width and height, and the metres between where the photo
+            has it and where the map has it, as a number.
+        limit: metres within which a detail counts, as a number.
+    """
+
+    sentence: str
+    photo: str
+    ground: str
+    size: tuple[int, int]
+    frame: tuple[tuple[float, float], ...]
+    colour: str
+    pins: tuple[tuple[tuple[float, float], tuple[float, float], str], ...]
+    limit: str
+
+
+@dataclass(frozen=True)
 class Said:
     """The words and pictures by which a screen shows the answer that a report is about.
 
@@ -57,6 +82,7 @@ class Said:
         map: the files of the map and their digests, as names and values.
         reasons: why this is the answer: each method, "" where it is the only one, and its sentences.
         judged: sentences on how right and wrong are told apart and checked.
+        details: the numbered details by which the photo is placed; None without them.
     """
 
     question: str
@@ -67,6 +93,7 @@ class Said:
     map: tuple[tuple[str, str], ...] = ()
     reasons: tuple[tuple[str, tuple[str, ...]], ...] = ()
     judged: tuple[str, ...] = ()
+    details: SaidDetails | None = None
 
 
 @dataclass(frozen=True)

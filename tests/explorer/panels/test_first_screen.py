@@ -31,7 +31,7 @@ from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, first_screen, pages, wrong_answer
+from explorer.panels import answer_text, details_pair, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
@@ -671,6 +671,9 @@ def assert_details_come_first(workspace: Workspace, state: SessionState, monkeyp
     assert unexplained.count("<tr data-pin=") == 24
     with monkeypatch.context() as patch:
         patch.setattr(images, "load_picture", Mock(side_effect=PictureError("gone")))
+        again = first_screen.page(analyse(workspace, state), workspace)
+        assert again.count("data-pin") == html.count("data-pin"), "photo and map are drawn once"
+        details_pair._draw_once.cache_clear()
         gone = first_screen.page(analyse(workspace, state), workspace)
     assert "data-pin" not in gone
     assert "268 details of the photo lie where the map has them: they place it." in text(gone)
@@ -783,7 +786,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "Nobody measured where they really are.",
         "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to their GPS tags as nearly all "
         "should. The tags may be off, too.",
-        "Its GPS tag, the white circle, lies 10 m from there, as near as tags may.",
+        "Its GPS tag, the white circle, lies 10 m from there, which is within what is allowed.",
         "found the piece where details place the photo: it is 37 m wide, and that place lies on it.",
         "the photo's middle lies on it, 3 m from its middle, where 18 m each way are allowed. A GPS tag may lie 32 m from",
         "of the flight's photos lie within one, two, and three radii of their GPS tags",
@@ -794,6 +797,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
+    assert words.count("<circle ") == 2 * 24, "the details are numbered in photo and map"
+    assert "half of them within 0.43 m, and all within 0.9 m" in words
+    assert len(re.findall(r"\d+: 0\.\d\d m", words)) == 24
     title = re.search(r'title="([^"]*)"[^>]*>turned 11° to match', page)
     assert title is not None
     assert (
