@@ -215,9 +215,12 @@ def with_windows(state: SessionState, other: SessionState) -> SessionState:
 
 
 def leave_first_screen(before: SessionState, after: SessionState) -> SessionState:
-    """Return what follows the first screen, see `_left`; a map that stood alone does so no more under another window."""
+    """Return what follows the first screen, see `_left`.
+
+    A map that stood alone does so no more under another window, or in the field's terms.
+    """
     left = _left(before, after)
-    alone = left.map_alone and left.flight and left.from_first_screen and not (left.why or left.lab)
+    alone = left.map_alone and left.plain and left.flight and left.from_first_screen and not (left.why or left.lab)
     return replace(left, map_alone=alone)
 
 
@@ -429,8 +432,8 @@ def flip_lab(state: SessionState) -> SessionState:
 
 
 def show_map_alone(state: SessionState) -> SessionState:
-    """Open the flight window; in plain words without the workbench, which is for experts."""
-    return replace(state, flight=True, why=False, map_alone=state.plain)
+    """Open the flight window; in plain words without the workbench, see `leave_first_screen`."""
+    return replace(state, flight=True, why=False, map_alone=True)
 
 
 def flip_flight(state: SessionState) -> SessionState:

@@ -73,19 +73,15 @@ class PageAddress:
                 self.leads_elsewhere, self.waiting = True, False
                 self._show_other(other, search)
                 return
-            start = self._state()
             before, self._before = self._before, None  # it may hold an own picture
-        if self._url_state.names_a_state(search):
-            start = self._plain
+        start = self._start(search)
         if before is None:
             start = in_words(start, greeting.plain, greeting.start_plain)
-        # A page that comes back from another workspace holds its own pictures still.
         try:
-            state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
+            state, problems = self._read(search, start)
         except BaseException:
             self._stop_waiting()
             raise
-        state = opened_alone(self._url_state, self._workspace, search, state)
         if before is not None:
             state = as_before(state, before)
         else:
@@ -144,12 +140,27 @@ class PageAddress:
         """Wait no more for a page that has left."""
         self._timeout.cancel()
 
+    def _start(self, search: str) -> SessionState:
+        """Return the state of which an address names the differences."""
+        return self._plain if self._url_state.names_a_state(search) else self._state()
+
+    def _read(self, search: str, start: SessionState) -> tuple[SessionState, list[str]]:
+        """Return what an address shows, and a sentence about each of its values that is invalid."""
+        # A page that comes back from another workspace holds its own pictures still.
+        state, problems = self._url_state.read(search, start, self._views.panels.query.find_own)
+        return opened_alone(self._url_state, self._workspace, search, state), problems
+
     def _stop_waiting(self) -> None:
-        with self._lock:
+        try:
+            # Another workspace was asked for by its address, and the page has a theme and words already.
+            if (before := self._before) is not None and (search := self._search) is not None and not self._greeted:
+                state = as_before(self._read(search, self._start(search))[0], before)
+                with self._lock:
+                    if not self._greeted:
+                        self._views.show_state(state)
+        finally:
             self.waiting = False
-            if self._before is not None and not self._greeted:  # the page has a theme and words already
-                self._views.show_state(as_before(self._state(), self._before))
-        self._wake()
+            self._wake()
 
 
 def opened_alone(url_state: UrlState, workspace: Workspace, search: str, state: SessionState) -> SessionState:

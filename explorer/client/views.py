@@ -218,6 +218,8 @@ class ClientViews:
             self.explain_window.close()
         if state.flight and not before.flight:
             self.bridge.call("reveal", "#lpn-flight")
+        if before.flight and not state.flight:
+            self.bridge.call("flight.leave")
         if state.lab and not before.lab:
             self.bridge.call("reveal", ".lab-bar")
         if state.shows_reasons:

@@ -35,7 +35,7 @@ class LiveSight:
         view: of its frames; None before the first.
         pictures: of these frames.
         status: age of the last answer and dropped frames in words; before the first answer, what is waited for.
-        described: windows of the map that are described, and all of them; (0, 0) once that has ended.
+        described: windows of the map that are described, and all of them; (0, 0) once there is a frame.
     """
 
     view: FlightView | None

@@ -556,7 +556,7 @@ def _speaking_place(
 
 
 def _wrong_because(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say of a wrong answer what put it before the right one: which parts, where, and by how much; "" if no part did."""
+    """Say of a wrong answer which parts put it before the right one, where, and by how much; "" if no part did."""
     lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
     cells = None if lead is None or lead.of_answer else _lead_cells(analysis, lead)
     place = None if lead is None or cells is None else _speaking_place(analysis, workspace, lead, cells, -1)
@@ -565,7 +565,7 @@ def _wrong_because(analysis: StateAnalysis, workspace: Workspace) -> str:
     names = lead.answer, lead.other
     text = verdicts.describe_lead_place(place, workspace.part_names, analysis.task.query_view, names, "the picture")
     if text.startswith(only := "Only "):
-        return f"Wrong because {text[len(only) : -1]}, and no other {words.say('part')} does."
+        return f"Wrong because {text[len(only) :]} No other {words.say('part')} speaks for it."
     return f"Wrong because {text[:1].lower()}{text[1:]}"
 
 

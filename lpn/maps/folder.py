@@ -46,6 +46,8 @@ FORMAT = "lpn-map/1"
 _COVERAGE = "coverage.png"
 _SHEETS = "sheets"
 _ELEVATION = "elevation.tif"
+# Files that a sentence names at most.
+_MOST_NAMES = 10
 # Files that GDAL may write beside a raster.
 _ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
 # Sides above which a sheet gets overviews, and the side of the coarsest overview.
@@ -155,10 +157,14 @@ def _check_unwritten(paths: Sequence[Path]) -> None:
         if not (path / NAME).is_file():
             continue
         with suppress(DataError):  # a map.json of another program
-            named = ", ".join(printable(one.file) for one in _read(path).sheets)
+            # A copy lies in the folder, and its original is known by name alone.
+            sheets = [
+                printable(one.name if one.file.startswith(f"{_SHEETS}/") else one.file) for one in _read(path).sheets
+            ]
+            further = [f"{len(sheets) - _MOST_NAMES:,} more"] if len(sheets) > _MOST_NAMES else []
             raise InputError(
-                f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of, which it names so: "
-                f"{named}."
+                f"{printable(str(path))} is a map that lpn map wrote; give the files that it was made of: "
+                f"{', '.join([*sheets[:_MOST_NAMES], *further])}."
             )
 
 

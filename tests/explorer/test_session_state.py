@@ -206,6 +206,8 @@ def test_the_map_of_the_first_screen_stands_alone_in_plain_words_and_leads_back(
     assert not session_state.leave_first_screen(alone, replace(alone, why=True)).map_alone, (
         "another window lies in the workbench"
     )
+    changed = session_state.leave_first_screen(alone, replace(alone, plain=False))
+    assert (changed.flight, changed.map_alone) == (True, False), "the words were changed meanwhile"
     in_terms = replace(first, plain=False)
     opened = session_state.leave_first_screen(in_terms, session_state.show_map_alone(in_terms))
     assert (opened.flight, opened.map_alone) == (True, False), "experts have the workbench beside it"

@@ -121,6 +121,17 @@
   flight.accuracy = (text) => ((html.accuracy = text), refresh());
   flight.status = (text) => ((status = text), refresh());
   flight.lists = (lists) => (Object.assign(html, lists), refresh());
+  // The window opens with the whole flight and no photo over it, or with a person's own picture laid over its map.
+  const open = () => {
+    flight.photo.use(flight.own() && flight.followed.homography ? "swipe" : "off");
+    flight.map.look();
+  };
+  // It was closed, by whatever control, and opens again so.
+  flight.leave = () => {
+    if (!flight.data) return;
+    open();
+    refresh();
+  };
   // Everything that belongs to a frame is shown at once: its flight's address, card, answer, scores, and the number of the message.
   flight.arrive = ({ address, frame, answer, scores, sequence }) => {
     if (flight.of !== null && flight.of !== address) {
@@ -135,10 +146,7 @@
     if (scores) flight.map.paint(scores.picture);
     flight.play.arrived();
     flight.photo.followed();
-    if (before?.key !== own?.key) {
-      flight.photo.use(own && frame.homography ? "swipe" : "off");
-      flight.map.look();
-    }
+    if (before?.key !== own?.key) open();
     if (flight.root) flight.root.dataset.seq = sequence;
     refresh();
   };
@@ -292,11 +300,6 @@
     cancel: () => flight.photo.use("off"),
     forget: () => flight.photo.forget(),
     turnto: () => flight.map.turnTo(),
-    // The window opens again with the whole flight, without a photo over it.
-    leave: () => {
-      flight.photo.use("off");
-      flight.map.look();
-    },
   };
   const see = (flight.see = (selector) => find(selector).scrollIntoView({ block: "nearest" }));
   const onClick = (event) => {

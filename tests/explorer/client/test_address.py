@@ -158,13 +158,17 @@ def test_a_first_screen_that_was_opened_with_expert_words_keeps_them_when_it_is_
     assert open_page("?screen=first").state.plain
 
 
-def test_a_page_whose_greeting_is_late_keeps_the_theme_that_it_had(workspace: Workspace) -> None:
+@pytest.mark.parametrize("first", [True, False])
+def test_a_page_whose_greeting_is_late_keeps_screen_words_and_theme(workspace: Workspace, first: bool) -> None:
     shown, views, wake = [SessionState(TASK, 4, dark=True)], Mock(), Mock()
     views.show_state.side_effect = shown.append
-    before = SessionState(TASK, 4, dark=False, plain=True, first_screen=True, start_plain=True)
+    before = SessionState(TASK, 4, dark=False, plain=True, first_screen=first, start_plain=True)
     lock, links = threading.RLock(), UrlState(workspace)
-    address = PageAddress(workspace, links, views, lock, lambda: shown[-1], Mock(), "?show=x", wake, before)
+    search = f"?show=x{'&screen=first' if first else ''}"
+    address = PageAddress(workspace, links, views, lock, lambda: shown[-1], Mock(), search, wake, before)
     address.leave()
     address._stop_waiting()
-    assert (shown[-1].dark, address.waiting) == (False, False)
+    state = shown[-1]
+    assert (state.dark, state.plain, state.first_screen) == (False, True, first)
+    assert not address.waiting
     wake.assert_called_once_with()

@@ -887,7 +887,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
     assert "By their look alone, the first answer is wrong for 5 of 30 pictures (17 %)." in of_wrong
     assert "✗ By its look: wrong, judged by its details." in of_wrong
-    assert "Wrong because ring 1, the square in the middle, speaks for this answer, and no other ring does." in of_wrong
+    assert (
+        "Wrong because ring 1, the square in the middle, speaks for this answer. No other ring speaks for it."
+        in of_wrong
+    )
     assert (
         "and chose one that lies 50 m to the south-west; the piece where details place the photo came 2nd." in of_wrong
     )

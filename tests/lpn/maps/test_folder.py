@@ -125,6 +125,9 @@ def test_a_large_picture_that_is_not_tiled_is_copied(tmp_path: Path, monkeypatch
     options = MapOptions(corners=(48.0, 9.0, 47.999, 9.002))
     build_map([path], tmp_path / "map", options)
     assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.tif"]
+    # The copy is not what it was made of, and may not be given for the same folder.
+    with pytest.raises(InputError, match=r"the files that it was made of: a\.png\.$"):
+        build_map([tmp_path / "map"], tmp_path / "again")
     path.unlink()
     town = open_map(tmp_path / "map")
     Image.fromarray(smooth(200, 300)).save(path)
@@ -137,14 +140,17 @@ def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pyte
     degrees = write_geotiff(tmp_path / "b.tif", smooth(60, 60), matrix=(7e-6, 0, 9.0, 0, -5e-6, 48.0))
     out = tmp_path / "map"
     build_map([good], tmp_path / "written").close()
+    many = [write_geotiff(tmp_path / f"{i:02}.tif", smooth(60, 60)) for i in range(12)]
+    build_map(many, tmp_path / "many").close()
     other = tmp_path / "other"
     other.mkdir()
     (other / "map.json").write_text("{}")
     for files, words in (
         (
             [tmp_path / "written"],
-            "written is a map that lpn map wrote; give the files that it was made of, which it names so: ",
+            "written is a map that lpn map wrote; give the files that it was made of: ../a.tif.",
         ),
+        ([tmp_path / "many"], "../08.tif, ../09.tif, 2 more."),
         ([other], "other holds map.json; expected GeoTIFF files"),
         ([tmp_path / "bare.png"], "no georeference"),
         ([good, degrees], "look like degrees"),
