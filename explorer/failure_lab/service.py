@@ -18,7 +18,7 @@ from explorer.lab_choices import MapKind
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.analysis import embedding_map, named_views
 from lpn.analysis.named_views import NamedView
-from lpn.core.arrays import BoolArray, Float64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import LPNError
 from lpn.core.tables import Table
@@ -115,6 +115,10 @@ class Findings:
             if self.doubtful is None
             else replace(self.outcomes, known=self.outcomes.known & ~self.doubtful)
         )
+
+    def not_graded(self, rows: Int64Array) -> int:
+        """Return how many of the queries in some rows have a judge that is in doubt."""
+        return int((self.outcomes.known & ~self.graded.known)[rows].sum())
 
     @property
     def failed(self) -> BoolArray:
