@@ -81,8 +81,12 @@ def circle(flight: LocatedFlight) -> str:
 
 def refusal(located: LocatedFrame, stage: str) -> str | None:
     """Return that a stage's answer is refused, and why; None if it is not."""
-    answer = located.stages.get(stage)
-    return None if answer is None or answer.state != "refused" else f"{label(stage)}: refused. {_why(located, stage)}"
+    answer, details = located.stages.get(stage), located.stages.get("registration")
+    if answer is None or answer.state != "refused":
+        return None
+    text = f"{label(stage)}: refused. {_why(located, stage)}"
+    placed = plain() and stage == "sequence" and details is not None and details.accepted
+    return f"{text} That does not speak against its details." if placed else text
 
 
 def _why(located: LocatedFrame, stage: str) -> str:

@@ -556,7 +556,15 @@ def _speaking_place(
 
 
 def _wrong_because(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say of a wrong answer which parts put it before the right one, where, and by how much; "" if no part did."""
+    """Say of a wrong answer how much of it is off the map, and which parts put it before the right one; "" if nothing did."""
+    off_map = place_text.off_map(analysis.task.gallery[analysis.chosen.index], "this answer")
+    parts = _parts_err(analysis, workspace)
+    # The explanation of the look has the same sentence.
+    return parts if analysis.state.why else " ".join(filter(None, (off_map, parts)))
+
+
+def _parts_err(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say which parts put a wrong answer before the right one, where, and by how much; "" if no part did."""
     lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
     cells = None if lead is None or lead.of_answer else _lead_cells(analysis, lead)
     place = None if lead is None or cells is None else _speaking_place(analysis, workspace, lead, cells, -1)

@@ -187,14 +187,18 @@
       parts.push(`Hollow dot: refused; ${byPointer("point at it, or at its ✗,", "tap it, or its ✗,")} for the reason.`);
     if (flight.tracks().some(([name]) => flight.data.names.some((_, i) => flight.doubted(name, i))))
       parts.push(`Red diamond: in doubt, contradicted by its GPS tag, its neighbours, or the map away from its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
+    const key = (colour, words) => `<span class="key"><i style="background:${colour}"></i>${words}</span>`;
     const states = [["right", "placed"], ["contradicted", "in doubt"], ["unknown", "by its neighbours only, a guess, or not placed"]];
-    const keys = states.map(([name, words]) => `<span class="key"><i style="background:var(--raw-${name})"></i>${words}</span>`).join(", ");
+    const keys = states.map(([name, words]) => key(`var(--raw-${name})`, words)).join(", ");
     parts.push(`Frame on the map: the ground that the photo shows, in the colour of what may be believed of its place: ${keys}. Its thick side is the photo’s top; dashed, if only tag and camera tell it.`);
     if (!flight.hidden.has("tag") && flight.data.tracks.tag.x.some((x) => x !== null)) parts.push("Thin dashed line: the GPS tags.");
     if (shown.some((track) => track.radius[flight.chosen])) parts.push(escaped(flight.data.circle));
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
     parts.push(`Pins${flight.data.plain ? ", with Swipe" : ""}, numbered as the details of Why?: the head is where the map has a place, the other end where the photo has it.`);
-    return parts.map((part) => `<p class="dim">${part}</p>`).join("");
+    // The table of the tracks, which stands above, is left out where the map stands alone.
+    const marks = flight.tracks().filter(([name]) => name !== "tag").map(([, track]) => key(track.colour, track.label));
+    const line = marks.length ? `<p class="dim marks">Dots and line: the places of the photos. ${marks.join(", ")}</p>` : "";
+    return line + parts.map((part) => `<p class="dim">${part}</p>`).join("");
   };
   flight.fillLegend = () => {
     const { data, chosen, hidden } = flight;
@@ -209,7 +213,7 @@
     });
     fill(
       find(".legend"),
-      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="3">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="✓ accepted, ? in doubt, ✗ refused"></th>${data.plain ? '<th title="The metres that its place may be off: nearly all lie nearer">may be off</th>' : '<th title="In metres: 1 sigma along each axis">± m</th>'}<th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p>${escaped(data.methods)}</p>${legend()}`,
+      `<table class="num"><tr class="dim"><th></th><th>all photos</th><th colspan="3">this photo</th></tr><tr class="dim"><th>press to show</th><th title="Photos whose answer this stage accepts by itself">accepted</th><th title="✓ accepted, ? in doubt, ✗ refused"></th>${data.plain ? '<th title="The metres that its place may be off: nearly all lie nearer">may be off</th>' : '<th title="In metres: 1 sigma along each axis">± m</th>'}<th title="Metres between the answer's place on the map and the GPS tag, or the correction by hand">${data.plain ? "from GPS" : "m off tag"}</th></tr>${rows.join("")}</table><p class="methods">${escaped(data.methods)}</p>${legend()}`,
     );
   };
   const refresh = () => {

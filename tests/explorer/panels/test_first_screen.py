@@ -31,7 +31,7 @@ from explorer.flight_window.service import FlightView
 from explorer.lab_choices import LabChoices, Selection
 from explorer.layout import layout_for
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, details_pair, first_screen, pages, wrong_answer
+from explorer.panels import answer_text, details_pair, first_screen, pages, place_text, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
@@ -941,7 +941,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     for index, headline, by_look in (
         (
             placed,
-            "✓ By its details: placed, ± 6.1 m on earth (not confirmed). The model's own guess, by its look alone, was wrong, ",
+            " m away. ✓ By its details: placed, ± 6.1 m on earth (not confirmed).",
             "✗ By its look: wrong, judged by its details.",
         ),
         (
@@ -965,7 +965,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             )
             assert (limit is None) == why
             assert headline in said
-            assert ("The model's own guess" in said) == (index == placed)
+            assert ("✗ The model's own guess, by its look alone, was wrong, " in said) == (index == placed)
             if why:
                 assert ("Right, if its details are right" in said) == (index == doubted)
                 assert ("are those of the two frames: orange" in said) == (index == doubted), said
@@ -1065,6 +1065,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         experts = make()[1].decode().partition("</style>")[2].partition("<section")[2]
         assert "It is not graded, as no tile is right for certain" in text(experts)
         assert not re.search(r'class="sign (true|false)"|"framed (true|false)"|true tile|[Ww]rong tile', experts)
+    with monkeypatch.context() as patch:
+        patch.setattr(place_text, "share_off_map", lambda _: 0.25)
+        said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
+        assert "25 % of this answer is off the map, and black to the model. Wrong because" in said
     # A sure judge keeps its signs.
     sure = analyse(workspace, replace(state, query=placed, first_screen=False))
     assert judge.shown(sure, workspace) is sure
