@@ -79,14 +79,15 @@ def test_many_files_become_queries_and_bad_ones_are_listed(explorer: ExplorerPag
 
 @pytest.fixture
 def bare(browser: Browser) -> Iterator[Page]:
-    """A page of an upload button and the script of one's own pictures; `sent` and `put` are what it sends and uploads."""
+    """A page of an upload button and the script of one's own pictures; it sends `sent`, uploads `put`, and draws `bars`."""
     page = browser.new_page()
     page.set_content("<input type=file>")
     scripts = Path(explorer.web.__file__).parent / "js"
     page.add_script_tag(path=scripts / "viser_compat.js")
     page.evaluate("""() => {
-      window.sent = []; window.put = [];
-      Object.assign(window.lpn, {say: () => 0, send: (kind, value) => sent.push(JSON.stringify({kind, value, count: 1000}))});
+      window.sent = []; window.put = []; window.bars = [];
+      Object.assign(window.lpn, {say: () => 0, work: (...bar) => bars.push(bar)});
+      Object.assign(window.lpn, {send: (kind, value) => sent.push(JSON.stringify({kind, value, count: 1000}))});
       document.querySelector('input').addEventListener('change', (event) => put.push(event.target.files[0].name));
       window.file = (name) => new File(['x'], name);
     }""")
@@ -122,6 +123,7 @@ def test_a_file_that_the_browser_cannot_read_is_named_and_one_waits_for_the_butt
         ["own-skip", [0, "gone.png"]],
     ]
     assert bare.evaluate("put") == []
+    assert bare.evaluate("bars") == [[0, 2]]
     bare.evaluate("""() => {
       window.lpn.say = (text) => (window.told = text);
       const gone = file("gone.png");

@@ -51,8 +51,10 @@
     const batch = queue, file = queue[number];
     if (!file) return; // the page was loaded again, or the script ran again
     queue[number] = null;
-    lpn.work(total > 1 ? number : 0, total > 1 ? total : 0);
-    if (total > 1) lpn.say("Reading picture " + (number + 1) + " of " + total, 20);
+    if (total > 1) {
+      lpn.work(number, total);
+      lpn.say("Reading picture " + (number + 1) + " of " + total, 20);
+    }
     const read = await whole(file);
     while (!box()) await new Promise((done) => setTimeout(done, 500)); // while the right panel is folded, nothing can be sent
     if (batch !== queue) return;
