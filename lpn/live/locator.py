@@ -30,6 +30,7 @@ from lpn.core.views import View
 from lpn.flights.base import Frame
 from lpn.flights.cameras import ground_width
 from lpn.flights.cut import CUT, cut_size, cut_square
+from lpn.locate.continuity import NEW_HEADING, other_turn
 from lpn.locate.ground import MapFeatures
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import ONE_VIEW
@@ -60,9 +61,6 @@ _KEPT, _PENDING = 320, 64
 _RECENT, _TURNS = 7, 3
 # Registrations in a row that agree with each other, after which they count although they contradict those before.
 _NEW_TRACK = 3
-# A certain heading differs from a registration's like those of the frames before: within so many degrees of their median, or
-# so many times what they spread; and the registrations in a row after which the heading itself counts as changed.
-_TURNED, _TURNED_SPREADS, _NEW_HEADING = 5.0, 2.0, 10
 # Speeds of the motion model that a drone does not exceed.
 _MOST_SPEEDS = 3.0
 # Probability that an accepted registration is false, for the belief that it is weighed with.
@@ -515,19 +513,16 @@ class LiveLocator:
         track = self._track
         if answer.turn is None or len(track.turns) < _TURNS or not heading_is_certain(frame):
             return None
-        # Files may be saved upside down, so half turns count as none.
-        turns = (np.array(track.turns) - track.turns[0] + 90.0) % 180.0 - 90.0
-        turned = abs((answer.turn - track.turns[0] - float(np.median(turns)) + 90.0) % 180.0 - 90.0)
-        if turned <= max(_TURNED, _TURNED_SPREADS * float(np.ptp(turns))):
+        if (turned := other_turn(answer.turn, np.array(track.turns))) is None:
             track.turned = 0
             return None
         track.turned += 1
-        if track.turned < _NEW_HEADING:
+        if track.turned < NEW_HEADING:
             return turned
         track.turned = 0
         track.turns.clear()
         self._notes.append(
-            f"{_NEW_HEADING} registrations in a row are turned otherwise than those before; the headings count as changed."
+            f"{NEW_HEADING} registrations in a row are turned otherwise than those before; the headings count as changed."
         )
         return None
 

@@ -1,15 +1,18 @@
-"""Registrations that one drone can have flown: short jumps away and back are found out.
+"""Registrations that one flight can have: short jumps away and back are found out, and pictures turned unlike the others.
 
 Equal houses in a row give registrations that agree well, one house too far. Neighbours in time tell them: the drone cannot have
 been there and back. A false alarm costs a true position, so the limit is generous: frames are found out only in short runs
 between neighbours that fit each other, and not at all where they would be many.
+
+Beyond the map's edge photos in a row fit an equal building on the map. Where headings are certain, their turns against these tell
+them. Headings may be wrong in another way on another leg, so turns that many frames share are right ones.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float64Array
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 
 # Limits of the speed: times the 80th percentile of registered speeds, and times the largest speed of the tags near by.
 _REGISTERED, _TAGGED = 1.2, 1.3
@@ -25,6 +28,12 @@ _LONGEST = 5
 _GAP = _LONGEST + 1.0
 # Share of the frames above which no frame should be refused.
 MOST = 0.1
+# A turn is another one if it lies from the median of others by more degrees than this, and than so many times their spread.
+_TURNED, _TURNED_SPREADS = 5.0, 2.0
+# Degrees from the commonest turn within which turns tell the spread of all. Right ones that vary fill them, and allow 10 degrees.
+_ALIKE = 2.5
+# Frames of one turn that show another error of the headings.
+NEW_HEADING = 10
 
 
 def top_speeds(times: Float64Array, places: Float64Array, tags: Float64Array | None = None) -> Float64Array | None:
@@ -108,3 +117,44 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
                 is_jump[first + 1 : last] = True
         last = first
     return is_jump
+
+
+def other_turn(turn: float, turns: Float64Array) -> float | None:
+    """Return the degrees between a turn and the median of others, (N,) with N > 0; None if it may be one of them.
+
+    It may be one within 5 degrees, or within twice what they spread. Half turns count as none, as files may be saved upside down.
+    """
+    from_first = _half_turn(turns - turns[0])
+    apart = abs(float(_half_turn(turn - turns[0] - np.median(from_first))))
+    return apart if apart > max(_TURNED, _TURNED_SPREADS * float(np.ptp(from_first))) else None
+
+
+def other_turns(turns: Float64Array) -> dict[int, float]:
+    """Return which registrations of a flight are turned unlike the others, and by how many degrees.
+
+    The others are those within 2.5 degrees of the commonest turn; they must be half of all, and eight at least. A turn stands
+    if ten frames share it to within 5 degrees, or half as many as the commonest one.
+
+    Time is N log N.
+
+    Args:
+        turns: against certain headings in degrees, (N,).
+    """
+    alike = _sharing(turns, _ALIKE)
+    if not len(turns) or (most := int(alike.max())) < max(_FEWEST, len(turns) / 2):
+        return {}
+    usual = turns[np.abs(_half_turn(turns - turns[alike.argmax()])) <= _ALIKE]
+    few = np.flatnonzero(_sharing(turns, _TURNED) < min(NEW_HEADING, most / 2)).tolist()
+    return {i: apart for i in few if (apart := other_turn(float(turns[i]), usual)) is not None}
+
+
+def _sharing(turns: Float64Array, degrees: float) -> Int64Array:
+    """Return how many turns lie within some degrees of each, itself included, (N,)."""
+    within = turns % 180.0
+    circle = np.sort(np.concatenate([within - 180.0, within, within + 180.0]))
+    return np.asarray(circle.searchsorted(within + degrees, "right") - circle.searchsorted(within - degrees, "left"))
+
+
+def _half_turn(turns: Float64Array) -> Float64Array:
+    """Return turns without half turns, in degrees, -90 .. 90."""
+    return np.asarray((turns + 90.0) % 180.0 - 90.0, np.float64)

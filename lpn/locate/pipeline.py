@@ -20,7 +20,7 @@ from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.locate.map_proof import refuse_unproven
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
-from lpn.locate.registered_stage import FORMAT, refuse_jumps, register_frames
+from lpn.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
 from lpn.locate.registration import is_turned_over
 from lpn.locate.retrieval import retrieve
 from lpn.locate.shipped import ShippedAnswers
@@ -133,7 +133,7 @@ def registered(
             on_progress(stage, done, total)
         if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
             copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
-            refuse_jumps(copies[:done])
+            refuse_contradicted(copies[:done])
             on_partial(replace(located, frames=copies))
             published = time.monotonic()
 

@@ -130,7 +130,7 @@ def register_frames(
                 ratios.append(answer.width / expected)
         if on_progress is not None:
             on_progress("registration", i + 1, len(frames))
-    notes = refuse_jumps(frames)
+    notes = refuse_contradicted(frames)
     return notes + correct_radii(frames, answers, map_error)
 
 
@@ -203,7 +203,31 @@ def with_map_error(answer: StageRecord, map_error: float, place_error: float) ->
     )
 
 
-def refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
+def refuse_contradicted(frames: list[LocatedFrame]) -> list[str]:
+    """Refuse registrations that the flight's other ones contradict, by turn or by place; return sentences about it."""
+    _refuse_turned(frames)
+    return _refuse_jumps(frames)
+
+
+def _refuse_turned(frames: list[LocatedFrame]) -> None:
+    """Refuse registrations that are turned against a certain heading unlike the others."""
+    turned = [
+        (located, answer, answer.turn)
+        for located in frames
+        if (answer := located.stages["registration"]).accepted
+        and answer.turn is not None
+        and heading_is_certain(located.frame)
+    ]
+    for i, degrees in continuity.other_turns(np.array([turn for *_, turn in turned], np.float64)).items():
+        located, answer, _ = turned[i]
+        sentence = (
+            f"The photo fits the map here, but turned by {degrees:.0f}° from where its heading and those of the other frames "
+            "have it: it may be an equal building."
+        )
+        located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+
+
+def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
     """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
 
     Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so their radii count without it.

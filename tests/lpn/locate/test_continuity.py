@@ -11,7 +11,7 @@ import pytest
 
 from lpn.core.arrays import Float64Array
 from lpn.flights import open_flight
-from lpn.locate.continuity import jumps, top_speeds
+from lpn.locate.continuity import jumps, other_turns, top_speeds
 from lpn.maps import LocalFrame
 
 EAST = np.array([1.0, 0.0])
@@ -111,3 +111,39 @@ def test_memory_is_linear() -> None:
         assert tracemalloc.get_traced_memory()[1] < 2000 * len(times)
     finally:
         tracemalloc.stop()
+
+
+# Turns against a gimbal's headings with a degree of noise; 178 degrees are those of a file that is upside down.
+TURNS = np.array([-1.7, -2.5, 178.0, -1.0, -1.9, -1.6, -2.1, -181.0] * 2 + [6.7, 8.5, 7.7, 7.2, 8.8])
+
+
+def test_a_few_registrations_that_are_turned_unlike_the_others_are_found_out() -> None:
+    assert other_turns(TURNS).keys() == {16, 17, 18, 19, 20}
+    assert other_turns(TURNS)[18] == pytest.approx(9.5, abs=0.3)
+    # They may be the first frames, headings may be wrong by anything that is constant, and none are half turns.
+    for wrong in (88.0, 90.0, 179.0, -91.0):
+        assert other_turns(TURNS[::-1] + wrong).keys() == {0, 1, 2, 3, 4}
+    # One that is turned the other way does not hide them.
+    assert other_turns(np.append(TURNS, -7.1)).keys() == {16, 17, 18, 19, 20, 21}
+    # Headings that vary allow more than 5 degrees.
+    assert other_turns(np.append(TURNS[:16], 5.0)).keys() == {16}
+    assert other_turns(np.append(TURNS[:16], [5.0, -4.0, 0.5])) == {}
+    # Within 5 degrees they may be right.
+    assert other_turns(np.append(TURNS[:16], 3.0)) == {}
+
+
+@pytest.mark.parametrize(
+    "turns",
+    [
+        np.append(TURNS, [8.0, 7.5, 7.0]),
+        np.concatenate([np.zeros(200), np.full(10, 12.0), np.zeros(50)]),
+        np.tile([*[-6.0] * 6, *[6.0] * 6], 4),
+        np.concatenate([np.full(12, off) for off in (-30.0, 0.0, 30.0)]),
+        np.append(np.zeros(7), 40.0),
+        np.random.default_rng(0).uniform(-180, 180, 100),
+        np.zeros(0),
+    ],
+    ids=["eight of 24", "ten of 260", "legs", "three settings", "few", "anyhow", "none"],
+)
+def test_turns_that_many_share_and_those_of_headings_that_tell_nothing_stay(turns: Float64Array) -> None:
+    assert other_turns(turns) == {}

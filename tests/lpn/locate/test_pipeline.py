@@ -20,6 +20,7 @@ from lpn.core.consoles import wide_console
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
 from lpn.flights import Flight, Frame, footprint
+from lpn.flights.base import HeadingSource
 from lpn.flights.cut import cut_square
 from lpn.flights.quality import flight_notes
 from lpn.locate import pipeline, ranked_stages, registered_stage
@@ -270,6 +271,30 @@ def test_a_registration_that_no_drone_can_have_flown_to_is_refused_unless_they_a
     if few:
         assert "drone flies up to 20 m/s and would have had to be faster to get here" in answers[5].sentence
         assert (answers[5].x, answers[5].y) == (40.0, 60.0)
+
+
+@pytest.mark.parametrize("source", ["gimbal", "aircraft", "course"])
+def test_registrations_turned_unlike_the_others_are_refused_where_headings_are_certain(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, source: HeadingSource
+) -> None:
+    def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
+        del town, features, rest
+        number = int(located.frame.name)
+        place = 8.0 * min(number, 16), 0.0  # the map ends at 16, and the photos beyond it fit a hall there
+        return StageRecord("accepted", "It agrees.", *place, radius=0.5, turn=-2.0 if number < 16 else 7.0)
+
+    monkeypatch.setattr(registered_stage, "register_frame", answer)
+    first = replace(flight.frames[0], heading_source=source)
+    frames = tuple(replace(first, name=str(i), time=float(i)) for i in range(20))
+    found = locate(town, replace(flight, frames=frames), None, SIFT)
+    answers = [located.stages["registration"] for located in found.frames]
+    refused = [i for i, answer in enumerate(answers) if not answer.accepted]
+    assert refused == ([16, 17, 18, 19] if source == "gimbal" else [])
+    if refused:
+        assert "turned by 9° from where its heading and those of the other frames have it" in answers[16].sentence
+        assert answers[16].homography == answers[0].homography
+        assert found.audit is not None
+        assert found.audit.frames == 16
 
 
 def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight, tmp_path: Path) -> None:
