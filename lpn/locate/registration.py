@@ -683,10 +683,9 @@ def _rivalled(support: float, b: complex, rival: _Rival) -> str:
     """
     if support >= MIN_RATIO * rival.support:
         return ""
-    how = "nearly as well" if rival.support < support else "as well or better"
     return (
-        f"Another place of the map agrees {how}: beyond chance, {support:.0f} details agree with this place, and "
-        f"{rival.support:.0f} with the other one, {distance(abs(rival.b - b))} away."
+        f"Two places of the map fit the photo, so neither counts: beyond chance, {support:.0f} details agree with the one, "
+        f"and {rival.support:.0f} with the other, {distance(abs(rival.b - b))} away."
     )
 
 

@@ -73,7 +73,7 @@ def test_a_heading_that_is_not_certain_does_not_lock_the_photo_out(ground: Groun
     ("other", "east", "reason"),
     [
         (16.0, 0, ""),
-        (25.0, 90, "beyond chance, 25 details agree with this place, and 20 with the other one, 90 m away."),
+        (25.0, 90, "beyond chance, 25 details agree with the one, and 20 with the other, 90 m away."),
         (40.0, 90, ""),
     ],
 )
