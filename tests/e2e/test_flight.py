@@ -661,7 +661,7 @@ def test_a_phone_has_the_map_the_timeline_and_the_legend_first_and_a_tip_leaves_
     expect(legend).to_contain_text(
         "Circle around its place: if errors are as estimated, the true place of 99 of 100 photos lies"
     )
-    assert legend.locator(".key").all_inner_texts() == [
+    assert legend.locator("p:not(.marks) .key").all_inner_texts() == [
         "placed",
         "in doubt",
         "by its neighbours only, a guess, or not placed",
