@@ -227,14 +227,15 @@ class FailureLab:
             return SecondProgress()
         if second.workspace is None:
             if second.opening:
-                return SecondProgress(f"rank B: opening {second.label}", True, "", *second.progress)
+                done, total = second.progress
+                return SecondProgress(f"rank B: opening {second.label}", True, done=done, total=total)
             failed = f"rank B: {second.label} is not open. {second.error}" if second.error else ""
             return SecondProgress(failed, offered=second.label)
         preparation, name = self._scoring.get(beside), second.workspace.model_name
         if preparation is not None and not preparation.wait(0) and preparation.join(client):
             done, total = preparation.done, preparation.total
             pictures = f"{done:,} of {total:,} pictures" if total else "its pictures"
-            return SecondProgress(f"rank B: calibrating {name}, {pictures}", True, "", done, total)
+            return SecondProgress(f"rank B: calibrating {name}, {pictures}", True, done=done, total=total)
         ranking = second.workspace.ranked_as(self._workspace.rankings[task].task)
         if ranking is None:
             return SecondProgress(f"rank B: {second.workspace.model_name} does not know the views of {task}")
@@ -245,7 +246,7 @@ class FailureLab:
         if ranking.error:
             return SecondProgress(f"rank B: none. {ranking.error}")
         total = len(ranking.task.queries)
-        return SecondProgress(f"rank B: ranking {job.done:,} of {total:,} queries", True, "", job.done, total)
+        return SecondProgress(f"rank B: ranking {job.done:,} of {total:,} queries", True, done=job.done, total=total)
 
     def open_second(self, beside: int = 0, again: bool = True) -> None:
         """Open the second model in the background, if there is one that is not open.

@@ -75,7 +75,7 @@ _Drawn = tuple[MatchedPictures, tuple[str, str, str]]
 
 @dataclass(frozen=True)
 class _Source:
-    """What the pictures are drawn from.
+    """A photo and its answer, from which the pictures are drawn.
 
     Attributes:
         file: path and time of the last change of the photo's file.

@@ -228,9 +228,12 @@ def page(
     found = _verdicts(analysis, workspace)
     disputed = found.disputed
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
-    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why else None
-    cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
-    cells = None if cells_of_parts is None else cells_of_parts.sum(axis=0)
+    errs = found.look[0] is False and not state.upload
+    explained = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why or errs else None
+    cells_of_parts = None if explained is None else _lead_cells(analysis, explained)
+    why_wrong = _wrong_because(analysis, workspace, explained, cells_of_parts) if errs else ""
+    lead = explained if state.why else None
+    cells = None if lead is None or cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
     sure = lead is not None and lead.sure and found.look[0] is not None
     colours = lead_colours(sure)
@@ -244,9 +247,8 @@ def page(
         third = positive.index
     turn, matched = _turn(analysis, workspace), details_pair(analysis, workspace) if state.why else None
     because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
-    errs = _wrong_because(analysis, workspace) if found.look[0] is False and not state.upload else ""
-    if wrong and errs:
-        wrong = replace(wrong, reasons=[errs, *(one for one in wrong.reasons if one != wrong_answer.UNEXPLAINED)])
+    if wrong and why_wrong:
+        wrong = replace(wrong, reasons=[why_wrong, *(one for one in wrong.reasons if one != wrong_answer.UNEXPLAINED)])
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -272,7 +274,7 @@ def page(
         matched=matched,
         lead=lead,
         because=because,
-        errs="" if wrong else errs,
+        errs="" if wrong else why_wrong,
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.shown) if lead is not None else "",
         bring=_BRING,
@@ -555,20 +557,28 @@ def _speaking_place(
     )
 
 
-def _wrong_because(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say of a wrong answer how much of it is off the map, and which parts put it before the right one; "" if nothing did."""
+def _wrong_because(
+    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
+) -> str:
+    """Say of a wrong answer how much of it is off the map, and which parts put it before the right one; "" if nothing did.
+
+    Args:
+        cells: each cell's share of the lead, part by part.
+    """
     off_map = place_text.off_map(analysis.task.gallery[analysis.chosen.index], "this answer")
-    parts = _parts_err(analysis, workspace)
+    parts = _parts_err(analysis, workspace, lead, cells)
     # The explanation of the look has the same sentence.
     return parts if analysis.state.why else " ".join(filter(None, (off_map, parts)))
 
 
-def _parts_err(analysis: StateAnalysis, workspace: Workspace) -> str:
+def _parts_err(
+    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
+) -> str:
     """Say which parts put a wrong answer before the right one, where, and by how much; "" if no part did."""
-    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace))
-    cells = None if lead is None or lead.of_answer else _lead_cells(analysis, lead)
-    place = None if lead is None or cells is None else _speaking_place(analysis, workspace, lead, cells, -1)
-    if lead is None or place is None:
+    if lead is None or cells is None or lead.of_answer:
+        return ""
+    place = _speaking_place(analysis, workspace, lead, cells, -1)
+    if place is None:
         return ""
     names = lead.answer, lead.other
     text = verdicts.describe_lead_place(place, workspace.part_names, analysis.task.query_view, names, "the picture")
@@ -700,9 +710,8 @@ def _laid(located: LocatedFrame | None, workspace: Workspace, own: bool) -> Laid
         cv2.circle(drawn, tag.tolist(), 6, (255, 255, 255), 2, cv2.LINE_AA)
         metres, allowed = tag_figures(located, contradictions)
         limit = f", where {allowed} are allowed"
-        if words.plain() and all(
-            one.other != "tag" for one in contradictions
-        ):  # the limit is told where it is explained
+        near = all(one.other != "tag" for one in contradictions)
+        if near and words.plain():  # the limit is told where it is explained
             limit = ", which is within what is allowed"
         sentence = f"Its GPS tag, the white circle, lies {metres} from there{limit}."
     unchecked = "" if answer.agreement is None else answer.agreement.unchecked

@@ -37,7 +37,7 @@ from lpn.locate.map_proof import ONE_VIEW
 from lpn.locate.matchers import MatcherName, open_matcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import AGREEING, CONFIDENCE, EVIDENCE, OVERLAP, chance_to_agree
-from lpn.locate.registered_stage import PhotoSearch, register_photo, with_map_error
+from lpn.locate.registered_stage import PhotoSearch, register_photo, turned_away, with_map_error
 from lpn.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
@@ -482,12 +482,7 @@ class LiveLocator:
         """
         track = self._track
         if (turn := self._other_turn(answer, frame)) is not None:
-            return msgspec.structs.replace(
-                answer,
-                state="refused",
-                sentence=f"The photo fits the map here, but turned by {turn:.0f}° from where its heading and those of the frames "
-                "before have it: it may be an equal building.",
-            )
+            return turned_away(answer, turn, "frames before")
         assert answer.x is not None
         assert answer.y is not None
         here = answer.x, answer.y, answer.own_radius, math.nan if frame.time is None else frame.time

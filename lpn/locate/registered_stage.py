@@ -220,11 +220,16 @@ def _refuse_turned(frames: list[LocatedFrame]) -> None:
     ]
     for i, degrees in continuity.other_turns(np.array([turn for *_, turn in turned], np.float64)).items():
         located, answer, _ = turned[i]
-        sentence = (
-            f"The photo fits the map here, but turned by {degrees:.0f}° from where its heading and those of the other frames "
-            "have it: it may be an equal building."
-        )
-        located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+        located.stages["registration"] = turned_away(answer, degrees, "other frames")
+
+
+def turned_away(answer: StageRecord, degrees: float, others: str) -> StageRecord:
+    """Refuse a registration that lies by some degrees from where its heading and those of others, frames in words, have it."""
+    sentence = (
+        f"The photo fits the map here, but turned by {degrees:.0f}° from where its heading and those of the {others} have it: it "
+        "may be an equal building."
+    )
+    return msgspec.structs.replace(answer, state="refused", sentence=sentence)
 
 
 def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:

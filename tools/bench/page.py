@@ -178,8 +178,13 @@ def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
 
 def processor_seconds(process: ServerProcess) -> float:
     """Return the processor time of a process so far; it depends less than the time on what else the machine does."""
-    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    return parent_and_seconds(process.pid)[1]
+
+
+def parent_and_seconds(process: int) -> tuple[int, float]:
+    """Return the number of the process that started one, and the processor time of that one so far."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return int(fields[1]), (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def first_screens(browser: Browser) -> list[Figure]:

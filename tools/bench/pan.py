@@ -11,6 +11,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from playwright.sync_api import Page, sync_playwright
 
 from lpn.core.demo import DEMO_QUERY
 from tools.bench.figures import Figure, show
-from tools.bench.page import ServerProcess
+from tools.bench.page import ServerProcess, parent_and_seconds
 from tools.fixtures.chromium import launch, returning
 from tools.fixtures.processes import free_port
 
@@ -27,7 +28,7 @@ SECONDS = 8.0
 _FAR, _ROUND = 120, 2.0
 # Milliseconds from one move of the mouse to the next.
 _MOVE = 16
-# What is moved: its name, the address that shows it, and a selector of it.
+# Each view that is moved has a name, an address that shows it, and a selector.
 VIEWS = (
     ("the city's 3-D map", f"?query={DEMO_QUERY}&map=1&screen=all", "#root canvas[data-engine]"),
     ("the flight's flat map", "?show=flight&flight=1&query=LPN_0100.webp", "#lpn-flight .view"),
@@ -56,16 +57,9 @@ def frame_rate(stamps: Sequence[float]) -> tuple[float, float]:
 def browser_seconds(apart: int) -> float:
     """Return the processor time so far of all processes that this one has started, without those of one of them."""
     parents, seconds = {}, {}
-    for file in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = file.read_text().rpartition(")")[2].split()
-        except OSError:  # it has ended meanwhile
-            continue
-        process = int(file.parent.name)
-        parents[process], seconds[process] = (
-            int(fields[1]),
-            (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"),
-        )
+    for process in (int(folder.name) for folder in Path("/proc").glob("[0-9]*")):
+        with suppress(OSError):  # it has ended meanwhile
+            parents[process], seconds[process] = parent_and_seconds(process)
 
     def is_ours(process: int) -> bool:
         while process not in (0, apart):
