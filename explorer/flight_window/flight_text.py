@@ -85,7 +85,7 @@ def refusal(located: LocatedFrame, stage: str) -> str | None:
     if answer is None or answer.state != "refused":
         return None
     text = f"{label(stage)}: refused. {_why(located, stage)}"
-    placed = plain() and stage == "sequence" and details is not None and details.accepted
+    placed = plain() and stage == "sequence" and not answer.unverified and details is not None and details.accepted
     return f"{text} That does not speak against its details." if placed else text
 
 

@@ -232,6 +232,8 @@ def page(
     explained = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why or errs else None
     cells_of_parts = None if explained is None else _lead_cells(analysis, explained)
     why_wrong = _wrong_because(analysis, workspace, explained, cells_of_parts) if errs else ""
+    # The page of wrong answers and the explanation of the look have this sentence, too.
+    off_map = "" if wrong or state.why else place_text.off_map(task.gallery[analysis.chosen.index], "this answer")
     lead = explained if state.why else None
     cells = None if lead is None or cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
@@ -274,7 +276,7 @@ def page(
         matched=matched,
         lead=lead,
         because=because,
-        errs="" if wrong else why_wrong,
+        errs=" ".join(filter(None, (off_map, why_wrong))) if errs and not wrong else "",
         failures=_failures(workspace, state),
         context=answer_text.context(analysis, workspace, lead.shown) if lead is not None else "",
         bring=_BRING,
@@ -560,21 +562,11 @@ def _speaking_place(
 def _wrong_because(
     analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
 ) -> str:
-    """Say of a wrong answer how much of it is off the map, and which parts put it before the right one; "" if nothing did.
+    """Say which parts put a wrong answer before the right one, where, and by how much; "" if no part did.
 
     Args:
         cells: each cell's share of the lead, part by part.
     """
-    off_map = place_text.off_map(analysis.task.gallery[analysis.chosen.index], "this answer")
-    parts = _parts_err(analysis, workspace, lead, cells)
-    # The explanation of the look has the same sentence.
-    return parts if analysis.state.why else " ".join(filter(None, (off_map, parts)))
-
-
-def _parts_err(
-    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
-) -> str:
-    """Say which parts put a wrong answer before the right one, where, and by how much; "" if no part did."""
     if lead is None or cells is None or lead.of_answer:
         return ""
     place = _speaking_place(analysis, workspace, lead, cells, -1)

@@ -186,7 +186,7 @@
     if (shown.some((track) => track.state.includes(2)))
       parts.push(`Hollow dot: refused; ${byPointer("point at it, or at its ✗,", "tap it, or its ✗,")} for the reason.`);
     if (flight.tracks().some(([name]) => flight.data.names.some((_, i) => flight.doubted(name, i))))
-      parts.push(`Red diamond: in doubt, contradicted by its GPS tag, its neighbours, or the map away from its middle; ${byPointer("point at it", "tap it")}, here or on the timeline, for the metres.`);
+      parts.push(`Red diamond: in doubt, contradicted by its GPS tag, its neighbours, or the map away from its middle; ${byPointer("point at it", "tap it")}<span class="beside">, here or on the timeline,</span> for the metres.`);
     const key = (colour, words) => `<span class="key"><i style="background:${colour}"></i>${words}</span>`;
     const states = [["right", "placed"], ["contradicted", "in doubt"], ["unknown", "by its neighbours only, a guess, or not placed"]];
     const keys = states.map(([name, words]) => key(`var(--raw-${name})`, words)).join(", ");
@@ -196,7 +196,7 @@
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
     parts.push(`Pins${flight.data.plain ? ", with Swipe" : ""}, numbered as the details of Why?: the head is where the map has a place, the other end where the photo has it.`);
     // The table of the tracks, which stands above, is left out where the map stands alone.
-    const marks = flight.tracks().filter(([name]) => name !== "tag").map(([, track]) => key(track.colour, track.label));
+    const marks = flight.tracks().filter(([name]) => name !== "tag").map(([, track]) => key(track.colour, escaped(track.label)));
     const line = marks.length ? `<p class="dim marks">Dots and line: the places of the photos. ${marks.join(", ")}</p>` : "";
     return line + parts.map((part) => `<p class="dim">${part}</p>`).join("");
   };

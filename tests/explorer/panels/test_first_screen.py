@@ -1069,6 +1069,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         patch.setattr(place_text, "share_off_map", lambda _: 0.25)
         said = text(first_screen.page(analyse(workspace, replace(state, query=placed)), workspace))
         assert "25 % of this answer is off the map, and black to the model. Wrong because" in said
+        fails = text(first_screen.page(analyse(workspace, replace(state, query=placed, fails=True)), workspace))
+        assert fails.count("25 % of this answer is off the map") == 1
     # A sure judge keeps its signs.
     sure = analyse(workspace, replace(state, query=placed, first_screen=False))
     assert judge.shown(sure, workspace) is sure
