@@ -87,6 +87,13 @@ class WindowContent:
     pair: PairResult | None = None
     sweep: SweepProgress | None = None
 
+    def has_sweep(self, over: SweptProperty) -> bool:
+        """Return True when this sweep is requested, in progress, or ended at its last point."""
+        sweep = self.sweep
+        return (
+            sweep is not None and sweep.request.over == over and not (sweep.stopped or sweep.request.cancelled.is_set())
+        )
+
 
 class _Tab:
     """One tab, drawn by one thread at a time, so that the newest content is the last to be drawn."""
@@ -494,7 +501,7 @@ class ExplainWindow:
 
     def _request_sweep(self, over: SweptProperty) -> None:
         with self._lock:  # of two requests at once, the later one must cancel the earlier one
-            if self._content is None:
+            if self._content is None or self._content.has_sweep(over):
                 return
             self._cancel_sweep()
             progress = SweepProgress(SweepRequest(over, self._content.analysis))
@@ -507,8 +514,7 @@ class ExplainWindow:
         content = self._content
         if content is not None and not why_not(content.analysis.task):
             self._whole_task.measure(turns, content.analysis.state)
-            if content.sweep is None or content.sweep.request.over != "rotation":
-                self._request_sweep("rotation")
+            self._request_sweep("rotation")
 
     def _cancel_sweep(self) -> None:
         content = self._content

@@ -431,6 +431,31 @@ def test_a_failure_ends_the_sweep_and_empties_every_tab(
     assert sum("No answer: The picture is damaged." in html.content for html in gui.html) == 5
 
 
+def test_a_sweep_that_is_requested_again_is_kept_unless_it_was_stopped(
+    workspace: Workspace, window: tuple[ExplainWindow, WindowGui]
+) -> None:
+    explain_window, _ = window
+
+    def requested(over: sweeps.SweptProperty) -> SweepRequest:
+        explain_window.receive(messages.RequestSweep(over))
+        assert (content := explain_window._content) is not None
+        assert content.sweep is not None
+        return content.sweep.request
+
+    explain_window.announce()
+    explain_window.show(analysed(workspace))
+    turns = requested("rotation")
+    assert requested("rotation") is turns
+    zooms = requested("zoom")
+    assert turns.cancelled.is_set()
+    again = requested("rotation")
+    assert again is not turns
+    assert zooms.cancelled.is_set()
+    explain_window.receive(messages.CancelSweep())
+    assert requested("rotation") is not again
+    explain_window.leave()
+
+
 def test_an_analysis_of_a_closed_window_is_not_drawn_and_opens_nothing(
     workspace: Workspace, window: tuple[ExplainWindow, WindowGui]
 ) -> None:
