@@ -14,6 +14,7 @@ from tools.fixtures import small_worlds
 from tools.fixtures.programs import run_program
 
 
+@pytest.mark.slow
 def test_groups_have_the_figures_of_lpn_evaluate_and_differ_from_the_first_one_by_their_own(
     tmp_path: Path, model_file: Path, one_part_model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

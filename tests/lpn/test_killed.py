@@ -100,6 +100,7 @@ def opened(file: Path) -> bytes | None:
     return model.descriptors(np.ones((1, 3, *model.input_size), np.float32), model.views[0]).tobytes()
 
 
+@pytest.mark.slow
 def test_describe(tiny: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
 

@@ -438,7 +438,8 @@ def test_a_sweep_that_is_requested_again_is_kept_unless_it_was_stopped(
 
     def requested(over: sweeps.SweptProperty) -> SweepRequest:
         explain_window.receive(messages.RequestSweep(over))
-        assert (content := explain_window._content) is not None
+        content = explain_window._content
+        assert content is not None
         assert content.sweep is not None
         return content.sweep.request
 

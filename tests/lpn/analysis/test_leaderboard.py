@@ -35,6 +35,7 @@ def page(
     return Path(files[0]).read_text("utf-8"), json.loads(Path(files[1]).read_text("utf-8"))
 
 
+@pytest.mark.slow
 def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_file: Path, data: Path) -> None:  # type: ignore[type-arg]
     values = page[1]
     name, model, dataset = model_file.name, lpn.load(model_file), lpn.open_dataset(data)

@@ -64,6 +64,7 @@ def training(data: Path, out: Path) -> list[object]:
     return ["train", "--data", data, "--out", out, *options]
 
 
+@pytest.mark.slow
 def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
     given = [*training(data, out), "--epochs", 1000, "--n-parts", 2]
@@ -84,6 +85,7 @@ def test_a_training_keeps_whole_epochs_and_says_how_to_go_on(tmp_path: Path) -> 
             assert last_line(again).endswith("go on with the same command.")
 
 
+@pytest.mark.slow
 def test_a_training_without_a_whole_epoch_says_so(tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=4, test=2), tmp_path / "run"
     slow = "import time, lpn.training.loader as l\ns = l.Loader.stream\nl.Loader.stream = lambda *a: (time.sleep(600), s(*a))[1]"

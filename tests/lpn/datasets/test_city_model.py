@@ -70,6 +70,7 @@ def header(data: bytes) -> dict[str, Any]:
     return values
 
 
+@pytest.mark.slow
 def test_the_model_is_small_whole_and_says_where_it_stands(atlas: Atlas, data: bytes, tmp_path: Path) -> None:
     assert 100_000 < len(data) <= MAX_BYTES
     (tmp_path / NAME).write_bytes(data)

@@ -36,6 +36,7 @@ def validation(places: Path, out: Path, *trials: RecipeTrial, **options: Any) ->
     return CrossValidation(open_dataset(places), out, QUICK, trials, **options)
 
 
+@pytest.mark.slow
 def test_held_out_places_are_read_calibrated_where_there_are_enough(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -214,6 +214,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
         reproduction(places, tmp_path, changes={**QUICK, "epochs": 2}).run(["table4"])
 
 
+@pytest.mark.slow
 def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Path) -> None:
     reproduction(places, tmp_path / "out").run(["table5"])
     before = (tmp_path / "out" / "table5.csv").read_text()
@@ -233,6 +234,7 @@ def test_other_pictures_or_another_start_are_noticed(places: Path, tmp_path: Pat
         reproduction(places, tmp_path / "out", init=[start]).run(["table5"])
 
 
+@pytest.mark.slow
 def test_a_run_killed_at_its_very_start_and_one_that_diverged_do_not_block(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -445,6 +447,7 @@ def test_tuning_tries_each_setting_on_held_out_places_and_trains_the_best(
         )
 
 
+@pytest.mark.slow
 def test_a_training_of_another_process_is_waited_for_and_taken_over_if_that_is_killed(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -687,6 +690,7 @@ def test_a_world_becomes_places_with_google_panoramas_and_landmarks(tmp_path: Pa
     assert "paper, Oxford mAP | paper, Paris mAP |" in texts["table6"]
 
 
+@pytest.mark.slow
 def test_figures_are_drawn_with_the_networks_there_are(
     places: Path, model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

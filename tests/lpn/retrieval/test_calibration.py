@@ -114,6 +114,7 @@ def test_a_training_takes_the_same_ratio(model: Model, wide: Path) -> None:
         ground_ratio(model, around, tiles, cached_descriptors)
 
 
+@pytest.mark.slow
 def test_a_training_measures_the_ratio_of_its_pictures_and_records_it(
     model_file: Path, wide: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -183,6 +184,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     assert main(["compare", str(model_file), "--data", str(wide), "--csls", "-1"]) == 2
 
 
+@pytest.mark.slow
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     calibration = calibrated(model, dataset)

@@ -35,6 +35,7 @@ def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_fi
     assert "gallery pictures in the dark" in result.sentence
 
 
+@pytest.mark.slow
 def test_all_weathers_print_the_leaderboards_table(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -122,6 +122,7 @@ def test_init_auto_takes_the_weights_that_are_here_and_names_them(
     assert torch.equal(run.network.branch("drone").model.state_dict()["conv1.weight"], weights["conv1.weight"])
 
 
+@pytest.mark.slow
 def test_an_epoch_is_kept_although_its_evaluation_fails(places: Path, tmp_path: Path) -> None:
     data = tmp_path / "places"
     shutil.copytree(places, data)
@@ -209,6 +210,7 @@ def test_a_recipe_out_of_range_is_refused_in_words(field: str, value: float) -> 
         replace(QUICK, backbone="vgg16_bn")
 
 
+@pytest.mark.slow
 def test_the_best_epoch_is_kept_beside_the_last(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scores = iter([30.0, 50.0, 40.0])
     task = "drone-to-satellite"
@@ -454,6 +456,7 @@ def test_class_layers_begin_as_the_text_or_the_released_code_says(places: Path, 
             assert not head.classifier[0].bias.any()
 
 
+@pytest.mark.slow
 def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path, tmp_path: Path) -> None:
     recipe = replace(
         QUICK, epochs=1, n_parts=1, size=96, batch=12, instance=0.0, infonce=0.0, metric="soft_margin", ema=0.0
@@ -499,6 +502,7 @@ def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp
             assert torch.allclose(values, branch.frozen_output(pictures[name]), rtol=2e-3, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_a_run_with_variants_trains_adapters_and_is_resumed(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -225,6 +225,7 @@ def test_the_updates_that_are_announced_are_those_that_run(
     assert f", so {updates} updates, of which 0 are left." in again.plan()
 
 
+@pytest.mark.slow
 def test_a_run_on_places_with_gaps_is_resumed_to_the_same_losses(gaps: Path, tmp_path: Path) -> None:
     recipe = replace(RECIPES["small"], size=32, batch=3, epochs=3, precision="float32")
 

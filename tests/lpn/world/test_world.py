@@ -81,6 +81,7 @@ def test_any_seed_gives_a_city_of_the_size_asked_for(seed: int, buildings: int) 
     assert {target.split for target in targets} == {"train", "test"}
 
 
+@pytest.mark.slow
 def test_the_same_seed_plans_the_same_world(atlas: Atlas, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(atlases, "plan_city", plan_city_anew)
     again = make_atlas(SETTINGS)
@@ -369,6 +370,7 @@ def test_pavements_of_a_district_have_its_colour(city: City) -> None:
     assert np.median(ratio[..., 1]) == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_city_of_a_varied_plan_has_its_own_streets_and_sizes_of_blocks(city: City) -> None:
     varied = plan_city(SETTINGS.seed, SETTINGS.buildings, True)
     assert len(varied.targets) == SETTINGS.buildings
@@ -515,6 +517,7 @@ def test_a_street_picture_looks_at_its_building(walked: Atlas) -> None:
         assert 60 <= pose.fov <= 75
 
 
+@pytest.mark.slow
 def test_most_street_pictures_show_most_of_a_wall(walked: Atlas) -> None:
     outdoors = GroundLevel(walked.city)
     around = functools.cache(lambda number: outdoors.around(walked.city.targets[number - 1]))

@@ -73,6 +73,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
         file.unlink()
 
 
+@pytest.mark.slow
 def test_fsra(folder: Path) -> None:
     case = Case("fsra_vits_b3", folder)
     assert case.model.contract.claim == "exact, with the regions of each picture held"
@@ -85,6 +86,7 @@ def test_fsra(folder: Path) -> None:
     assert relative(heat, case.golden.arrays["heat"][:1]) < TOLERANCE
 
 
+@pytest.mark.slow
 def test_mccg(folder: Path) -> None:
     case = Case("mccg_tiny", folder)
     assert case.model.describe() == "MCCG ConvNeXt-T, n = 3, 256 x 256"
