@@ -40,6 +40,15 @@ _PREPARE = (
 const parameter = URLSearchParams.prototype.get;
 URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
+// Pictures of the stage that are not decoded yet: viser gives each an address of its own, and takes that back afterwards.
+window.undecoded = new Set();
+const { createObjectURL, revokeObjectURL } = URL;
+URL.createObjectURL = (blob) => {
+  const address = createObjectURL.call(URL, blob);
+  if (blob.type?.startsWith('image/')) undecoded.add(address);
+  return address;
+};
+URL.revokeObjectURL = (address) => (undecoded.delete(address), revokeObjectURL.call(URL, address));
 """
     + RETURNING
     + """
@@ -320,6 +329,8 @@ class ExplorerPage:
         shots = [b"", b""]
         while True:
             self.settle()
+            if not self._decoded():
+                shots = [b"", b""]
             try:
                 shots = [*shots[-2:], shown.screenshot()]
             except Error as error:
@@ -332,6 +343,10 @@ class ExplorerPage:
                     return picture
             assert time.monotonic() < deadline, f"the picture is not as expected after {PATIENCE:g} s"
             self.page.wait_for_timeout(100)
+
+    def _decoded(self) -> bool:
+        """Return True if no picture of the stage is still being decoded: a stage without it may be at rest as well."""
+        return bool(self.page.evaluate("!window.undecoded?.size"))
 
     def stage(self, holds: Callable[[np.ndarray], bool] = lambda _: True) -> np.ndarray:
         """A picture of the 3-D stage at rest, as `at_rest` takes it."""
