@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -28,7 +29,6 @@ from lpn.models.spec import ModelSpec
 from tests.conftest import RealRun
 from tools.fixtures import small_worlds
 from tools.fixtures.chromium import RETURNING, SHORT_LIVED, launch
-from tools.fixtures.processes import free_port
 from tools.fixtures.published_results import save_result
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
@@ -40,6 +40,15 @@ _PREPARE = (
 const parameter = URLSearchParams.prototype.get;
 URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
+// Pictures of the stage that are not decoded yet: viser gives each an address of its own, and takes that back afterwards.
+window.undecoded = new Set();
+const { createObjectURL, revokeObjectURL } = URL;
+URL.createObjectURL = (blob) => {
+  const address = createObjectURL.call(URL, blob);
+  if (blob.type?.startsWith('image/')) undecoded.add(address);
+  return address;
+};
+URL.revokeObjectURL = (address) => (undecoded.delete(address), revokeObjectURL.call(URL, address));
 """
     + RETURNING
     + """
@@ -81,14 +90,14 @@ def started(
         saved: a published result to open in place of the model.
         beside: further models.
         program: what Python runs.
-        port: any that is free by default.
+        port: any that is free by default, which the app takes by itself: nobody else can take it meanwhile.
     """
     source = ["--data", data, "--model", model]
     if saved is not None:
         source = ["published", "--data", data, "--saved", saved, "--n-parts", "4"]
     source += ["--beside", *beside] if beside else []
     inputs = [] if default else source
-    command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port or free_port())]
+    command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port)]
     environment = {**os.environ, "LPN_CACHE": str(cache)}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
     assert process.stdout is not None
@@ -99,13 +108,17 @@ def started(
         if match := re.search(r"ready: (http://\S+)", line):
             url = match[1]
             break
+    # A pipe that nobody reads would stop the app when it is full.
+    reader = threading.Thread(target=process.stdout.read, daemon=True)
+    reader.start()
     try:
         assert url, "the app ended without an address: " + "".join(output)
         yield RunningApp(url, data, model)
     finally:
         process.terminate()
-        process.stdout.close()
         process.wait(PATIENCE)
+        reader.join(PATIENCE)
+        process.stdout.close()
 
 
 @pytest.fixture(scope="package")
@@ -320,6 +333,8 @@ class ExplorerPage:
         shots = [b"", b""]
         while True:
             self.settle()
+            if not self._decoded():
+                shots = [b"", b""]
             try:
                 shots = [*shots[-2:], shown.screenshot()]
             except Error as error:
@@ -332,6 +347,10 @@ class ExplorerPage:
                     return picture
             assert time.monotonic() < deadline, f"the picture is not as expected after {PATIENCE:g} s"
             self.page.wait_for_timeout(100)
+
+    def _decoded(self) -> bool:
+        """Return True if no picture of the stage is still being decoded: a stage without it may be at rest as well."""
+        return bool(self.page.evaluate("!window.undecoded?.size"))
 
     def stage(self, holds: Callable[[np.ndarray], bool] = lambda _: True) -> np.ndarray:
         """A picture of the 3-D stage at rest, as `at_rest` takes it."""

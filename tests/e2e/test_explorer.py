@@ -333,10 +333,10 @@ def test_the_map_says_how_far_off_the_answer_is_and_has_a_scale_bar_north_and_th
     tiles = geo.Positions(mapped_app.data).of(datasets.open_dataset(mapped_app.data).gallery("satellite"))
     for slot in (0, 4):
         place = tiles[int(explorer.rows.nth(slot).get_attribute("data-index") or -1)]
-        left, top = explorer.page.evaluate(FOOT, f"/map/tile{slot}")
-        explorer.page.mouse.move(box["x"] + left * box["width"], box["y"] + top * box["height"])
 
-        def check(place: geo.Position = place) -> None:
+        def check(slot: int = slot, place: geo.Position = place) -> None:
+            left, top = explorer.page.evaluate(FOOT, f"/map/tile{slot}")  # again: the camera may still be on its way
+            explorer.page.mouse.move(box["x"] + left * box["width"], box["y"] + top * box["height"])
             expect(marks.locator(".read")).not_to_be_empty()
             read = [float(value) for value in marks.locator(".read").inner_text().split(", ")]
             assert read == pytest.approx([place.latitude, place.longitude], abs=3e-5)
