@@ -715,7 +715,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         plain = text(first_screen.page(analyse(workspace, state), workspace))
     assert "GPS tags place this map, so a tag of the same flight is no independent proof." in plain
     told = re.findall(r"[\d.]+ m\b", plain[plain.index("By its details: placed") : plain.index("How far to trust it")])
-    assert told == ["10 m", "37 m"], "one distance of the tag and the size of the piece; limits are folded"
+    assert told == ["18.2 m", "10 m", "37 m"], (
+        "how exact, one distance of the tag, and the size of the piece; limits are folded"
+    )
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
@@ -784,8 +786,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "268 details of the photo lie where the map has them.",
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
-        "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to their GPS tags as nearly all "
-        "should. The tags may be off, too.",
+        "It should lie within 18.2 m of the true place on earth; nobody knows if it does: only 19 of 30 photos here lie that "
+        "near to their GPS tags, where nearly all should. The tags may be off, too.",
         "Its GPS tag, the white circle, lies 10 m from there, which is within what is allowed.",
         "found the piece where details place the photo: it is 37 m wide, and that place lies on it.",
         "the photo's middle lies on it, 3 m from its middle, where 18 m each way are allowed. A GPS tag may lie 32 m from",
@@ -899,8 +901,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "100 m." in of_wrong
     )
     assert (
-        "✓ By its details: placed. It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to "
-        "their GPS tags as nearly all should." in of_wrong
+        "of the true place on earth; nobody knows if it does: only 19 of 30 photos here lie that near to their GPS tags, where "
+        "nearly all should." in of_wrong
     )
     assert "±" not in of_wrong
     navigation, shown = Navigation(workspace, lambda *_: None), [state]
