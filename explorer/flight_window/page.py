@@ -151,7 +151,8 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     elif 1 in states:
         track["count"] = ""
     else:
-        track["count"] = f"{states.count(0)} of {total}"
+        doubted = sum(verdict.in_doubt for verdict in view.beliefs) if name == "registration" else 0
+        track["count"] = f"{states.count(0)} of {total}" + (f", {doubted} in doubt" if doubted else "")
     return track
 
 

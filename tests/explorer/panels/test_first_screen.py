@@ -757,10 +757,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     flight_names = workspace.tasks[TASK].query_names
     assert (
-        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30 (4 in doubt, 9 not "
-        "checked away from their middle). Nobody measured where they really are. Of 68 photos of other places, none was placed "
-        "on this map. Photos of damage, such as a storm's, and real photos of another season than the map's have not been tried."
-        in said
+        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30, 4 of them in "
+        "doubt; 9 more could not be checked away from the middle. Nobody measured where they really are. Of 68 photos of other "
+        "places, none was placed on this map. Photos of damage, such as a storm's, and real photos of another season than the "
+        "map's have not been tried." in said
     )
     assert (
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map away from its "
@@ -774,7 +774,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         said = text(first_screen.page(analyse(workspace, state), workspace))
         wrong = np.flatnonzero(~np.array(right[:-1]))
         overall = [wrong_answer._overall(rows, 30, comparing) for rows in (wrong, np.array([29]))]
-    assert re.search(r"their details placed all 29 so far \(", said)
+    assert re.search(r"their details placed all 29 so far, 4 of them in doubt", said)
     assert "so far" not in overall[0]
     assert "by their details, so far 0 of these 1 are placed" in overall[1]
     with speaking(workspace.vocabulary(True)):
