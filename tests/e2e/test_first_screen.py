@@ -523,7 +523,9 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(sentence).to_contain_text("By its details: placed.")
     first.get_by_text("See it on the map").click()
     alone = fresh.locator(".flight.alone")
-    expect(alone.locator(".legend .marks")).to_contain_text("Dots and line: the places of the photos.")
+    expect(alone.locator(".legend .marks")).to_contain_text(
+        "Dots and line: the places of the photos, by their details."
+    )
     expect(alone.locator(".legend")).to_contain_text("Red diamond: in doubt")
     expect(alone.locator(".legend table")).to_be_hidden()
     alone.get_by_role("button", name="Back").click()

@@ -126,6 +126,8 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
         "Registration: refused. Only <i>4</i> matches agree.",
     ]
     assert data["tracks"]["tag"]["count"] == "3 of 3"
+    assert "the places of the photos, by their details" in track["mark"]
+    assert "guesses by the look alone" in data["tracks"]["retrieval"]["mark"], "a guess is no place"
     assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
     assert data["times"] == [0.0, 2.0, 4.0]
     # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
