@@ -73,8 +73,9 @@ class SessionState:
         fails: True while the first screen shows the wrong answers, one after the other.
         came_from: the query and the own picture that were shown before `fails`; no address has it.
         under_flight: True while the flight window stands in the laboratory's place, to which its end leads; no address has it.
-        map_alone: True while the flight window fills the page with map and photo, without the workbench; no address has it.
-        from_first_screen: True while something is open that was opened there, so that its end leads back; no address has it.
+        map_alone: True while the flight window fills the page with map and photo, without the workbench.
+        from_first_screen: True while something is open that was opened there, so that its end leads back; addresses have it of
+            `map_alone` only.
     """
 
     task: str
@@ -238,6 +239,7 @@ def _left(before: SessionState, after: SessionState) -> SessionState:
     if not before.first_screen and not after.first_screen:
         ended = before.from_first_screen and before.shows_window and not after.shows_window
         stays = any(then and now for then, now in zip(before.windows, after.windows, strict=True))
+        stays = stays or (after.map_alone and not before.map_alone)  # by an address
         return (
             _only_first_screen(after) if ended else replace(after, from_first_screen=after.from_first_screen and stays)
         )
@@ -531,7 +533,8 @@ def in_words(state: SessionState, plain: bool, start_plain: bool) -> SessionStat
         plain: the others speak plain words.
         start_plain: the first screen does.
     """
-    return replace(state, plain=start_plain if state.first_screen else plain, start_plain=start_plain)
+    spoken = start_plain if state.first_screen else plain
+    return replace(state, plain=spoken, start_plain=start_plain, map_alone=state.map_alone and spoken)
 
 
 def matching_names(names: Sequence[str], text: str) -> list[int]:

@@ -34,6 +34,8 @@ _MAX_LENGTH = 20_000
 _MOST_PARAMETERS = 200
 # The value of `query` for a picture of the user's own, which an address cannot contain.
 OWN = "own"
+# The value of `flight` for the map that stands alone in plain words; for the window in the workbench it is 1.
+ALONE = "map"
 _NO_OWN = (
     "An own picture is held only by the page that opened it, until that is loaded again or the picture is forgotten. Open the "
     "file again. Here is another picture."
@@ -101,7 +103,7 @@ class UrlState:
             Parameter("lab", lambda s: "1" if s.lab else None, _read_lab),
             *(_in_lab(choice.parameter) for choice in CHOICES if choice.parameter is not None),
             Parameter("chosen", lambda s: _write_chosen(s.laboratory) if s.lab else None, self._read_chosen),
-            Parameter("flight", parameters.switch("flight").write, self._read_flight),
+            Parameter("flight", _write_flight, self._read_flight),
             parameters.switch("exploded", "apart"),
             parameters.switch("rings"),
             parameters.switch("heat"),
@@ -240,10 +242,13 @@ class UrlState:
         return DATA if DATA in self._workspace.choices else self._workspace.key
 
     def _read_flight(self, state: SessionState, text: str) -> SessionState:
-        state = parameters.switch("flight").read(state, text)
-        if state.flight and not self._workspace.has_flight:
+        if text not in ("0", "1", ALONE):
+            raise UnusableError(f"expected 0, 1, or {ALONE}.")
+        if text != "0" and not self._workspace.has_flight:
             raise UnusableError("this place has no flight; choose a place that has one.")
-        return state
+        alone = text == ALONE
+        # The end of the map that stands alone leads back to the first screen.
+        return replace(state, flight=text != "0", map_alone=alone, from_first_screen=alone)
 
     def _write_key(self, _: SessionState) -> str | None:
         return None if self._workspace.key == self._unnamed else self._workspace.key
@@ -350,6 +355,10 @@ def _parameters_of(text: str) -> dict[str, str]:
     if len(text) > _MAX_LENGTH:
         raise ValueError
     return dict(parse_qsl(text.removeprefix("?"), True, max_num_fields=_MOST_PARAMETERS))
+
+
+def _write_flight(state: SessionState) -> str | None:
+    return (ALONE if state.map_alone else "1") if state.flight else None
 
 
 def _write_words(state: SessionState) -> str | None:

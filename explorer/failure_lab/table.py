@@ -38,7 +38,7 @@ _HINTS = {
 _UNGRADED = "Not graded, as no piece is right for certain"
 # The verdicts on photos of a flight in plain words.
 PLAIN_VERDICTS = {
-    "registered": "placed by its details",
+    "registered": "placed, not in doubt",
     "contradicted": "placed, but in doubt",
     "not verified": "only guessed",
     "not located": "no place",

@@ -42,6 +42,14 @@ UNCHECKED = (
 )
 # Legs of a flight whose shift is told, at most.
 _MOST_LEGS = 8
+# The marks of a track in the legend of a map that stands alone, whose table of the tracks is left out.
+_MARKS = {
+    "retrieval": "Dots without a line: guesses by the look alone, which nothing has verified.",
+    "sequence": "Dots and line: the places of the photos, by their neighbours.",
+    "registration": "Dots and line: the places of the photos, by their details.",
+    "corrected": "Dots and line: the places that a person has corrected by hand.",
+    "tag": "Thin dashed line: the GPS tags.",
+}
 _METHODS = {
     "retrieval": "the most similar piece of the map",
     "sequence": "the path of the flight through such pieces",
@@ -61,6 +69,11 @@ class AccuracyLine:
 def label(name: str) -> str:
     """Return what a track is called: that of a stage, of the GPS tags, or of a person's corrections."""
     return "By hand" if name == "corrected" else capitalised(say(name))
+
+
+def mark(name: str) -> str:
+    """Say what the marks of a track on the map are."""
+    return _MARKS[name]
 
 
 def methods(stages: Sequence[str]) -> str:

@@ -114,7 +114,11 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
 
     The state is -1 while the stage has no answer. A refused answer has its reason, too, and so has a contradicted registration.
     """
-    track: dict[str, Any] = {"label": flight_text.label(name), "colour": theme.css(COLOURS[name])}
+    track: dict[str, Any] = {
+        "label": flight_text.label(name),
+        "mark": flight_text.mark(name),
+        "colour": theme.css(COLOURS[name]),
+    }
     rows: list[tuple[float | None, float | None, int, float | None, float | None]] = []
     flight = view.flight
     for i, located in enumerate(flight.frames):
@@ -151,7 +155,8 @@ def _track(view: FlightView, name: str) -> dict[str, Any]:
     elif 1 in states:
         track["count"] = ""
     else:
-        track["count"] = f"{states.count(0)} of {total}"
+        doubted = sum(verdict.in_doubt for verdict in view.beliefs) if name == "registration" else 0
+        track["count"] = f"{states.count(0)} of {total}" + (f", {doubted} in doubt" if doubted else "")
     return track
 
 

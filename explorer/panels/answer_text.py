@@ -17,12 +17,22 @@ from lpn.core.numbers import distance, rounded_to_sum, shown_difference, upper_b
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what, tag_allowance, tag_figures
+from lpn.locate.belief import (
+    PLACED,
+    SIGMAS,
+    TAG_RADIUS,
+    belief,
+    beliefs,
+    disagreements,
+    on_what,
+    tag_allowance,
+    tag_figures,
+)
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto
-from lpn.locate.summary import is_unchecked, other_map
+from lpn.locate.summary import doubted_clause, is_unchecked, other_map, unchecked_frames
 from lpn.maps import Window
 from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import Match
@@ -42,6 +52,12 @@ ELSEWHERE = ("Not one of these", "Probably none of these")
 # The headline of a picture that probably lies beyond the map.
 _OTHER_MAP = "Probably not on this map"
 _UNPROVEN = "It may show the same place; pictures of other places can look as close."
+# The photos in doubt, by what contradicts their details.
+_DOUBTED = {
+    "tag": "whose GPS tag lies elsewhere",
+    "map": "that does not fit the map away from its middle",
+    "sequence": "without a GPS tag whose neighbours lie elsewhere",
+}
 _ANY = "Every picture gets an answer, and nothing measured here tells if yours shows one of these places."
 
 
@@ -609,13 +625,12 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
         return f"{look}."
     count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
     look += f"; their details placed {count}{' so far' if len(tried) < len(workspace.flight.frames) else ''}"
-    doubted, unchecked = len(set().union(*_doubted(workspace))), sum(map(is_unchecked, placed))
-    kinds = [
-        f"{many} {of}"
-        for many, of in ((doubted, "in doubt"), (unchecked, "not checked away from their middle"))
-        if many
-    ]
-    look += f" ({', '.join(kinds)})" if kinds else ""
+    frames = workspace.flight.frames
+    verdicts_of_all = beliefs(frames, disagreements(frames))
+    look += doubted_clause(verdicts_of_all)
+    if unchecked := len(unchecked_frames(frames, verdicts_of_all)):
+        more = " more" if any(one.in_doubt for one in verdicts_of_all) else ""
+        look += f"; {unchecked}{more} could not be checked away from the middle"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
         truths = "their true places" if workspace.flight.rendered else "their GPS tags"
@@ -626,20 +641,17 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
 
 def doubts(workspace: Workspace) -> str:
     """Say which photos of a flight that their details place are in doubt, and how many; "" without any."""
-    of_tag, of_map = _doubted(workspace)
-    by_tag, by_map = len(of_tag), len(of_map - of_tag)
-    further = " more" if by_tag else ""
-    kinds = [f"whose GPS tag lies elsewhere ({by_tag} here)"] if by_tag else []
-    kinds += [f"that does not fit the map away from its middle ({by_map}{further} here)"] if by_map else []
+    if workspace.flight is None:
+        return ""
+    frames = workspace.flight.frames
+    contradictions = disagreements(frames)
+    left = {i for i, verdict in enumerate(beliefs(frames, contradictions)) if verdict.in_doubt}
+    kinds: list[str] = []
+    for other, kind in _DOUBTED.items():
+        if of_kind := left & {one.frame for one in contradictions if (one.one, one.other) == ("registration", other)}:
+            kinds.append(f"{kind} ({len(of_kind)}{' more' if kinds else ''} here)")
+            left -= of_kind
     return f"In doubt is a photo {', or one '.join(kinds)}." if kinds else ""
-
-
-def _doubted(workspace: Workspace) -> tuple[set[int], set[int]]:
-    """Return the photos of a flight whose registration contradicts the tag, and those where it contradicts the map."""
-    pairs = [] if workspace.flight is None else disagreements(workspace.flight.frames)
-    of_details = [pair for pair in pairs if pair.one == "registration"]
-    by_tag, by_map = ({pair.frame for pair in of_details if pair.other == other} for other in ("tag", "map"))
-    return by_tag, by_map
 
 
 def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:

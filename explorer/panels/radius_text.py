@@ -92,11 +92,15 @@ def _nearly_all(answer: StageRecord, workspace: Workspace, sure: bool | None, do
             "<strong>It should lie within {}</strong>, as {} should; {} here lie that near to their {}."
         ).format(where, of, near, _truths(workspace))
     off = "" if workspace.flight.rendered else " The tags may be off, too."
-    # The headline above has a tick, which stands for the ground and not for the radius.
-    unknown = "Nobody knows how exact that is" if doubted else "It is found on the map; nobody knows how exactly"
-    return Markup("<strong>{}:</strong> only {} photos here lie {} to their {} as nearly all should.{}").format(
-        unknown, near, explained("as near", _meaning(answer, workspace)), _truths(workspace), off
-    )
+    if doubted:
+        as_near = explained("as near", _meaning(answer, workspace))
+        return Markup(
+            "<strong>Nobody knows how exact that is:</strong> only {} photos here lie {} to their {} as nearly all should.{}"
+        ).format(near, as_near, _truths(workspace), off)
+    return Markup(
+        "<strong>It should lie within {}; nobody knows if it does:</strong> only {} photos here lie that near to their {}, where "
+        "nearly all should.{}"
+    ).format(where, near, _truths(workspace), off)
 
 
 def _truths(workspace: Workspace) -> str:

@@ -21,6 +21,7 @@ from lpn.drawing import verdicts, words
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.belief import beliefs, disagreements
 from lpn.locate.located import LocatedFlight
+from lpn.locate.summary import doubted_clause
 from lpn.maps.named_window import WindowCut
 
 # Kinds of picture that are listed at most.
@@ -104,9 +105,7 @@ def _overall(listed: Int64Array, graded: int, flight: LocatedFlight | None) -> s
     placed = [one for one in map(verdicts_of_all.__getitem__, listed.tolist()) if one.stage == "registration"]
     all_of_them = f"all {len(placed):,}" if len(placed) == len(listed) else f"{len(placed):,} of these {len(listed):,}"
     so_far = "" if all(map(tried.__getitem__, listed.tolist())) else "so far "
-    doubted = sum(one.sign is None for one in placed)
-    doubt = f", {doubted:,} of them in doubt" if doubted else ""
-    placed_all_the_same = f"{so_far}{all_of_them} are placed all the same{doubt}."
+    placed_all_the_same = f"{so_far}{all_of_them} are placed all the same{doubted_clause(placed)}."
     return f"By their look alone, t{wrong} Laid over the map by their details, {placed_all_the_same}"
 
 

@@ -51,6 +51,11 @@ class Belief:
     reason: str
     stage: str | None = None
 
+    @property
+    def in_doubt(self) -> bool:
+        """True if details place the photo, and something contradicts them."""
+        return self.stage == "registration" and self.sign is None
+
 
 @dataclass(frozen=True)
 class BestAnswer:

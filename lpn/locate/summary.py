@@ -103,7 +103,7 @@ def other_map(flight: LocatedFlight) -> str:
 def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: TagOffsets | None) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
-    Contradicted photos are named, and others that could not be checked away from their middle are counted. A flight whose tags
+    Photos in doubt are named, and others that could not be checked away from their middle are counted. A flight whose tags
     lie far off the map begins with that.
 
     A photo is placed where registration or sequence is accepted, and guessed where there is a most similar window alone.
@@ -117,7 +117,7 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: T
     ways = [f"{counts[stage]:,} {of[0 if plain() else 1]}" for stage, of in PLACED.items() if counts[stage]]
     placed = counts["registration"] + counts["sequence"]
     guessed, refused = counts["retrieval"], len(frames) - placed - counts["retrieval"]
-    pieces = [f"{placed:,} placed" + (f" ({', '.join(ways)})" if ways else "")]
+    pieces = [f"{placed:,} placed" + (f" ({', '.join(ways)})" if ways else "") + doubted_clause(verdicts)]
     if guessed:
         pieces.append(f"{guessed:,} only guessed {'by their look' if plain() else 'by retrieval'}")
     if refused:
@@ -141,19 +141,25 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: T
         )
         return listed([*map(printable, told), *further])
 
-    contradicted = [frame for frame, one in pairs if one.stage == "registration" and one.sign is None]
-    if contradicted:
+    doubted = [frame for frame, one in pairs if one.in_doubt]
+    if doubted:
         sentences.append(
-            f"{len(contradicted):,} {'is' if len(contradicted) == 1 else 'are'} contradicted by GPS tag, neighbours, or the map "
-            f"away from the photo's middle: {names(contradicted)}."
+            f"In doubt {'is' if len(doubted) == 1 else 'are'} {names(doubted)}, contradicted by GPS tag, neighbours, or the map "
+            "away from the photo's middle."
         )
     if unchecked := unchecked_frames(frames, verdicts):
-        more = " more" if contradicted else ""
+        more = " more" if doubted else ""
         sentences.append(
             f"{len(unchecked):,}{more} could not be checked away from the middle, where too few places were found on the map; "
             f"the list {NOT_CHECKED} names {'them' if len(unchecked) > 1 else 'it'}."
         )
     return " ".join(sentences)
+
+
+def doubted_clause(verdicts: Sequence[Belief]) -> str:
+    """Say how many of some placed photos are in doubt, as a clause with a comma before; "" if none is."""
+    doubted = sum(one.in_doubt for one in verdicts)
+    return f", {doubted:,} of them in doubt" if doubted else ""
 
 
 def unchecked_frames(frames: Sequence[LocatedFrame], verdicts: Sequence[Belief]) -> list[int]:

@@ -523,7 +523,9 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     expect(sentence).to_contain_text("By its details: placed.")
     first.get_by_text("See it on the map").click()
     alone = fresh.locator(".flight.alone")
-    expect(alone.locator(".legend .marks")).to_contain_text("Dots and line: the places of the photos.")
+    expect(alone.locator(".legend .marks")).to_contain_text(
+        "Dots and line: the places of the photos, by their details."
+    )
     expect(alone.locator(".legend")).to_contain_text("Red diamond: in doubt")
     expect(alone.locator(".legend table")).to_be_hidden()
     alone.get_by_role("button", name="Back").click()
@@ -532,7 +534,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     # The search gives way to all else that the machine does.
     expect(sentence).to_contain_text("On this map.", timeout=3000 * PATIENCE)
     expect(sentence).to_contain_text("your picture fits the map; its GPS tag lies ")
-    expect(first).to_contain_text("only 19 of 30 photos here lie as near to their GPS tags as nearly all should")
+    expect(first).to_contain_text("only 19 of 30 photos here lie that near to their GPS tags, where nearly all should")
     expect(captions.nth(2)).to_contain_text("On the map")
     # The opened details and the focus outlast the answer.
     expect(place).to_have_attribute("open", "")

@@ -191,14 +191,13 @@
     const states = [["right", "placed"], ["contradicted", "in doubt"], ["unknown", "by its neighbours only, a guess, or not placed"]];
     const keys = states.map(([name, words]) => key(`var(--raw-${name})`, words)).join(", ");
     parts.push(`Frame on the map: the ground that the photo shows, in the colour of what may be believed of its place: ${keys}. Its thick side is the photo’s top; dashed, if only tag and camera tell it.`);
-    if (!flight.hidden.has("tag") && flight.data.tracks.tag.x.some((x) => x !== null)) parts.push("Thin dashed line: the GPS tags.");
+    if (!flight.hidden.has("tag") && flight.data.tracks.tag.x.some((x) => x !== null)) parts.push(escaped(flight.data.tracks.tag.mark));
     if (shown.some((track) => track.radius[flight.chosen])) parts.push(escaped(flight.data.circle));
     if (!flight.hidden.has("retrieval")) parts.push("Dotted: the piece of the map that looks most like it.");
     parts.push(`Pins${flight.data.plain ? ", with Swipe" : ""}, numbered as the details of Why?: the head is where the map has a place, the other end where the photo has it.`);
     // The table of the tracks, which stands above, is left out where the map stands alone.
-    const marks = flight.tracks().filter(([name]) => name !== "tag").map(([, track]) => key(track.colour, escaped(track.label)));
-    const line = marks.length ? `<p class="dim marks">Dots and line: the places of the photos. ${marks.join(", ")}</p>` : "";
-    return line + parts.map((part) => `<p class="dim">${part}</p>`).join("");
+    const marks = flight.tracks().filter(([name]) => name !== "tag").map(([, track]) => `<p class="dim marks">${key(track.colour, "")}${escaped(track.mark)}</p>`);
+    return marks.join("") + parts.map((part) => `<p class="dim">${part}</p>`).join("");
   };
   flight.fillLegend = () => {
     const { data, chosen, hidden } = flight;

@@ -150,7 +150,7 @@
   lpn.copy = async () => {
     const shown = new URLSearchParams(search);
     if (shown.get("query") === "own") return lpn.say(lpn.noLink, 8);
-    const flies = shown.get("flight") === "1", look = (flies && lpn.flight?.link()) || "";
+    const flies = shown.has("flight"), look = (flies && lpn.flight?.link()) || "";
     // While the next photo is coming, the link is of that one.
     const coming = flies ? lpn.flight?.wanted : null;
     if (typeof coming === "number") shown.set("query", "~" + coming);

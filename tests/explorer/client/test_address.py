@@ -68,6 +68,25 @@ def open_page(workspace: Workspace) -> Iterator[_OpenPage]:
         one.address.leave()
 
 
+def test_the_map_that_stands_alone_comes_back_by_its_address(
+    open_page: _OpenPage, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Workspace, "has_flight", True)
+    page = open_page("?screen=first")
+    alone = session_state.leave_first_screen(page.state, session_state.show_map_alone(page.state))
+    page.shown.append(alone)
+    again = open_page(page.search)
+    assert "flight=map" in page.search
+    reloaded = session_state.leave_first_screen(again.shown[0], again.state)
+    assert (reloaded.flight, reloaded.map_alone, reloaded.first_screen) == (True, True, False)
+    closed = session_state.leave_first_screen(reloaded, replace(reloaded, flight=False))
+    assert closed.first_screen, "its end leads back"
+    in_terms = open_page(page.search.replace("words=plain", "words=expert"))
+    assert (in_terms.state.flight, in_terms.state.map_alone) == (True, False), "experts have the workbench beside it"
+    window = open_page("?flight=1&words=plain")
+    assert (window.state.flight, window.state.map_alone) == (True, False)
+
+
 def test_back_and_forward_keep_the_words_of_the_first_screen_and_of_the_workbench(
     open_page: _OpenPage,
 ) -> None:

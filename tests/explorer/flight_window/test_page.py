@@ -19,6 +19,7 @@ import pytest
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress
 from explorer.flight_window import flight_text, page, service
 from explorer.flight_window.service import FlightService, FlightView
+from explorer.panels import answer_text
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.errors import DataError
 from lpn.drawing.words import Vocabulary, speaking
@@ -69,12 +70,13 @@ def test_sentence_and_accuracy_compute_the_errors_of_the_placed_photos_once(
 def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     text = page.sentence(view, running=False)
     assert text.startswith(
-        "A drone took 3 photos over this map: 3 placed (2 by registration, 1 by sequence). The placed "
+        "A drone took 3 photos over this map: 3 placed (2 by registration, 1 by sequence), 1 of them in "
+        "doubt. The placed "
     )
     assert "The placed ones lie 5.0 m from their GPS tags in the median, which is the error of both together." in text
     assert text.endswith(
-        "which is the error of both together. 1 is contradicted by GPS tag, neighbours, or the map away from the photo's middle: "
-        "photo1."
+        "which is the error of both together. In doubt is photo1, contradicted by GPS tag, neighbours, or the map away from the "
+        "photo's middle."
     )
     best = Belief(None, "", "", "", "retrieval")
     verdicts = [view.beliefs[0], best, Belief(False, "", "", "")]
@@ -96,6 +98,19 @@ def test_one_sentence_says_how_the_photos_were_placed(view: FlightView) -> None:
     assert page.data(away, "x/")["elsewhere"] == "The flight's GPS tags lie 1,929 km from this map"
 
 
+def test_every_count_of_photos_in_doubt_is_that_of_the_verdicts(flight: LocatedFlight) -> None:
+    untagged = replace(flight.frames[1], tag=None)
+    for frames, kind in (
+        (flight.frames, "whose GPS tag lies elsewhere (1 here)"),
+        ([flight.frames[0], untagged, flight.frames[2]], "without a GPS tag whose neighbours lie elsewhere (1 here)"),
+    ):
+        view = view_of(replace(flight, frames=frames))
+        assert "3 placed (2 by registration, 1 by sequence), 1 of them in doubt." in page.sentence(view, running=False)
+        assert page.data(view, "x/")["tracks"]["registration"]["count"] == "2 of 3, 1 in doubt"
+        workspace: Any = SimpleNamespace(flight=view.flight)
+        assert answer_text.doubts(workspace) == f"In doubt is a photo {kind}."
+
+
 def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightView) -> None:
     data = json.loads(json.dumps(page.data(view, "pictures/x/"), allow_nan=False))
     assert list(data["tracks"]) == ["tag", "retrieval", "sequence", "registration"]
@@ -103,7 +118,7 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
     assert track["x"] == [-20.0, 45.0, None]
     assert track["state"] == [0, 0, 2]
     assert track["error"] == [1.0, 45.0, None]
-    assert track["count"] == "2 of 3"
+    assert track["count"] == "2 of 3, 1 in doubt"
     assert track["reason"] == [
         None,
         "Registration and sequence lie 45.3 m apart; their radii allow 38.5 m. Registration and tag lie 45.0 m apart; "
@@ -111,6 +126,8 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightVie
         "Registration: refused. Only <i>4</i> matches agree.",
     ]
     assert data["tracks"]["tag"]["count"] == "3 of 3"
+    assert "the places of the photos, by their details" in track["mark"]
+    assert "guesses by the look alone" in data["tracks"]["retrieval"]["mark"], "a guess is no place"
     assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
     assert data["times"] == [0.0, 2.0, 4.0]
     # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
@@ -236,7 +253,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
             "Its place is ± 6.0 m on earth, where the map's own error moves all of the photo alike."
         )
     assert page.sentence(view, running=False).endswith(
-        "2 are contradicted by GPS tag, neighbours, or the map away from the photo's middle: photo0 and photo1."
+        "In doubt are photo0 and photo1, contradicted by GPS tag, neighbours, or the map away from the photo's middle."
     )
     assert "Contradictions 2" in re.sub(r"<[^>]*>", "", lists["counts"])
     assert "Not checked 0" in re.sub(r"<[^>]*>", "", lists["counts"])
@@ -251,8 +268,8 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_doubted_wherever_it_is_t
     assert known[0].endswith("and 1 of 1 photos do not fit the map away from their middle.")
     unchecked = view_of(compared(flight, 0, 0.4))
     assert page.sentence(unchecked, running=False).endswith(
-        "1 is contradicted by GPS tag, neighbours, or the map away from the photo's middle: photo1. 1 more could not be checked "
-        "away from the middle, where too few places were found on the map; the list Not checked names it."
+        "In doubt is photo1, contradicted by GPS tag, neighbours, or the map away from the photo's middle. 1 more could not be "
+        "checked away from the middle, where too few places were found on the map; the list Not checked names it."
     )
     assert "not checked away from its middle" in page.lists(unchecked)["worst"]
     listed = page.lists(unchecked)
@@ -478,7 +495,7 @@ def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refuse
     waiting = view_of(replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)]))
     track = page.data(waiting, "x/")["tracks"]["registration"]
     assert track["state"] == [0, 0, -1]
-    assert track["count"] == "2 of 3"
+    assert track["count"] == "2 of 3, 1 in doubt"
     assert "Not placed 0" in page.lists(waiting)["counts"]
 
 

@@ -44,6 +44,7 @@ def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightSe
     view = service.view()
     assert view.corrected(2) == pytest.approx((20.0, 15.0), abs=1e-3)
     track = page.data(view, "x/")["tracks"]["corrected"]
+    assert "corrected by hand" in track["mark"]
     assert (track["count"], track["x"][:2], track["error"][2]) == ("1 of 3", [None, None], pytest.approx(15.0))
     matrix = view.homography(2)
     assert matrix is not None

@@ -715,7 +715,9 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         plain = text(first_screen.page(analyse(workspace, state), workspace))
     assert "GPS tags place this map, so a tag of the same flight is no independent proof." in plain
     told = re.findall(r"[\d.]+ m\b", plain[plain.index("By its details: placed") : plain.index("How far to trust it")])
-    assert told == ["10 m", "37 m"], "one distance of the tag and the size of the piece; limits are folded"
+    assert told == ["18.2 m", "10 m", "37 m"], (
+        "how exact, one distance of the tag, and the size of the piece; limits are folded"
+    )
     assert re.search(r"On the map, by its details \d+ m west", said)
     assert (
         "✓ By its details: placed, ± 6.1 m on earth (not confirmed). ± 6.1 m should hold for 39 of 100 photos, and 12.1 m for "
@@ -755,10 +757,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     flight_names = workspace.tasks[TASK].query_names
     assert (
-        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30 (4 in doubt, 9 not "
-        "checked away from their middle). Nobody measured where they really are. Of 68 photos of other places, none was placed "
-        "on this map. Photos of damage, such as a storm's, and real photos of another season than the map's have not been tried."
-        in said
+        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30, 4 of them in "
+        "doubt; 9 more could not be checked away from the middle. Nobody measured where they really are. Of 68 photos of other "
+        "places, none was placed on this map. Photos of damage, such as a storm's, and real photos of another season than the "
+        "map's have not been tried." in said
     )
     assert (
         "In doubt is a photo whose GPS tag lies elsewhere (1 here), or one that does not fit the map away from its "
@@ -772,7 +774,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         said = text(first_screen.page(analyse(workspace, state), workspace))
         wrong = np.flatnonzero(~np.array(right[:-1]))
         overall = [wrong_answer._overall(rows, 30, comparing) for rows in (wrong, np.array([29]))]
-    assert re.search(r"their details placed all 29 so far \(", said)
+    assert re.search(r"their details placed all 29 so far, 4 of them in doubt", said)
     assert "so far" not in overall[0]
     assert "by their details, so far 0 of these 1 are placed" in overall[1]
     with speaking(workspace.vocabulary(True)):
@@ -784,8 +786,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "268 details of the photo lie where the map has them.",
         "The photo's middle lies at 30.17132, -98.09001.",
         "Nobody measured where they really are.",
-        "It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to their GPS tags as nearly all "
-        "should. The tags may be off, too.",
+        "It should lie within 18.2 m of the true place on earth; nobody knows if it does: only 19 of 30 photos here lie that "
+        "near to their GPS tags, where nearly all should. The tags may be off, too.",
         "Its GPS tag, the white circle, lies 10 m from there, which is within what is allowed.",
         "found the piece where details place the photo: it is 37 m wide, and that place lies on it.",
         "the photo's middle lies on it, 3 m from its middle, where 18 m each way are allowed. A GPS tag may lie 32 m from",
@@ -899,8 +901,8 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "100 m." in of_wrong
     )
     assert (
-        "✓ By its details: placed. It is found on the map; nobody knows how exactly: only 19 of 30 photos here lie as near to "
-        "their GPS tags as nearly all should." in of_wrong
+        "of the true place on earth; nobody knows if it does: only 19 of 30 photos here lie that near to their GPS tags, where "
+        "nearly all should." in of_wrong
     )
     assert "±" not in of_wrong
     navigation, shown = Navigation(workspace, lambda *_: None), [state]
