@@ -308,15 +308,15 @@ class OwnPictures:
 
     def _finish(self) -> None:
         with self._lock:
-            added, refused = len(self._held) - self._first, list(self._refused)
-            picture = self._open(self._first) if added else None
-        if picture is not None:
-            self._change(lambda state: own_query(state, picture))
+            # The pictures may have been closed since the last of them was read.
+            added, refused = max(len(self._held) - self._first, 0), list(self._refused)
+        self._say(added, len(refused))  # first, as it ends the bar, whatever becomes of the picture
+        if added:
+            self._pick(self._first)
         elif refused:
             self._notify_error(
                 "No picture was taken", f"{len(refused)} files were left out; the list is below the button."
             )
-        self._say(added, len(refused))
 
     def _say(self, added: int, refused: int) -> None:
         """Tell how a batch ended; the first screen shows neither the list of pictures nor that of those left out."""
@@ -327,9 +327,13 @@ class OwnPictures:
         self._go.show(run(f"{call('work', 0, 0)};{said};/*{self._asked}*/"))
 
     def _pick(self, index: int) -> None:
-        """Show one of the pictures held."""
-        with self._lock:
-            picture = self._open(index) if index < len(self._held) else None
+        """Show one of the pictures held, or say why it cannot be shown."""
+        try:
+            with self._lock:
+                picture = self._open(index) if index < len(self._held) else None
+        except LPNError as error:
+            self._notify_error("Not opened", str(error))
+            return
         if picture is not None:
             self._change(lambda state: own_query(state, picture))
 

@@ -33,8 +33,9 @@ EVIDENCE = (
     "of them errs. What the map has away from a photo's middle is a third."
 )
 WORST = (
-    "Contradicted photos, which have a ?, come first, by how far they exceed what is allowed. The others follow by their metres "
-    "from the GPS tag, or from the correction by hand: the error of both together. Mere guesses come last."
+    "Contradicted photos, which have a ?, come first, by how many times their metres are those that are allowed; where a photo "
+    "breaks two limits, the larger ratio counts. The others follow by their metres from the GPS tag, or from the correction by "
+    "hand: the error of both together. Mere guesses come last."
 )
 UNCHECKED = (
     "Their details place these photos. Away from the middle of each, too few places were found on the map to check that all "
@@ -210,8 +211,9 @@ def _side(across: float, down: float) -> str:
 def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
     """Return frame, name, and words of each photo that has a place, the worst first.
 
-    Contradicted ones are first, by how many times the metres that are allowed; then placed ones by their metres from the GPS tag,
-    and without a tag by their radii. Best guesses are last.
+    Contradicted ones are first, by how many times the metres that are allowed, of tag or map the larger ratio, and of neighbours
+    where these alone contradict; then placed ones by their metres from the GPS tag, and without a tag by their radii. Guesses are
+    last.
     """
     doubts: dict[int, list[Disagreement]] = {}
     for one in view.contradictions:
@@ -220,7 +222,8 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
     for i, (located, verdict) in enumerate(zip(view.flight.frames, view.beliefs, strict=True)):
         if verdict.stage is None:
             continue
-        against = [one for one in doubts.get(i, ()) if verdict.stage == "registration" and not verdict.sign]
+        against = [one for one in doubts.get(i, ()) if verdict.in_doubt and one.one == "registration"]
+        against = [one for one in against if one.other != "sequence"] or against
         answer, error = located.stages[verdict.stage], located.error(verdict.stage)
         radius = answer.radius or 0.0
         excess = max((one.metres / max(one.allowed, 0.1) for one in against), default=0.0)
@@ -236,6 +239,8 @@ def worst(view: FlightView) -> list[tuple[int, str, list[str]]]:
             words.append("not checked away from its middle")
         if misfit is not None:
             words.append(f"away from its middle {misfit:.1f} m off{_allowed(against, 'map')}")
+        if (allowed := _allowed(against, "sequence")) != "":
+            words.append(f"{against[0].figures[0]} m from its place by its neighbours{allowed}")
         line = f"{'? ' if against else ''}{', '.join(words)}"
         placed.append((order, i, printable(located.frame.name), [line]))
     placed.sort(key=lambda one: one[0], reverse=True)

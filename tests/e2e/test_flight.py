@@ -609,6 +609,76 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
 
 
 @pytest.mark.slow
+def test_tie_points_that_are_not_saved_outlast_another_photo_the_window_and_the_page(window: FlightPage) -> None:
+    page = window.page
+    corner, correct = page.locator('[data-tie="1"]'), page.locator("[data-photo=correct]")
+    unsaved, told = (
+        page.locator("#lpn-flight .how .unsaved"),
+        page.get_by_text("The tie points are kept, and not saved"),
+    )
+
+    def place() -> list[float]:
+        expect(corner).to_be_visible()
+        window.settle()
+        left, top = (float(corner.evaluate(f"(one) => parseFloat(one.style.{side})")) for side in ("left", "top"))
+        # Metres, as the map may be seen from elsewhere.
+        found: list[float] = page.evaluate(
+            """([left, top]) => {
+              const { x, y, scale } = lpn.flight.map.view(), [width, height] = lpn.flight.map.size();
+              return [x + (left - width / 2) / scale, y - (top - height / 2) / scale];
+            }""",
+            [left, top],
+        )
+        return found
+
+    def put_away(leave: Callable[[], None]) -> None:
+        leave()
+        expect(told.last).to_be_visible()
+        expect(correct).to_have_class(re.compile("unsaved"))
+
+    correct.click()
+    start = place()
+    expect(unsaved).to_be_hidden()
+    corner.focus()
+    page.keyboard.press("Shift+ArrowUp")
+    expect(unsaved).to_be_visible()
+    moved = place()
+    assert moved[1] > start[1] + 1
+
+    def close() -> None:
+        page.get_by_label("Close the flight").click()
+        expect(page.locator("#lpn-flight")).to_be_hidden()
+        window.key("w")
+
+    put_away(close)
+    correct.click()
+    assert place() == pytest.approx(moved, abs=0.1)
+    window.key("n")
+    window.expect_frame(1)
+    expect(correct).not_to_have_class(re.compile("unsaved"))
+    page.locator("[data-photo=off]").click()
+    window.key("p")
+    window.expect_frame(0)
+    page.reload()
+    window.expect_frame(0)
+    expect(correct).to_have_class(re.compile("unsaved"))
+    correct.click()
+    assert place() == pytest.approx(moved, abs=0.1)
+    page.locator("[data-act=cancel]").click()
+    expect(correct).not_to_have_class(re.compile("unsaved"))
+    correct.click()
+    assert place() == pytest.approx(start, abs=0.1)
+    corner.focus()
+    page.keyboard.press("Shift+ArrowUp")
+    page.locator("[data-act=save]").click()
+    expect(corner).to_be_hidden()
+    expect(correct).not_to_have_class(re.compile("unsaved"))
+    correct.click()
+    page.locator("[data-act=forget]").click()
+    expect(page.locator("#lpn-flight-corrected")).to_have_count(0)
+
+
+@pytest.mark.slow
 def test_the_chip_of_a_flight_opens_its_window_as_large_as_the_stage(
     flight_app: RunningFlight, data: Path, model_file: Path, contexts: Callable[..., BrowserContext]
 ) -> None:

@@ -300,7 +300,7 @@
     next: () => flight.step(1),
     skip: () => (flight.play.skips = !flight.play.skips),
     save: () => flight.photo.save(),
-    cancel: () => flight.photo.use("off"),
+    cancel: () => flight.photo.cancel(),
     forget: () => flight.photo.forget(),
     turnto: () => flight.map.turnTo(),
   };

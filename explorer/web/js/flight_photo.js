@@ -9,8 +9,39 @@
   const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
   // Pixels of the slider's handle, as in the style sheet.
   const HANDLE = 36;
+  // Metres within which a tie point lies where the photo's corner does.
+  const SAME = 0.02;
   let at = -1; // the frame whose photo was brought near last
-  let ties = null; // { frame, points: metres of each tie point, saves: how many were saved when these were sent }
+  let ties = null; // { frame, draft: its key, points: metres of each tie point, saves: how many were saved when these were sent }
+
+  // Tie points that are not saved stay in the browser until Save or Cancel: neither another photo, nor closing the window, nor
+  // closing the page loses them.
+  const drafts = new Map(); // for a browser that denies its storage
+  const draftKey = () => ["lpn-ties", lpn.title, flight.data.bounds.join(), flight.data.names[flight.chosen]].join(" ");
+  const draftOf = (key) => {
+    try {
+      const points = JSON.parse(lpn.stored("local", key)) || drafts.get(key);
+      return points.length === CORNERS.length && points.every((at) => at.length === 2 && at.every(Number.isFinite)) ? points : null;
+    } catch {
+      return null; // there is none, or another program's text
+    }
+  };
+  // Those of the photo that is shown; null where the photo lies by now.
+  const unsaved = () => {
+    const points = here() && !flight.own() ? draftOf(draftKey()) : null, h = flight.followed?.homography;
+    const same = points && h && CORNERS.map((tie) => lpn.through(h, pixel(tie))).every(([x, y], i) => Math.hypot(x - points[i][0], y - points[i][1]) < SAME);
+    return same ? null : points;
+  };
+  const keepDraft = (key, points) => {
+    if (points) drafts.set(key, points);
+    else drafts.delete(key);
+    lpn.store("local", key, points && JSON.stringify(points));
+  };
+  // The tie points leave the map; a sentence says that those which are not saved are kept.
+  const putAway = () => {
+    if (ties && ties.saves === undefined && draftOf(ties.draft)) lpn.say("The tie points are kept, and not saved yet: Correct shows them again.", 8);
+    ties = null;
+  };
 
   /** @param {Point} at */
   const pixel = ([x, y]) => [x * flight.followed.size[0] - 0.5, y * flight.followed.size[1] - 0.5];
@@ -25,17 +56,20 @@
       const half = (0.2 * flight.map.size()[0]) / scale, tall = (half * size[1]) / size[0];
       h = lpn.homography(CORNERS.map(pixel), [[-1, 1], [1, 1], [1, -1], [-1, -1]].map(([right, up]) => [x + right * half, y + up * tall]));
     }
-    ties = { frame: flight.chosen, points: CORNERS.map((tie) => lpn.through(h, pixel(tie))) };
+    ties = { frame: flight.chosen, draft: draftKey(), points: unsaved() ?? CORNERS.map((tie) => lpn.through(h, pixel(tie))) };
     flight.map.include(ties.points);
   };
   const tied = () => lpn.homography(CORNERS.map(pixel), ties.points);
   const moveTie = (which, [right, up]) => {
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
+    delete ties.saves; // what was sent are other points
+    keepDraft(ties.draft, ties.points);
     flight.draw();
   };
   const onTie = (event) => {
     const tie = event.target.closest("[data-tie]");
     if (!tie || !ties) return;
+    if (!flight.map.view()) flight.map.fit(); // the window has changed its size since it was drawn
     const { scale } = flight.map.view();
     if (event.type === "keydown") {
       if (!(event.key in ARROWS)) return;
@@ -54,6 +88,9 @@
     const on = photo.mode === "correct" && ties && ties.frame === flight.chosen;
     find(".ties").style.display = on ? "block" : "none";
     find(".how").style.display = on ? "flex" : "none";
+    const waits = unsaved() !== null;
+    find("[data-photo=correct]").classList.toggle("unsaved", waits);
+    find(".how .unsaved").hidden = !waits;
     if (!on) return;
     const middle = lpn.through(tied() || [0, 0, 0, 0, 0, 0, 0, 0, 1], pixel([0.5, 0.5]));
     all("[data-tie]").forEach((one) => {
@@ -123,7 +160,7 @@
     address: (folder, { frame, own }) => own?.photo || folder + "photo/" + frame,
     lay,
     use: (mode) => {
-      if (mode !== photo.mode) ties = null;
+      if (mode !== photo.mode) putAway();
       photo.mode = mode;
       approach();
     },
@@ -133,8 +170,12 @@
     followed: () => {
       if (at !== flight.chosen) approach();
       if (!ties || !flight.followed) return;
-      if (ties.saves !== undefined && ties.saves !== flight.followed.saves) photo.use("off");
-      else if (ties.frame !== flight.chosen) ties = null;
+      if (ties.saves !== undefined && ties.saves !== flight.followed.saves) photo.cancel();
+      else if (ties.frame !== flight.chosen) putAway();
+    },
+    cancel: () => {
+      if (ties) keepDraft(ties.draft, null);
+      photo.use("off");
     },
     save: () => {
       const h = ties && tied();

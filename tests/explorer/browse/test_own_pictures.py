@@ -29,6 +29,7 @@ from explorer.session_state import SessionState, StateChange
 from explorer.web.messages import Receivers
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
+from lpn.core.errors import PictureError
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
 from tools.fixtures import small_worlds
@@ -132,6 +133,33 @@ def test_many_pictures_are_asked_for_one_by_one_and_all_bad_files_are_in_one_lis
     page.send("own-close", None)
     assert page.state.upload is None
     assert page.shell == ""
+
+
+def test_the_bar_ends_where_the_first_picture_of_a_batch_cannot_be_opened(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise PictureError("a.jpg cannot be decoded.")
+
+    monkeypatch.setattr(page.own, "_open", fail)
+    page.send("own-begin", [2, [], 0])
+    for name in ("a.jpg", "b.jpg"):
+        page.own.take(name, photo(3))
+    assert "work(0,0)" in page.asked
+    assert page.errors == [("Not opened", "a.jpg cannot be decoded.")]
+    assert page.state.upload is None
+
+
+def test_the_bar_ends_where_all_pictures_are_closed_before_the_batch_does(
+    page: Page, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page.own.take("before.jpg", photo(2))
+    page.send("own-begin", [1, [], 0])
+    after_reading = page.own._next
+    monkeypatch.setattr(page.own, "_next", lambda: (page.own.close(), after_reading()))
+    page.own.take("a.jpg", photo(3))
+    assert "work(0,0)" in page.asked
+    assert not page.errors
 
 
 def test_next_and_previous_step_through_ones_own_pictures(page: Page, workspace: Workspace) -> None:

@@ -547,6 +547,37 @@ def test_lists_have_refused_frames_contradictions_and_notes(view: FlightView, fl
     assert "Not placed 1<" in lists["counts"]
 
 
+@pytest.mark.usefixtures("plainly")
+def test_the_larger_ratio_to_its_limit_orders_a_photo_that_breaks_two(flight: LocatedFlight) -> None:
+    def listed(flight: LocatedFlight) -> list[str]:
+        return re.findall(r"<b>(photo\d.png)</b>", page.lists(view_of(flight))["worst"])
+
+    # The tag of photo1 is 45 m off where 15.3 m are allowed, 2.9 times as many; away from their middles 3.0 m are allowed.
+    of_map = compared(flight, 0, 10.0, 10.0, 10.0)
+    assert listed(of_map) == ["photo0.png", "photo1.png"], "3.3 times"
+    both = compared(of_map, 1, 12.0, 12.0, 12.0)
+    assert listed(both) == ["photo1.png", "photo0.png"], "4 times, by the map"
+    assert (
+        "45.0 m from its GPS tag where 15.3 m are allowed, away from its middle 12.0 m off where 3.0"
+        in page.lists(view_of(both))["worst"]
+    )
+    assert listed(compared(of_map, 1, 3.3, 3.3, 3.3)) == ["photo0.png", "photo1.png"], "2.9 times, by its tag"
+
+
+@pytest.mark.usefixtures("plainly")
+def test_what_contradicts_another_answer_neither_orders_a_photo_nor_is_its_limit(flight: LocatedFlight) -> None:
+    bent = compared(flight, 0, 4.0, 4.0, 4.0)
+    far = msgspec.structs.replace(bent.frames[0].stages["sequence"], x=90.0, y=90.0, radius=1.0)
+    stages = bent.frames[0].stages | {"sequence": far}
+    flight = replace(bent, frames=[replace(bent.frames[0], stages=stages), *bent.frames[1:]])
+    worst = page.lists(view_of(flight))["worst"]
+    assert re.findall(r"<b>(photo\d.png)</b>", worst) == ["photo1.png", "photo0.png"]
+    assert "? 1.0 m from its GPS tag, away from its middle 4.0 m off where 3.0 m are allowed" in worst
+    untagged = replace(flight, frames=[flight.frames[0], replace(flight.frames[1], tag=None), flight.frames[2]])
+    alone = page.lists(view_of(untagged))["worst"]
+    assert "45.3 m from its place by its neighbours where 38.5 m are allowed" in alone
+
+
 def test_the_photo_is_laid_only_where_a_registration_was_accepted(view: FlightView) -> None:
     assert page.chosen(view, 0, "x/")["homography"] == view.flight.frames[0].stages["registration"].homography
     assert page.chosen(view, 2, "x/")["homography"] is None
