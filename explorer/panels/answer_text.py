@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.compute.ranking_job import TaskRanking
 from explorer.panels import place_text
 from explorer.web.render import progress_bar
 from explorer.workspace import StateAnalysis, Workspace
@@ -18,6 +17,7 @@ from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
 from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what, tag_allowance, tag_figures
+from lpn.locate.grades import off_window, window_of
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
@@ -26,6 +26,7 @@ from lpn.locate.summary import is_unchecked, other_map
 from lpn.maps import Window
 from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import Match
+from lpn.tasks.task import Task
 
 # A GPS tag at least this far from the nearest tile is in another region.
 _ELSEWHERE_M = 10_000.0
@@ -356,7 +357,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     elif not concluded.sign:
         headline = "Its middle fits this map, places away from it do not"
     window = _window(analysis)
-    off_answer = judge.off_window(own.located, window)
+    off_answer = off_window(own.located, window)
     look = " The piece that looks most like it lies there, too."
     if off_answer is None or answer.x is None or answer.y is None or window is None:
         look = ""
@@ -377,7 +378,7 @@ def _usual(workspace: Workspace) -> str:
 
 def _window(analysis: StateAnalysis) -> Window | None:
     """Return where the answer lies on the map; None where it is no piece of one."""
-    return judge.window_of(analysis.task, analysis.matches[0].index)
+    return window_of(analysis.task, analysis.matches[0].index)
 
 
 def comparing(job: BackgroundJob[OwnPhoto]) -> str:
@@ -419,7 +420,7 @@ def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:
     """Return the most similar pieces of the map, about which an own picture is searched on a large one."""
-    windows = (judge.window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
+    windows = (window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
     return [window for window in windows if window is not None]
 
 
@@ -571,9 +572,10 @@ def _trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
         return ""
     besides = None if own else state.query
-    alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, task.known, besides)
+    graded = workspace.graded(workspace.rankings[task.key])
+    alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, graded, besides)
     if alike is None:
-        return _of_flight(workspace, result)
+        return _of_flight(workspace, task)
     which = "" if own else "other "
     unaltered = ", taken as they are," if state.change else ""
     text = (
@@ -596,13 +598,13 @@ def _of_map(analysis: StateAnalysis, workspace: Workspace) -> str:
     return f"Your picture {day}. If the map was made of it, too, then it fits by itself, and that proves nothing of other photos."
 
 
-def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
+def _of_flight(workspace: Workspace, task: Task) -> str:
     """Say of a flight with too few photos for `answer_context.answers_alike` how often each method is right; else ""."""
-    if workspace.flight is None or not few_photos(workspace, result):
+    if workspace.flight is None or not few_photos(workspace, task):
         return ""
-    graded = int(result.results["queries"])
-    right = round(result.results["recall@1"] / 100 * graded)
-    look = f"of {graded} photos, {right} were right by their look alone"
+    right, graded = workspace.counts(workspace.rankings[task.key])
+    which = "" if graded == len(task.queries) else "graded "
+    look = f"of {graded} {which}photos, {right} were right by their look alone"
     tried = [located for located in workspace.flight.frames if "registration" in located.stages]
     placed = [located for located in tried if located.stages["registration"].accepted]
     if not tried:
@@ -636,19 +638,18 @@ def doubts(workspace: Workspace) -> str:
 
 def _doubted(workspace: Workspace) -> tuple[set[int], set[int]]:
     """Return the photos of a flight whose registration contradicts the tag, and those where it contradicts the map."""
-    pairs = [] if workspace.flight is None else disagreements(workspace.flight.frames)
+    pairs = () if workspace.verdicts is None else workspace.verdicts.contradictions
     of_details = [pair for pair in pairs if pair.one == "registration"]
     by_tag, by_map = ({pair.frame for pair in of_details if pair.other == other} for other in ("tag", "map"))
     return by_tag, by_map
 
 
-def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:
-    """Return whether a flight has too few photos of known place to tell how often answers with a similar lead are right."""
-    return (
-        workspace.flight is not None
-        and result is not None
-        and 0 < int(result.results["queries"]) < answer_context.FEWEST_GRADED
-    )
+def few_photos(workspace: Workspace, task: Task) -> bool:
+    """Return whether a flight has too few graded photos to tell how often answers with a similar lead are right."""
+    if workspace.flight is None:
+        return False
+    _, graded = workspace.counts(workspace.rankings[task.key])
+    return 0 < graded < answer_context.FEWEST_GRADED
 
 
 def trials(workspace: Workspace) -> tuple[str, str]:
@@ -683,15 +684,14 @@ def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
     return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
 
 
-def overall(ranking: TaskRanking | None, altered: bool = False) -> str:
-    """Return how often the top match is right over all queries of a task, in words; empty while it is not known.
+def overall(right: int, graded: int, altered: bool = False) -> str:
+    """Return how often the top match is right over all graded queries of a task, in words; empty without any.
 
     Args:
         altered: the query or the search on the page is altered; the rate is of unaltered queries.
     """
-    if ranking is None or not (graded := int(ranking.results["queries"])):
+    if not graded:
         return ""
-    right = round(ranking.results["recall@1"] / 100 * graded)
     over_all = "Unaltered, over all" if altered else "Over all"
     return f"{over_all} {graded:,} pictures its first answer is right {_times(right, graded, 1)}."
 
