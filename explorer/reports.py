@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import numpy as np
 import viser
 
 from explorer import judge
@@ -57,7 +58,9 @@ def of_analysis(
     state, task = analysis.state, analysis.task
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
-    doubtful = () if judge.is_sure(analysis, workspace) else (state.query,)
+    doubtful = _doubtful(workspace, task)
+    if not state.upload:  # the page may show another answer than the ranking of all photos has
+        doubtful = doubtful - {state.query} if judge.is_sure(analysis, workspace) else doubtful | {state.query}
     options = report.Options(change=state.change, compared_tile=analysis.chosen.index, said=said, doubtful=doubtful)
     return f"{safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
@@ -69,21 +72,25 @@ def of_selection(
     chosen: str,
     progress: Callable[[int, int], None] | None = None,
     model: Model | None = None,
-    doubtful: Collection[int] = (),
 ) -> tuple[str, bytes]:
     """Report on several queries of a task; returns the file's name and contents.
 
     Args:
         chosen: a description of the selection.
-        doubtful: see `report.Options`.
 
     Raises:
         LPNError: when there are too many queries, or a file of the data set cannot be read.
     """
-    options = report.Options(selection=chosen, doubtful=doubtful)
+    options = report.Options(selection=chosen, doubtful=_doubtful(workspace, task))
     return f"{safe_file_name(task.name)}.html", report.build(
         _with_notes(workspace, task, model or workspace.model), queries, options, progress
     )
+
+
+def _doubtful(workspace: Workspace, task: Task) -> set[int]:
+    """Return the photos of a flight that are not graded as their judge is in doubt."""
+    doubtful = workspace.doubtful(workspace.rankings[task.key])
+    return set() if doubtful is None else set(np.flatnonzero(doubtful).tolist())
 
 
 def safe_file_name(name: str) -> str:

@@ -20,7 +20,7 @@ from explorer.compute.cache import SingleFlightCache
 from explorer.compute.centre_mean import CentreMean
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.own_photos import OwnPhotoJobs
-from explorer.compute.ranking_job import RankingJob
+from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
 from explorer.layout import layout_for
@@ -29,7 +29,7 @@ from lpn.analysis import answer_context
 from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import BoolArray, UInt8Array
 from lpn.core.errors import DataError, InputError, LPNError, PictureError
 from lpn.core.resources import yield_cores
 from lpn.core.tables import Table
@@ -42,6 +42,8 @@ from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
+from lpn.locate.belief import FlightVerdicts
+from lpn.locate.grades import doubtful_photos
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Map
@@ -134,6 +136,9 @@ class Workspace:
         self._tile_areas: SingleFlightCache[tuple[str, bool, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
+        # The verdicts on the newest flight, and the photos that cannot be graded under each ranking of it.
+        self._verdicts: SingleFlightCache[LocatedFlight, FlightVerdicts] = SingleFlightCache(1)
+        self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
@@ -250,10 +255,53 @@ class Workspace:
         return None if own is None else self.rankings.get(task.key, self.rankings[own.key])
 
     def outcomes(self, task: Task) -> tuple[Outcomes, Table] | None:
-        """Return the outcomes of all queries and their table; None until they are ranked, and where they take long."""
+        """Return the outcomes of all queries and their table; None until they are ranked, and where they take long.
+
+        The truth of a query that is not `graded` counts as not known.
+        """
         ranked = self.rankings[task.key].result is not None
         quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
-        return self._outcomes(task.key) if ranked and quick else None
+        known = self._outcomes(task.key) if ranked and quick else None
+        if known is None or self.flight is None:
+            return known
+        return replace(known[0], known=self.graded(self.rankings[task.key])), known[1]
+
+    @property
+    def verdicts(self) -> FlightVerdicts | None:
+        """The verdicts on the flight's photos, computed once for each state of its registration; None without a flight."""
+        return None if self.flight is None else self._verdicts_of(self.flight)
+
+    def _verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
+        return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
+
+    def doubtful(self, ranking: RankingJob) -> BoolArray | None:
+        """Return the photos of the flight that `lpn.locate.grades.doubtful_photos` finds; None without a flight or ranks."""
+        flight, result = self.flight, ranking.result
+        if flight is None or result is None:
+            return None
+        ranked = result.ranking
+        return self._doubtful.get(
+            (flight, result),
+            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first, self._verdicts_of(flight)),
+        )
+
+    def graded(self, ranking: RankingJob) -> BoolArray:
+        """Return the queries that count as right or wrong, (Q,): ranked, of a known place, and by no judge that is in doubt."""
+        known, doubtful = ranking.task.known, self.doubtful(ranking)
+        graded = np.full(len(ranking.task.queries), ranking.result is not None)
+        if known is not None:
+            graded &= known
+        return graded if doubtful is None else graded & ~doubtful
+
+    def counts(self, ranking: RankingJob) -> tuple[int, int]:
+        """Return how many queries are right, and how many are graded; none before they are ranked."""
+        graded = self.graded(ranking)
+        return (int((graded & ~ranking.failed).sum()) if graded.any() else 0), int(graded.sum())
+
+    def results(self, ranking: RankingJob) -> dict[str, float] | None:
+        """Return what was measured of a ranking, see `TaskRanking`, over the graded queries; None before they are ranked."""
+        result = ranking.result
+        return None if result is None else result.results | result.ranking.metrics(self.graded(ranking))
 
     def answer_distances(self, task: Task) -> AnswerDistances | None:
         """Return how far the answers of a task are; None until it is ranked, without descriptors, and where it takes long."""

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import viser
 
-from explorer import judge, session_state
+from explorer import session_state
 from explorer.browse.feeds import Feeds
 from explorer.browse.messages import PickQuery
 from explorer.compute.ranking_job import RankingJob
@@ -16,7 +16,6 @@ from explorer.web.html import Html
 from explorer.web.render import call, render, run
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core.arrays import BoolArray, Int64Array
-from lpn.locate.located import LocatedFlight
 
 # An entry of the list: the query, its name, and 1 if it was found, 0 if it failed, None where that is not known for certain.
 Entry = tuple[int, str, int | None]
@@ -46,7 +45,7 @@ class QueryList:
         if self._key != key:
             self._key = key
             self._listed = np.array(session_state.matching_names(task.query_names, state.find), np.int64)
-            self._feed = publish(self._feeds, self, ranking, self._listed, self._workspace.flight)
+            self._feed = publish(self._feeds, self, ranking, self._listed, self._workspace.graded(ranking))
             self._count.show(render("browse/count", listed=len(self._listed), total=len(task.queries)))
         position = -1 if state.upload else position_of(state.query, self._listed)
         data = {
@@ -78,36 +77,24 @@ class QueryList:
             )
 
 
-def publish(
-    feeds: Feeds, owner: object, ranking: RankingJob, queries: Int64Array, flight: LocatedFlight | None = None
-) -> str:
+def publish(feeds: Feeds, owner: object, ranking: RankingJob, queries: Int64Array, graded: BoolArray) -> str:
     """Publish a list of queries, given by their positions in the list's order; the list is that of this moment's ranking.
 
     Args:
-        flight: the flight whose photos they are; None of other queries.
+        graded: those of all queries that are graded, see `Workspace.graded`, (Q,).
     """
-    of_all = graded(ranking, flight)
     return feeds.publish_list(
-        owner, "queries", len(queries), lambda start, end: entries(ranking, queries[start:end].tolist(), of_all)
+        owner, "queries", len(queries), lambda start, end: entries(ranking, queries[start:end].tolist(), graded)
     )
 
 
-def entries(ranking: RankingJob, queries: Sequence[int], of_all: BoolArray) -> list[Entry]:
-    """Return the list's entries of some queries, given which of all are `graded`, (Q,)."""
-    names, failed = ranking.task.query_names, ranking.failed if of_all.any() else None
+def entries(ranking: RankingJob, queries: Sequence[int], graded: BoolArray) -> list[Entry]:
+    """Return the list's entries of some queries, given which of all are graded, (Q,)."""
+    names, failed = ranking.task.query_names, ranking.failed if graded.any() else None
     return [
-        (query, names[query], None if failed is None or not of_all[query] else int(not failed[query]))
+        (query, names[query], None if failed is None or not graded[query] else int(not failed[query]))
         for query in queries
     ]
-
-
-def graded(ranking: RankingJob, flight: LocatedFlight | None = None) -> BoolArray:
-    """Return the queries whose outcome is known, and by no doubtful judge, (Q,)."""
-    known, doubtful = ranking.task.known, judge.doubtful(flight, ranking)
-    outcomes = np.full(len(ranking.task.queries), ranking.result is not None)
-    if known is not None:
-        outcomes &= known
-    return outcomes if doubtful is None else outcomes & ~doubtful
 
 
 def position_of(query: int, ascending: Int64Array) -> int:

@@ -12,7 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, run_in_process
 from explorer.lab_choices import MapKind
 from explorer.workspace import LazyWorkspace, Workspace
@@ -90,7 +89,7 @@ class Findings:
         part_names: the names of the parts that `outcomes` numbers.
         notes_error: why the notes cannot be used, in one sentence; empty if they can.
         flight: the flight whose answers `table` has; None without one.
-        doubtful: the photos of a flight whose judge is in doubt, see `explorer.judge.doubtful`, (Q,); None without one.
+        doubtful: the photos of a flight whose judge is in doubt, see `Workspace.doubtful`, (Q,); None without one.
         second: the second model's ranks; None without one, and until they are known.
     """
 
@@ -117,8 +116,8 @@ class Findings:
         )
 
     def not_graded(self, rows: Int64Array) -> int:
-        """Return how many of the queries in some rows have a judge that is in doubt."""
-        return int((self.outcomes.known & ~self.graded.known)[rows].sum())
+        """Return how many of the queries in some rows count neither as found nor as failed."""
+        return int((~self.graded.known)[rows].sum())
 
     @property
     def failed(self) -> BoolArray:
@@ -197,7 +196,7 @@ class FailureLab:
             findings = self._findings.get(task)
             if findings is not None and flight is not None and findings.flight is not flight:
                 table = findings.table.with_columns(stage_columns(flight))
-                doubtful = judge.doubtful(flight, self._workspace.rankings[task])
+                doubtful = self._workspace.doubtful(self._workspace.rankings[task])
                 findings = self._findings[task] = replace(findings, table=table, flight=flight, doubtful=doubtful)
             if findings is None:
                 return None

@@ -104,7 +104,7 @@ def summary(findings: Findings, lab: LabState, rows: Int64Array, chosen: int = 0
         chosen=chosen,
         queries=len(findings.table),
         failed=int(findings.failed[rows].sum()),
-        doubtful=findings.not_graded(rows),
+        ungraded=findings.not_graded(rows),
         by_look=_by_look(findings),
         narrowed=show_all(lab) != lab,
         notes_error=findings.notes_error,

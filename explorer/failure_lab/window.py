@@ -482,11 +482,8 @@ class FailureLabWindow:
         rows, task = state.chosen_or_all(lab, listed).tolist(), findings.task
         chosen = f"{state.count_rows(len(rows))} of: " if len(rows) < len(listed) else ""
         description = f"{chosen}{state.describe(findings, lab)} ({_NAME})"
-        doubtful = list(filter(findings.is_doubtful, rows))
         self._reporter.make(
-            lambda progress, model: reports.of_selection(
-                self._workspace, task, rows, description, progress, model, doubtful
-            )
+            lambda progress, model: reports.of_selection(self._workspace, task, rows, description, progress, model)
         )
 
     def _show_error(self, error: Exception) -> None:

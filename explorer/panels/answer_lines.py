@@ -169,10 +169,9 @@ def _overall(analysis: StateAnalysis, workspace: Workspace, altered: bool) -> st
             else ""
         )
         return " ".join(filter(None, (city, answer_text.own_shape(analysis, workspace))))
-    result = workspace.rankings[analysis.task.key].result
-    text = answer_text.overall(result, altered)
+    text = answer_text.overall(*workspace.counts(workspace.rankings[analysis.task.key]), altered)
     if text and workspace.has_flight:
-        text = "" if answer_text.few_photos(workspace, result) else f"{text[:-1]}, {_ALONE}."
+        text = "" if answer_text.few_photos(workspace, analysis.task) else f"{text[:-1]}, {_ALONE}."
     if not text or not analysis.task.calibration:
         return text
     if words.plain():

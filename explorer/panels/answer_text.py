@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from explorer import judge
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.compute.ranking_job import TaskRanking
 from explorer.panels import place_text
 from explorer.web.render import progress_bar
 from explorer.workspace import StateAnalysis, Workspace
@@ -17,17 +16,8 @@ from lpn.core.numbers import distance, rounded_to_sum, shown_difference, upper_b
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
-from lpn.locate.belief import (
-    PLACED,
-    SIGMAS,
-    TAG_RADIUS,
-    belief,
-    beliefs,
-    disagreements,
-    on_what,
-    tag_allowance,
-    tag_figures,
-)
+from lpn.locate.belief import PLACED, SIGMAS, TAG_RADIUS, belief, disagreements, on_what, tag_allowance, tag_figures
+from lpn.locate.grades import off_window, window_of
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import open_matchers
 from lpn.locate.options import TOP
@@ -36,6 +26,7 @@ from lpn.locate.summary import doubted_clause, is_unchecked, other_map, unchecke
 from lpn.maps import Window
 from lpn.maps.tag_placed import placing_sentence
 from lpn.retrieval import Match
+from lpn.tasks.task import Task
 
 # A GPS tag at least this far from the nearest tile is in another region.
 _ELSEWHERE_M = 10_000.0
@@ -372,7 +363,7 @@ def _registered(analysis: StateAnalysis, workspace: Workspace, own: OwnPhoto) ->
     elif not concluded.sign:
         headline = "Its middle fits this map, places away from it do not"
     window = _window(analysis)
-    off_answer = judge.off_window(own.located, window)
+    off_answer = off_window(own.located, window)
     look = " The piece that looks most like it lies there, too."
     if off_answer is None or answer.x is None or answer.y is None or window is None:
         look = ""
@@ -393,7 +384,7 @@ def _usual(workspace: Workspace) -> str:
 
 def _window(analysis: StateAnalysis) -> Window | None:
     """Return where the answer lies on the map; None where it is no piece of one."""
-    return judge.window_of(analysis.task, analysis.matches[0].index)
+    return window_of(analysis.task, analysis.matches[0].index)
 
 
 def comparing(job: BackgroundJob[OwnPhoto]) -> str:
@@ -435,7 +426,7 @@ def next_step(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 def own_windows(analysis: StateAnalysis) -> list[Window]:
     """Return the most similar pieces of the map, about which an own picture is searched on a large one."""
-    windows = (judge.window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
+    windows = (window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
     return [window for window in windows if window is not None]
 
 
@@ -587,9 +578,10 @@ def _trust(analysis: StateAnalysis, workspace: Workspace) -> str:
     if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
         return ""
     besides = None if own else state.query
-    alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, task.known, besides)
+    graded = workspace.graded(workspace.rankings[task.key])
+    alike = answer_context.answers_alike(result.ranking, analysis.matches[0].gap, graded, besides)
     if alike is None:
-        return _of_flight(workspace, result)
+        return _of_flight(workspace, task)
     which = "" if own else "other "
     unaltered = ", taken as they are," if state.change else ""
     text = (
@@ -612,24 +604,24 @@ def _of_map(analysis: StateAnalysis, workspace: Workspace) -> str:
     return f"Your picture {day}. If the map was made of it, too, then it fits by itself, and that proves nothing of other photos."
 
 
-def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
+def _of_flight(workspace: Workspace, task: Task) -> str:
     """Say of a flight with too few photos for `answer_context.answers_alike` how often each method is right; else ""."""
-    if workspace.flight is None or not few_photos(workspace, result):
+    verdicts_of_all = workspace.verdicts
+    if workspace.flight is None or verdicts_of_all is None or not few_photos(workspace, task):
         return ""
-    graded = int(result.results["queries"])
-    right = round(result.results["recall@1"] / 100 * graded)
-    look = f"of {graded} photos, {right} were right by their look alone"
+    right, graded = workspace.counts(workspace.rankings[task.key])
+    which = "" if graded == len(task.queries) else "graded "
+    look = f"of {graded} {which}photos, {right} were right by their look alone"
     tried = [located for located in workspace.flight.frames if "registration" in located.stages]
     placed = [located for located in tried if located.stages["registration"].accepted]
     if not tried:
         return f"{look}."
     count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
     look += f"; their details placed {count}{' so far' if len(tried) < len(workspace.flight.frames) else ''}"
-    frames = workspace.flight.frames
-    verdicts_of_all = beliefs(frames, disagreements(frames))
-    look += doubted_clause(verdicts_of_all)
-    if unchecked := len(unchecked_frames(frames, verdicts_of_all)):
-        more = " more" if any(one.in_doubt for one in verdicts_of_all) else ""
+    judged = verdicts_of_all.beliefs
+    look += doubted_clause(judged)
+    if unchecked := len(unchecked_frames(workspace.flight.frames, judged)):
+        more = " more" if any(one.in_doubt for one in judged) else ""
         look += f"; {unchecked}{more} could not be checked away from the middle"
     errors = [error for located in placed if (error := located.error("registration")) is not None]
     if workspace.flight.late_tags is None and errors:
@@ -641,26 +633,26 @@ def _of_flight(workspace: Workspace, result: TaskRanking) -> str:
 
 def doubts(workspace: Workspace) -> str:
     """Say which photos of a flight that their details place are in doubt, and how many; "" without any."""
-    if workspace.flight is None:
+    judged = workspace.verdicts
+    if judged is None:
         return ""
-    frames = workspace.flight.frames
-    contradictions = disagreements(frames)
-    left = {i for i, verdict in enumerate(beliefs(frames, contradictions)) if verdict.in_doubt}
+    left = {i for i, verdict in enumerate(judged.beliefs) if verdict.in_doubt}
     kinds: list[str] = []
     for other, kind in _DOUBTED.items():
-        if of_kind := left & {one.frame for one in contradictions if (one.one, one.other) == ("registration", other)}:
+        if of_kind := left & {
+            one.frame for one in judged.contradictions if (one.one, one.other) == ("registration", other)
+        }:
             kinds.append(f"{kind} ({len(of_kind)}{' more' if kinds else ''} here)")
             left -= of_kind
     return f"In doubt is a photo {', or one '.join(kinds)}." if kinds else ""
 
 
-def few_photos(workspace: Workspace, result: TaskRanking | None) -> bool:
-    """Return whether a flight has too few photos of known place to tell how often answers with a similar lead are right."""
-    return (
-        workspace.flight is not None
-        and result is not None
-        and 0 < int(result.results["queries"]) < answer_context.FEWEST_GRADED
-    )
+def few_photos(workspace: Workspace, task: Task) -> bool:
+    """Return whether a flight has too few graded photos to tell how often answers with a similar lead are right."""
+    if workspace.flight is None:
+        return False
+    _, graded = workspace.counts(workspace.rankings[task.key])
+    return 0 < graded < answer_context.FEWEST_GRADED
 
 
 def trials(workspace: Workspace) -> tuple[str, str]:
@@ -695,15 +687,14 @@ def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
     return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
 
 
-def overall(ranking: TaskRanking | None, altered: bool = False) -> str:
-    """Return how often the top match is right over all queries of a task, in words; empty while it is not known.
+def overall(right: int, graded: int, altered: bool = False) -> str:
+    """Return how often the top match is right over all graded queries of a task, in words; empty without any.
 
     Args:
         altered: the query or the search on the page is altered; the rate is of unaltered queries.
     """
-    if ranking is None or not (graded := int(ranking.results["queries"])):
+    if not graded:
         return ""
-    right = round(ranking.results["recall@1"] / 100 * graded)
     over_all = "Unaltered, over all" if altered else "Over all"
     return f"{over_all} {graded:,} pictures its first answer is right {_times(right, graded, 1)}."
 

@@ -45,6 +45,7 @@ from lpn.flights.cut import TurnedFrame
 from lpn.flights.photo_file import PhotoFile
 from lpn.locate.belief import belief, disagreements, tag_figures
 from lpn.locate.coverage import outline
+from lpn.locate.grades import is_disputed, off_window, window_of
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
@@ -227,7 +228,7 @@ def page(
     rendered = shows_rendered(workspace.root)
     found = _verdicts(analysis, workspace)
     disputed = found.disputed
-    wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace, disputed)
+    wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace)
     errs = found.look[0] is False and not state.upload
     explained = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why or errs else None
     cells_of_parts = None if explained is None else _lead_cells(analysis, explained)
@@ -311,7 +312,7 @@ def _verdicts(analysis: StateAnalysis, workspace: Workspace) -> _Verdicts:
         workspace.flight is not None
         and state.upload is None
         and right is not None
-        and judge.is_disputed(workspace.flight, analysis.task, state.query, analysis.matches[0].index, right)
+        and is_disputed(workspace.flight, analysis.task, state.query, analysis.matches[0].index, right)
     )
     look_errs = right is False and not disputed
     look, concluded = answer_text.flight_verdict(analysis, workspace, look)
@@ -458,7 +459,8 @@ def _bar_colours(sure: bool) -> tuple[str, str]:
 def _failures(workspace: Workspace, state: SessionState) -> int:
     """Return the number of wrong answers; 0 until all queries are ranked."""
     ranking = workspace.rankings[state.ranking_key]
-    return 0 if ranking.result is None else int(ranking.failed.sum())
+    right, graded = workspace.counts(ranking)
+    return graded - right
 
 
 def _lead_cells(analysis: StateAnalysis, lead: answer_text.Lead) -> Float64Array | None:
@@ -497,8 +499,8 @@ def _because(
         sentences.append(f"Nothing shows that {lead.answer} is of the same place.")
     errs = not lead.of_answer
     if located is not None and analysis.registered is not None:
-        answer = judge.window_of(task, analysis.matches[0].index)
-        errs = (judge.off_window(located, answer) or 0.0) > 0
+        answer = window_of(task, analysis.matches[0].index)
+        errs = (off_window(located, answer) or 0.0) > 0
     off_map = place_text.off_map(task.gallery[analysis.chosen.index], lead.answer)
     if off_map and errs:
         sentences.append(off_map)

@@ -8,12 +8,11 @@ from random import Random
 
 import numpy as np
 
-from explorer import judge, session_state
+from explorer import session_state
 from explorer.panels import wrong_answer
 from explorer.session_state import SessionState, StateChange
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
-from lpn.locate.belief import belief
 
 
 class Navigation:
@@ -52,16 +51,13 @@ class Navigation:
     def next_failure(self, state: SessionState) -> SessionState | None:
         """Choose the next failure of the list.
 
-        Those of a flight that its other methods do not mend are first, and those whose judge is doubtful last.
+        Those of a flight that its other methods do not mend are first.
         """
-        flight, ranking = self._workspace.flight, self._workspace.rankings[state.ranking_key]
 
         def choose(state: SessionState, failed: BoolArray) -> SessionState | None:
-            doubtful = judge.doubtful(flight, ranking)
-            if flight is None or doubtful is None:
-                return session_state.next_failure(state, failed)
-            mended = [belief(located).sign is True for located in flight.frames]
-            return session_state.next_failure(state, failed, np.where(doubtful, 2, mended))
+            verdicts = self._workspace.verdicts
+            mended = None if verdicts is None else np.array([int(one.sign is True) for one in verdicts.beliefs])
+            return session_state.next_failure(state, failed, mended)
 
         return self._failure(state, choose)
 
@@ -72,13 +68,14 @@ class Navigation:
         if ranking.result is None:
             self._notify("Not known yet", "All queries are still being ranked; try again later.")
             return None
-        chosen = choose(state, ranking.failed)
-        known = ranking.task.known
-        if chosen is None and known is not None and not known.any():
-            self._notify("Nothing is known", "No query of this task has a known place, so none can fail.")
+        graded = self._workspace.graded(ranking)
+        chosen = choose(state, ranking.failed & graded)
+        if chosen is None and not graded.any():
+            self._notify("Nothing is known", "No query of this task has a place known for certain, so none can fail.")
         elif chosen is None:
-            right = "Every query of this task has its true tile at rank 1."
-            self._notify("No failure", "Every first answer here is right." if state.plain else right)
+            every = "Every" if graded.all() else "Every graded"
+            right = f"{every} query of this task has its true tile at rank 1."
+            self._notify("No failure", f"{every} first answer here is right." if state.plain else right)
         return chosen
 
     def choose_task(self, name: str) -> StateChange:

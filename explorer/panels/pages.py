@@ -93,7 +93,7 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
         workspace=workspace,
         task=task,
         pictures=verdicts.pictures_of(task),
-        results=None if ranking.result is None else ranking.results,
+        results=workspace.results(ranking),
         automatic=ranking.automatic,
         done=ranking.n_ranked,
         error=ranking.error,

@@ -107,11 +107,11 @@ def season(workspace: Workspace) -> str:
     if flight.flight.day is None or flight.flight.day != flight.basemap.place.day:
         return ""
     for key, other in workspace.opened().items():
-        ranking = None if other.flight is None else other.rankings[next(iter(other.tasks.values())).key].result
-        if other.flight is None or not _seasons_differ(other.flight) or ranking is None:
+        if other.flight is None or not _seasons_differ(other.flight):
             continue
-        graded = int(ranking.results["queries"])
-        right = round(ranking.results["recall@1"] / 100 * graded)
+        right, graded = other.counts(other.rankings[next(iter(other.tasks.values())).key])
+        if not graded:
+            continue
         return (
             f"At another place ({workspace.choices[key]}), whose map is of another season, the first answer is right {right} of "
             f"{graded} times."

@@ -15,12 +15,10 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers
 from lpn.analysis.answer_context import FailingKind
 from lpn.analysis.near_duplicates import shows_places
-from lpn.core.arrays import Int64Array
+from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.numbers import distance
 from lpn.drawing import verdicts, words
 from lpn.flights.cut import TurnedFrame
-from lpn.locate.belief import beliefs, disagreements
-from lpn.locate.located import LocatedFlight
 from lpn.locate.summary import doubted_clause
 from lpn.maps.named_window import WindowCut
 
@@ -63,12 +61,8 @@ def rows(workspace: Workspace, state: SessionState) -> Int64Array | None:
     return None if known is None else wrong_answers.worst_first(*known)
 
 
-def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) -> WrongAnswer | None:
-    """Return the wrong answer that the page of them shows; None if it is closed, or the answer is none of them.
-
-    Args:
-        disputed: the photo's tag and its details contradict each other on whether the answer is right.
-    """
+def wrong_answer(analysis: StateAnalysis, workspace: Workspace) -> WrongAnswer | None:
+    """Return the wrong answer that the page of them shows; None if it is closed, or the answer is none of them."""
     state, task = analysis.state, analysis.task
     known = workspace.outcomes(task) if state.fails and not state.upload and analysis.matches[0].true is False else None
     if known is None:
@@ -84,11 +78,11 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace, disputed: bool) 
     return WrongAnswer(
         int(at[0]) + 1,
         len(listed),
-        _overall(listed, int(outcomes.known.sum()), workspace.flight),
+        _overall(listed, outcomes.known, workspace),
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
         _sentence(analysis, right),
-        _reasons(analysis, workspace, right, disputed, kinds or ()) or [UNEXPLAINED],
+        _reasons(analysis, workspace, right, kinds or ()) or [UNEXPLAINED],
     )
 
 
@@ -96,13 +90,15 @@ def _name(kind: FailingKind) -> str:
     return kind.name(words.column_name(kind.column.name))
 
 
-def _overall(listed: Int64Array, graded: int, flight: LocatedFlight | None) -> str:
-    wrong = f"he first answer is wrong for {len(listed):,} of {graded:,} pictures ({100 * len(listed) / graded:.0f} %)."
+def _overall(listed: Int64Array, known: BoolArray, workspace: Workspace) -> str:
+    flight, verdicts_of_all = workspace.flight, workspace.verdicts
+    graded, which = int(known.sum()), "" if known.all() else "graded "
+    share = 100 * len(listed) / graded
+    wrong = f"he first answer is wrong for {len(listed):,} of {graded:,} {which}pictures ({share:.0f} %)."
     tried = [] if flight is None else ["registration" in located.stages for located in flight.frames]
-    if flight is None or not any(tried):
+    if verdicts_of_all is None or not any(tried):
         return f"T{wrong}"
-    verdicts_of_all = beliefs(flight.frames, disagreements(flight.frames))
-    placed = [one for one in map(verdicts_of_all.__getitem__, listed.tolist()) if one.stage == "registration"]
+    placed = [one for one in map(verdicts_of_all.beliefs.__getitem__, listed.tolist()) if one.stage == "registration"]
     all_of_them = f"all {len(placed):,}" if len(placed) == len(listed) else f"{len(placed):,} of these {len(listed):,}"
     so_far = "" if all(map(tried.__getitem__, listed.tolist())) else "so far "
     placed_all_the_same = f"{so_far}{all_of_them} are placed all the same{doubted_clause(placed)}."
@@ -137,9 +133,7 @@ def _offset(analysis: StateAnalysis) -> tuple[float, float] | None:
     return (east, north) if math.isfinite(east) and math.isfinite(north) else None
 
 
-def _reasons(
-    analysis: StateAnalysis, workspace: Workspace, right: str, disputed: bool, kinds: Sequence[FailingKind]
-) -> list[str]:
+def _reasons(analysis: StateAnalysis, workspace: Workspace, right: str, kinds: Sequence[FailingKind]) -> list[str]:
     """Say what was measured of a wrong answer that may be why.
 
     Args:
@@ -150,12 +144,8 @@ def _reasons(
     reasons = []
     if off_map := place_text.off_map(tile, "this answer"):
         reasons.append(off_map)
-    if disputed:
-        reasons.append(
-            "By its details the photo lies on this answer, by its GPS tag elsewhere: one of the two is wrong."
-        )
     offset = _offset(analysis)
-    if isinstance(tile.cut, WindowCut) and offset is not None and not disputed:
+    if isinstance(tile.cut, WindowCut) and offset is not None:
         window = tile.cut.window
         beyond = max(map(abs, offset)) - window.size / 2
         if 0 <= beyond < _NEAR * window.size:

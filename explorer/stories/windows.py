@@ -87,7 +87,7 @@ class WindowSources:
                     selected=len(rows),
                     queries=len(findings.table),
                     failed=int(findings.failed[rows].sum()),
-                    doubtful=findings.not_graded(rows),
+                    ungraded=findings.not_graded(rows),
                     error=lab.filter_error,
                     names=None if findings.second is None else findings.second.names,
                     contents=contents,

@@ -61,7 +61,7 @@ class FailuresOfSource(ABC):
         if listing.top < 1:
             raise InputError(f"The number of queries listed is {listing.top}; expected 1 or more.")
         check_outputs((listing.csv, ".csv"))
-        task = open_with_notes(self.source, listing.notes)
+        task = open_with_notes(self.source, listing.notes).task
         made = self._compared(task, task.table)
         rows = made.sort(made.filter(made.rows(), listing.where), listing.sort, listing.descending)
         console = wide_console()

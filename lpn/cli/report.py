@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
@@ -14,6 +15,7 @@ from lpn.sources.opened import open_with_notes, query_positions
 
 if TYPE_CHECKING:
     from lpn.report import Options
+    from lpn.sources.opened import OpenedSource
     from lpn.tasks.task import Task
 
 
@@ -71,12 +73,14 @@ class ReportOfSource(ABC):
             raise InputError(f"The number of failures is {options.failures}; expected 1 or more.")
         contents = self._contents()
         check_outputs((options.out, ".html", ".htm"))
-        task = open_with_notes(self.source, options.notes, options.query, part_values(options.weights))
+        task, doubtful = self._graded(
+            open_with_notes(self.source, options.notes, options.query, part_values(options.weights))
+        )
         if options.query:
             chosen, selection = query_positions(options.query, task.queries, task.data_name), "chosen by name"
         else:
             chosen, selection = _chosen(task, options)
-        contents = replace(contents, selection=selection)
+        contents = replace(contents, selection=selection, doubtful=doubtful)
         console = Console()
         with Progress(console=console, transient=True) as bar:
             line = bar.add_task("Reporting", total=None)
@@ -91,6 +95,10 @@ class ReportOfSource(ABC):
         from lpn.report import Options
 
         return Options(self.report.matches)
+
+    def _graded(self, opened: OpenedSource) -> tuple[Task, Collection[int]]:
+        """Return the task as it is graded, and the queries that are not, as no tile is right for certain."""
+        return opened.task, ()
 
 
 @dataclass(kw_only=True)
@@ -108,12 +116,41 @@ class ReportOfNetwork(ReportOfSource):
 
 
 @dataclass(kw_only=True)
+class ReportOfFlight(ReportOfNetwork):
+    """Write a printable, self-contained HTML report about some photos of a flight; those of a doubtful judge are not graded."""
+
+    register: bool = True
+    """Lay each photo over the map, as lpn locate does, so that GPS tags that it contradicts judge nothing; --no-register leaves
+    that out, and trusts all tags."""
+
+    def _graded(self, opened: OpenedSource) -> tuple[Task, Collection[int]]:
+        import numpy as np
+
+        from lpn.locate.grades import doubtful_photos
+        from lpn.locate.pipeline import registered
+        from lpn.locate.task import stage_columns
+        from lpn.sources.opened import progress_bars
+
+        task, located = opened.task, opened.located
+        assert located is not None
+        if not self.register:
+            return task, ()
+        with progress_bars("{}") as on_progress:
+            located = registered(located, opened.network, on_progress=on_progress)
+        best, first = task.retrieved.best, task.retrieved.first
+        doubtful = set(np.flatnonzero(doubtful_photos(located, task, best, first)).tolist())
+        task = replace(task, columns=[*task.columns, *stage_columns(located)])
+        return task.without_truth(doubtful), doubtful
+
+
+@dataclass(kw_only=True)
 class ReportCommand(ReportOfNetwork):
     """Write a printable, self-contained HTML report about some queries: matches, parts, evidence, counterfactuals."""
 
     SOURCES: ClassVar[dict[str, type[ReportOfSource]]] = {
         **by_source.of_sources(ReportOfSource, Published, Arrays),
-        **by_source.of_sources(ReportOfNetwork, Indexed, Flown),
+        **by_source.of_sources(ReportOfNetwork, Indexed),
+        **by_source.of_sources(ReportOfFlight, Flown),
     }
 
     source: Data

@@ -200,6 +200,25 @@ def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreemen
     return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
 
 
+@dataclass(frozen=True, eq=False)
+class FlightVerdicts:
+    """The verdicts on the frames of a flight.
+
+    Attributes:
+        contradictions: see `disagreements`.
+        beliefs: the verdict on each frame.
+    """
+
+    contradictions: Sequence[Disagreement]
+    beliefs: Sequence[Belief]
+
+    @classmethod
+    def of(cls, flight: LocatedFlight) -> FlightVerdicts:
+        """Judge all frames of a flight."""
+        contradictions = disagreements(flight.frames)
+        return cls(contradictions, beliefs(flight.frames, contradictions))
+
+
 def full_track(flight: LocatedFlight) -> list[TrackPoint]:
     """Return the points of all stages, each with the answers that contradict it."""
     doubts = _doubts(flight.frames, disagreements(flight.frames))

@@ -108,7 +108,7 @@ class Options:
         compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
         said: the screen's words on a single query; they stand first.
-        doubtful: queries for which no tile is right for certain; they are not graded.
+        doubtful: queries of the task for which no tile is right for certain; they are not graded, nor counted in its figures.
     """
 
     matches: int = 5
@@ -226,9 +226,6 @@ class Cases:
         weights = None if task.weights is None else tuple(task.part_weights.tolist())
         request = QueryRequest(query, options.change, weights, compare=options.compared_tile)
         analysis = self._analyser.analyse(task, request, options.matches)
-        doubtful = index in options.doubtful
-        if doubtful:
-            analysis = analysis.ungraded()
         ranking, chosen, positive, matches = analysis.ranking, analysis.chosen, analysis.positive, analysis.matches
         if positive is not None and positive.rank > len(matches):
             matches.append(positive)
@@ -243,7 +240,7 @@ class Cases:
         case = Case(
             name=analysis.name,
             known=ranking.relevant is not None,
-            doubtful=doubtful,
+            doubtful=index in options.doubtful,
             facts=self._facts(index),
             picture=self._partitioned(analysis.query.picture, 0),
             areas=self._areas(analysis.query, 0),

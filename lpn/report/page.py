@@ -68,6 +68,7 @@ def build(
     options = options or Options()
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
+    task = task.without_truth(options.doubtful)
     cases = Cases(task, options)
     done, steps = 0, len(queries) * (1 + len(cases.turns))
 
@@ -83,6 +84,7 @@ def build(
         # A case holds pictures and a whole ranking, so only its HTML is kept.
         lines.append(_line(case, task, query))
         sections.append(section(case, task, number))
+    graded = int(task.metrics["queries"])
     return render(
         "report.html.j2",
         style=style_sheet(),
@@ -94,9 +96,10 @@ def build(
         complete=len(queries) == len(task.queries),
         right=sum(line.verdict is True for line in lines),
         graded=sum(line.verdict is not None for line in lines),
+        doubtful=bool(options.doubtful),
         part_names=task.part_names,
         said=options.said,
-        queries=len(task.queries),
+        queries=f"{graded:,}{'' if graded == len(task.queries) else ' graded'}",
         own=any(isinstance(query, OwnPicture) for query in queries),
         figures=_figures(task),
         facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
@@ -143,7 +146,10 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
         facts.append(("Fingerprint", task.model.fingerprint))
     chosen = f", {options.selection}" if options.selection else ""
     known = task.known
-    graded = "" if known is None or known.all() else f" ({int(known.sum()):,} of known place, which are graded)"
+    certain = ", for certain" if options.doubtful else ""
+    graded = (
+        "" if known is None or known.all() else f" ({int(known.sum()):,} of known place{certain}, which are graded)"
+    )
     facts += [
         ("Data", task.data_name),
         ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {_gallery(task)}"),

@@ -72,8 +72,8 @@ def open_first_task(source: TaskSource, names: Sequence[str] = (), weights: Sequ
 
 def open_with_notes(
     source: TaskSource, file: Path | None, names: Sequence[str] = (), weights: Sequence[float] | None = None
-) -> Task:
-    """Open the first task of a source with a person's tags and notes, see `open_first_task`.
+) -> OpenedSource:
+    """Open a source with its first task alone, which has a person's tags and notes, see `open_first_task`.
 
     Args:
         file: of the notes, read first; None takes notes.csv in the folder of the queries.
@@ -85,20 +85,23 @@ def open_with_notes(
     from lpn.tasks import notes
 
     named = None if file is None else notes.read_notes(file)
-    task = open_first_task(source, names, weights)
-    return replace(task, notes=notes.read_notes(own_file(task.root, notes.NAME)) if named is None else named)
+    with progress_bars() as on_progress:
+        opened = source.open(names, weights, on_progress)
+    first = opened.task
+    read = notes.read_notes(own_file(first.root, notes.NAME)) if named is None else named
+    return replace(opened, tasks=[replace(first, notes=read)])
 
 
 @contextmanager
-def progress_bars() -> Iterator[Progress]:
-    """Show a bar on the terminal for each stage of an opening."""
+def progress_bars(title: str = "Describing {}") -> Iterator[Progress]:
+    """Show a bar on the terminal for each stage of an opening, see `stage_bars`."""
     from rich.console import Console
 
     from lpn.core.consoles import stage_bars
 
     # A notebook's console, which is no terminal, gets no animation.
     console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
-    with stage_bars(console, "Describing {}") as report:
+    with stage_bars(console, title) as report:
         yield report
 
 

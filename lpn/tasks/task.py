@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, Protocol
+from typing import TYPE_CHECKING, Final, Literal, Protocol, Self
 
 import numpy.typing as npt
 
@@ -240,6 +240,21 @@ class Task(ABC):
     def known(self) -> BoolArray | None:
         """The queries whose truth is known, (Q,); None for all."""
         return metrics.known_queries(self.truth)
+
+    def without_truth(self, queries: Collection[int]) -> Self:
+        """Return the task in which the truth of some queries is not known, so that they are not graded.
+
+        Raises:
+            InputError: if labels define the true matches, and not a list.
+        """
+        if self.truth is None and queries:
+            raise InputError(
+                f"The true matches of {self.data_name} are told by labels, so no query can be left ungraded; leave it out."
+            )
+        if self.truth is None or not any(self.truth[query].known for query in queries):
+            return self
+        truth = [replace(one, known=one.known and i not in queries) for i, one in enumerate(self.truth)]
+        return replace(self, truth=truth)
 
     def check_truth(self) -> None:
         """Raise InputError unless the truth of some query is known."""

@@ -20,9 +20,9 @@ import pytest
 
 import explorer.app
 import lpn
-from explorer import judge, opening, session_state
+from explorer import opening, session_state
 from explorer.browse.feeds import Feeds
-from explorer.browse.query_list import entries, graded
+from explorer.browse.query_list import entries
 from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.compute import own_photos
 from explorer.compute.own_photos import OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
@@ -170,7 +170,7 @@ def test_registration_replaces_the_flight_when_it_is_done(
         feed = lab_table.publish(feeds, "me", newest, lab, rows)
     assert "distance by its look" in table
     assert "verdict of all methods" in table
-    assert ") by their look<" in summary
+    assert ") by their look" in summary
     fetched = feeds.find(f"{feeds.address.partition('/')[2]}{feed}0")
     assert fetched is not None
     assert b"only guessed" in fetched().data
@@ -182,7 +182,8 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
     assert answer_text.verdict(analysis, workspace)[:2] == (None, "Nearest tile")
     assert [
-        right is None for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5], graded(workspace.rankings[TASK]))
+        right is None
+        for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5], workspace.graded(workspace.rankings[TASK]))
     ].count(False) == 1
     assert all(workspace.thumbnail_file(task.queries[query])[:2] == b"\xff\xd8" for query in (0, 2, 5))
     with pytest.raises(PictureError, match="is not a picture"):
@@ -341,7 +342,8 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     explained = replace(explained, own_photo=analysis.own_photo)
     for off, errs in ((-5.0, False), (5.0, True)):
         with monkeypatch.context() as patch:
-            patch.setattr(judge, "off_window", lambda *_, off=off: off)
+            for module in (answer_text, first_screen):
+                patch.setattr(module, "off_window", lambda *_, off=off: off)
             reasons = first_screen.page(explained, workspace)
             look = answer_text.plain_verdict(analysis, workspace)[2]
         assert ("The piece that looks most like it lies there, too." in look) != errs

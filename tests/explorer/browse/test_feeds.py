@@ -86,7 +86,7 @@ def test_thumbnails_are_pictures_of_queries_and_tiles_and_other_paths_are_none(
 def test_a_list_of_queries_tells_names_and_outcomes(feeds: Feeds, workspace: Workspace) -> None:
     task, ranking = workspace.tasks[TASK], workspace.rankings[TASK]
     queries = np.array([3, 0, 5])
-    fetched = fetch(feeds, publish(feeds, "me", ranking, queries) + "0")
+    fetched = fetch(feeds, publish(feeds, "me", ranking, queries, workspace.graded(ranking)) + "0")
     assert fetched == [[query, task.query_names[query], int(not ranking.failed[query])] for query in queries.tolist()]
     assert [position_of(query, np.array([2, 5, 9])) for query in (2, 3, 9, 12)] == [0, -1, 2, -1]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from explorer.browse.query_list import entries, graded
+from explorer.browse.query_list import entries
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
@@ -73,11 +73,11 @@ def test_a_ranking_is_cached_until_a_picture_changes(data: Path, workspace: Work
 def test_pages_show_progress_and_mark_nothing_before_the_ranking_is_done(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
-    assert [right for _, _, right in entries(ranking, [0, 1], graded(ranking))] == [None, None]
+    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [None, None]
     assert model_comparison.changes(ranking, ranking) is None
     assert ranking.join("me").wait(TIMEOUT)
     assert "R@1" in pages.header(workspace, ranking.task)
-    assert [right for _, _, right in entries(ranking, [0, 1], graded(ranking))] == [
+    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [
         int(not failed) for failed in ranking.failed[:2]
     ]
     assert model_comparison.changes(ranking, ranking) is not None

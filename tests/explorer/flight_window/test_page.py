@@ -25,7 +25,7 @@ from lpn.core.errors import DataError
 from lpn.drawing.words import Vocabulary, speaking
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import Belief
+from lpn.locate.belief import Belief, FlightVerdicts
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight
 from lpn.locate.matched_details import MatchedDetails
@@ -107,7 +107,7 @@ def test_every_count_of_photos_in_doubt_is_that_of_the_verdicts(flight: LocatedF
         view = view_of(replace(flight, frames=frames))
         assert "3 placed (2 by registration, 1 by sequence), 1 of them in doubt." in page.sentence(view, running=False)
         assert page.data(view, "x/")["tracks"]["registration"]["count"] == "2 of 3, 1 in doubt"
-        workspace: Any = SimpleNamespace(flight=view.flight)
+        workspace: Any = SimpleNamespace(verdicts=FlightVerdicts.of(view.flight))
         assert answer_text.doubts(workspace) == f"In doubt is a photo {kind}."
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from explorer import judge, reports, session_state
-from explorer.browse.query_list import entries, graded
+from explorer.browse.query_list import entries
 from explorer.cli import Explore
 from explorer.client.address import opened_alone
 from explorer.client.views import ClientViews
@@ -277,12 +277,11 @@ def test_figures_of_the_unaltered_model_are_said_to_be_that(
 
 
 def test_it_says_how_often_the_model_is_right(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
-    result = workspace.rankings[TASK].result
-    assert result is not None
+    counts = workspace.counts(workspace.rankings[TASK])
     right = sum(analyse(workspace, SessionState(TASK, 4, query=i)).matches[0].true is True for i in range(14))
-    assert f"Over all 14 pictures its first answer is right {right} times" in answer_text.overall(result)
-    assert answer_text.overall(result) in text(first_screen.page(query(workspace, True), workspace))
-    assert answer_text.overall(None) == ""
+    assert f"Over all 14 pictures its first answer is right {right} times" in answer_text.overall(*counts)
+    assert answer_text.overall(*counts) in text(first_screen.page(query(workspace, True), workspace))
+    assert answer_text.overall(0, 0) == ""
     monkeypatch.setattr(Workspace, "has_flight", True)
     assert "searched by itself, without the flight:" in pages.header(workspace, workspace.tasks[TASK])
     assert "This photo searched by itself:" in pages.verdict(query(workspace, True), workspace)
@@ -757,7 +756,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     right = [bool(first == 0) for first in ranking.ranking.first]
     flight_names = workspace.tasks[TASK].query_names
     assert (
-        "How far to trust it: of 30 photos, 25 were right by their look alone; their details placed all 30, 4 of them in "
+        "How far to trust it: of 26 graded photos, 22 were right by their look alone; their details placed all 30, 4 of them in "
         "doubt; 9 more could not be checked away from the middle. Nobody measured where they really are. Of 68 photos of other "
         "places, none was placed on this map. Photos of damage, such as a storm's, and real photos of another season than the "
         "map's have not been tried." in said
@@ -773,7 +772,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         while_compared.setattr(workspace, "flight", comparing)
         said = text(first_screen.page(analyse(workspace, state), workspace))
         wrong = np.flatnonzero(~np.array(right[:-1]))
-        overall = [wrong_answer._overall(rows, 30, comparing) for rows in (wrong, np.array([29]))]
+        overall = [wrong_answer._overall(rows, np.ones(30, bool), workspace) for rows in (wrong, np.array([29]))]
     assert re.search(r"their details placed all 29 so far, 4 of them in doubt", said)
     assert "so far" not in overall[0]
     assert "by their details, so far 0 of these 1 are placed" in overall[1]
@@ -795,7 +794,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         "The tags may be off, too. GPS tags place this map, so a tag of the same flight is no independent proof.",
         *(sha256(path.read_bytes()).hexdigest() for sheet in workspace.basemap.sheets for path in sheet.raster.files()),
         "Caliterra in Dripping Springs, Texas",
-        "All 30 queries of the data set together: R@1 83.3 % (true tile first)",
+        "All 26 graded queries of the data set together: R@1 84.6 % (true tile first)",
     ):
         assert sentence in unescape(file.decode())
     words, experts = unescape(file.decode()).split("For experts")
@@ -832,7 +831,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     for term in ("OpenStreetMap", "satellite", "R@1", "d²", "true tile"):
         assert term not in words
     assert "every one of the pieces of the map" in experts
-    assert "30 queries, 224 tiles, pieces of the map" in experts
+    assert "30 queries (26 of known place, for certain, which are graded), 224 tiles, pieces of the map" in experts
     assert "Contents" not in experts
     bent = next(i for i, frame in enumerate(flight.frames) if frame.frame.name == "IMG_9405.webp")
     unfit = text(first_screen.page(analyse(workspace, replace(state, query=bent)), workspace))
@@ -887,7 +886,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     with speaking(workspace.vocabulary(True)):
         fails = session_state.show_fails(state, flight_names.index("IMG_9395.webp"), 30)
         of_wrong = text(first_screen.page(analyse(workspace, fails), workspace))
-    assert "By their look alone, the first answer is wrong for 5 of 30 pictures (17 %)." in of_wrong
+    assert "By their look alone, the first answer is wrong for 4 of 26 graded pictures (15 %)." in of_wrong
     assert "✗ By its look: wrong, judged by its details." in of_wrong
     assert (
         "Wrong because ring 1, the square in the middle, speaks for this answer. No other ring speaks for it."
@@ -906,18 +905,19 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     )
     assert "±" not in of_wrong
     navigation, shown = Navigation(workspace, lambda *_: None), [state]
-    for _ in range(right.count(False)):
+    for _ in range(right.count(False) - 1):
         after = navigation.next_failure(shown[-1])
         assert after is not None
         shown.append(after)
     signs = [FlightView.of(flight, {}, "").beliefs[one.query].sign for one in shown[1:]]
-    assert signs == [True, True, True, True, None], "an answer that is wrong for certain comes before a doubtful one"
+    assert signs == [True, True, True, True], "only an answer that is wrong for certain is a wrong one"
     with monkeypatch.context() as patch:
         # The tag judges it and its details agree with the tag, so that the map beside its middle casts no doubt on the answer.
         patch.setattr(LocatedFlight, "judge_of", lambda *_: "its GPS tag")
+        patch.setattr(workspace, "flight", replace(flight))
         after = navigation.next_failure(state)
         assert after is not None
-        assert after.query == shown[-1].query
+        assert after.query not in [one.query for one in shown]
         assert {one.other for one in disagreements(flight.frames) if one.frame == after.query} == {"map"}
         assert "✗ By its look: wrong, judged by its GPS tag." in text(
             first_screen.page(analyse(workspace, after), workspace)
@@ -938,6 +938,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     of_doubted = flight.frames[doubted]
     assert of_doubted.tag is not None
     of_doubted.tag = of_doubted.tag + 100
+    workspace.flight = flight = replace(flight)
     beliefs = FlightView.of(flight, {}, "").beliefs
     assert (beliefs[placed].sign, beliefs[doubted].sign) == (True, None)
     for index, headline, by_look in (
@@ -982,7 +983,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         html = first_screen.page(analyse(workspace, fails), workspace)
     assert "? By its look: wrong, if its details are right. The model compared" in text(html)
     assert "? By its details: placed, but its GPS tag disagrees." in text(html)
-    assert "Right, if its details are right" in text(html)
+    assert "the first answer is wrong for" not in text(html), "it is none of the wrong answers"
     assert theme.css(theme.COLOURS["wrong"]) not in html
     assert theme.css(theme.COLOURS["right"]) not in html
     # Nor does the workbench call it right.
@@ -1059,10 +1060,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     joined = [query for query, _ in map_data.lines(findings, ground.value, np.arange(30))]
     assert (doubted in joined, placed in joined) == (False, True)
     ranking = workspace.rankings[state.task]
-    assert [sign for *_, sign in entries(ranking, [doubted, placed], graded(ranking, flight))] == [None, 0]
+    assert [sign for *_, sign in entries(ranking, [doubted, placed], workspace.graded(ranking))] == [None, 0]
     for make in (
         lambda: reports.of_analysis(workspace, analysis),
-        lambda: reports.of_selection(workspace, findings.task, [doubted], "one", doubtful=[doubted]),
+        lambda: reports.of_selection(workspace, findings.task, [doubted], "one"),
     ):
         experts = make()[1].decode().partition("</style>")[2].partition("<section")[2]
         assert "It is not graded, as no tile is right for certain" in text(experts)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from explorer.browse.query_list import entries, graded
+from explorer.browse.query_list import entries
 from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.panels.navigation import Navigation
@@ -52,7 +52,7 @@ def test_a_query_without_a_true_tile_is_a_failure_in_every_count(data: Path, mod
     assert ranking.results["recall@1"] == task.metrics["recall@1"] == 0
     assert ranking.failed.all()
     np.testing.assert_array_equal(ranking.failed, task.outcomes.failed)
-    assert [right for _, _, right in entries(ranking, [0, 1], graded(ranking))] == [0, 0]
+    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [0, 0]
 
 
 def test_a_query_whose_place_is_not_known_is_no_failure(data: Path, model_file: Path) -> None:

@@ -85,7 +85,7 @@ def test_the_judge_of_right_answers_is_named() -> None:
         said,
         "Map and photos are of different seasons.",
     )
-    place.rankings = {"a": SimpleNamespace(result=SimpleNamespace(results={"queries": 40.0, "recall@1": 42.5}))}
+    place.rankings, place.counts = {"a": None}, lambda _: (17, 40)
     place.tasks, place.choices = {"": SimpleNamespace(key="a")}, {"other": "an autumn"}
 
     same = workspace_of(DEMO_PLACE)
