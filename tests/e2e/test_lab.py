@@ -580,6 +580,7 @@ def test_a_link_brings_back_what_the_laboratory_shows_and_each_browser_has_its_o
     expect(other.count).to_contain_text("40 of 40 queries")
     # A note reaches both.
     other.choose("Table")
+    expect(other.rows_of_table.first).to_be_visible()
     name = other.open_row(other.shown()[0])
     other.page.locator("#lpn-lab-tags").fill("shared")
     other.page.locator(".lab-note a").click()
