@@ -57,14 +57,16 @@ class NoteForm:
             stored = error.stored if isinstance(error, notes.ChangedNoteError) else None
             self._unsaved = path, findings.task.queries[message.row].name, str(error)
             newer = None if stored is None else (" ".join(stored.tags), stored.text)
+            if stored is not None:
+                self._now_stored(path, stored)
             self._say(f"Not saved. {error}", False, path, newer)
             return stored is not None
         if self._unsaved is not None and self._unsaved[0] == path:
             self._unsaved = None
         newest = self._service.findings(message.task)
         self._saved = None if newest is None else (path, newest.note(message.row))
-        if newest is not None and self._drawn_note is not None and self._drawn_note[0] == path:
-            self._drawn_note = path, newest.note(message.row)
+        if newest is not None:
+            self._now_stored(path, newest.note(message.row))
         self._say(f"Saved in {self._service.notes_place}.", True, path, (message.tags, message.note))
         return True
 
@@ -76,6 +78,11 @@ class NoteForm:
             if self._saved != (path, error.stored):
                 raise
             self._service.set_note(path, message.tags, message.note, error.stored)
+
+    def _now_stored(self, path: str, note: Note) -> None:
+        """Leave the boxes in the page, which `_say` tells what is stored: new ones would take the focus from who types on."""
+        if self._drawn_note is not None and self._drawn_note[0] == path:
+            self._drawn_note = path, note
 
     def _say(self, text: str, good: bool, path: str, stored: tuple[str, str] | None) -> None:
         """Show a message, and tell the page which tags and note are stored if that is new to it."""

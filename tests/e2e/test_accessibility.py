@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from playwright.sync_api import BrowserContext, Page, expect
 
-from tests.e2e.conftest import ExplorerPage, RunningApp, expect_accessible
+from tests.e2e.conftest import ExplorerPage, RunningApp, box, expect_accessible
 
 _SMALLEST = """() => [...document.querySelectorAll('body *')]
   .filter(one => one.checkVisibility({checkOpacity: true, checkVisibilityCSS: true}) && !one.closest('[hidden], #lpn-live'))
@@ -69,19 +69,21 @@ def test_a_notification_catches_no_click(explorer: ExplorerPage) -> None:
     notice = explorer.notifications.first
     expect(notice).to_be_visible()
     tab = page.get_by_role("tab", name="Parts")
-    place = tab.bounding_box()
-    assert place is not None
+    place = box(tab)
     page.evaluate(
         "([left, top]) => Object.assign(document.querySelector("
         "'.mantine-Notification-root:not(#webgl-software-rendering)').style, "
         "{position: 'fixed', left: left + 'px', top: top + 'px', zIndex: 9999})",
         [place["x"] - 20, place["y"] - 10],
     )
-    over = notice.bounding_box()
-    assert over is not None
     x, y = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
-    assert over["x"] < x < over["x"] + over["width"]
-    assert over["y"] < y < over["y"] + over["height"]
+
+    def lies_over_the_tab() -> None:  # it slides into its place
+        over = box(notice)
+        assert over["x"] < x < over["x"] + over["width"]
+        assert over["y"] < y < over["y"] + over["height"]
+
+    explorer.eventually(lies_over_the_tab)
     page.mouse.click(x, y)
     expect(page.get_by_text("All parts equal")).to_be_visible()
 

@@ -53,7 +53,7 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, new_page: Cal
         explorer.expect_status("name", "street/3")
 
         def shows_the_order() -> None:
-            rows = [row.get_attribute("data-index") for row in explorer.rows.all()]
+            rows = explorer.rows.evaluate_all("rows => rows.map(row => row.dataset.index)")
             assert rows[:8] == [str(tile) for tile in order]
 
         explorer.eventually(shows_the_order)

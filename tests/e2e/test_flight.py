@@ -286,6 +286,7 @@ def test_the_map_is_zoomed_about_a_place_and_playing_shows_every_frame_as_one_th
     window.page.keyboard.press("Space")
     window.expect_frame(5)
     expect(window.page.locator("[data-act=play]")).to_have_text("▶")
+    window.settle()  # the last frame is noted two frames of the screen later
     seen = window.page.evaluate("window.seen")
     assert all(len(frames) == 1 for frames in seen), "card, facts, counter, and timeline show one frame"
     assert list(dict.fromkeys(frames[0] for frames in seen)) in ([1, 2, 3, 4, 5, 6], [2, 3, 4, 5, 6])
@@ -326,7 +327,11 @@ def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
         assert min(sizes) > 0
 
     window.eventually(shown)
-    assert {asked.count(url) for url in asked} == {2}
+
+    def each_again() -> None:
+        assert {asked.count(url) for url in asked} == {2}
+
+    window.eventually(each_again)  # others than those of the card may come later
 
 
 @pytest.mark.slow
@@ -396,7 +401,7 @@ def test_a_registered_photo_is_swiped_over_its_place_and_scores_are_painted_over
     linked.goto(f"{flight_app.url}/?flight=1&query=photo2.png&words=expert{link}")
     expect(linked.get_by_label("swipe")).to_have_value("0")
     expect(linked.locator("[data-photo=swipe]")).to_have_attribute("aria-pressed", "true")
-    assert linked.evaluate("lpn.flight.link()") == link
+    linked.wait_for_function("link => lpn.flight.link() === link", arg=link)
     window.page.context.grant_permissions(["clipboard-read", "clipboard-write"])
     window.page.evaluate("lpn.copy()")
     expect(window.page.locator("#lpn-notice")).to_have_text(
@@ -550,13 +555,15 @@ def test_a_photo_is_dragged_to_its_place_and_the_correction_is_kept_beside_the_f
         expect(whole).to_be_hidden()  # a saved correction ends the mode
         page.locator("[data-photo=correct]").click()
         expect(whole).to_be_visible()
-        page.evaluate(
-            "new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))"
-        )  # the map is resized
+        window.settle()  # the map is resized
 
     correct()
-    shown = box(whole)
-    assert shown["x"] + shown["width"] / 2 == pytest.approx(window.at(*PLACES[0])[0], abs=2)
+
+    def lies_at_its_place() -> None:
+        shown = box(whole)
+        assert shown["x"] + shown["width"] / 2 == pytest.approx(window.at(*PLACES[0])[0], abs=2)
+
+    window.eventually(lies_at_its_place)
     start, end = window.at(*PLACES[0]), window.at(PLACES[0][0] + 12, PLACES[0][1] - 8)
     page.mouse.move(*start)
     page.mouse.down()

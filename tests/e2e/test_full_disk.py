@@ -36,8 +36,7 @@ def small_app(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathF
 
 def open_row(lab: LabPage, row: int) -> str:
     """Open a query from the table, and return its path below the data."""
-    lab.page.locator(f"#lpn-lab-table tr[data-row='{row}']").click()
-    expect(lab.page.locator(f".lab-note[data-row='{row}']")).to_be_visible()
+    lab.open_row(row)
     return str(lab.page.locator(".lab-note").get_attribute("data-path"))
 
 
@@ -78,7 +77,9 @@ def test_a_note_a_view_and_a_story_are_not_lost_while_the_disk_is_full(
     expect(unsaved).to_be_hidden()
     assert read_notes(places / "notes.csv") == {first: Note(("kept",)), second: Note((), LONG.strip())}
     lab.key("b")
+    expect(note).to_be_hidden()
     lab.key("b")
+    expect(note).to_be_visible()
     expect(note).to_have_value(LONG)
     note.fill("short")
     note.blur()
@@ -135,6 +136,7 @@ def test_two_browsers_that_write_one_note_lose_neither(
         "Not saved. Somebody else has changed this note meanwhile: it is now 'theirs'; save again to replace it."
     )
     expect(first.page.locator(note)).to_have_value("mine")
+    expect(first.page.locator(note)).to_have_js_property("defaultValue", "theirs")  # what the next save replaces
     assert read_notes(places / "notes.csv")[path].text == "theirs"
     first.page.locator(note).fill("theirs, and mine")
     first.page.locator(note).blur()

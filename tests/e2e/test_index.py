@@ -50,7 +50,7 @@ def test_an_index_is_explored_as_its_data_set_is(
         explorer.fill("Find name", "0011")
         explorer.expect_status("name", "0011")
         expect(explorer.page.locator("#lpn-gallery")).to_have_text("searched exactly to depth 12 of 14 tiles")
-        assert _shown(explorer)[:10] == expected((1, 1, 1, 1))
+        explorer.eventually(lambda: _check(_shown(explorer)[:10], expected((1, 1, 1, 1))))
         # Other weights ask the index again.
         explorer.tab("Parts")
         explorer.tick("Part 1 centre", False)

@@ -88,7 +88,15 @@ class LabPage(ExplorerPage):
 
     def shown(self) -> list[int]:
         """The queries whose rows are drawn."""
-        return [int(row.get_attribute("data-row") or -1) for row in self.rows_of_table.all()]
+        rows: list[int] = self.rows_of_table.evaluate_all("rows => rows.map(row => Number(row.dataset.row))")
+        return rows
+
+    def open_row(self, row: int) -> str:
+        """Open a query from the table, wait for its note, and return its name."""
+        self.page.locator(f"#lpn-lab-table tr[data-row='{row}']").click()
+        note = self.page.locator(f".lab-note[data-row='{row}']")
+        expect(note).to_be_visible()
+        return note.locator("b").inner_text()
 
     def head(self, column: str) -> None:
         """Click on the head of a column."""
@@ -377,9 +385,10 @@ def test_a_lasso_on_a_live_map_chooses_queries_and_a_click_opens_one(
         lab.page.mouse.move(*at)
     tip = lab.page.locator(".lab-tip")
     expect(tip).to_be_visible()
-    expect(tip).to_contain_text(table.columns["name"].text(int(tip.get_attribute("data-row") or -1)))
+    pointed = tip.get_attribute("data-row") or ""
+    expect(tip).to_contain_text(table.columns["name"].text(int(pointed)))
     lab.page.mouse.click(*at)
-    lab.expect_status("query", tip.get_attribute("data-row") or "")
+    lab.expect_status("query", pointed)
     lab.page.mouse.move(*at)
     before = lab.page.evaluate("row => lpn.labMap.pixels(row)", row)
     lab.page.mouse.down()
@@ -571,9 +580,8 @@ def test_a_link_brings_back_what_the_laboratory_shows_and_each_browser_has_its_o
     expect(other.count).to_contain_text("40 of 40 queries")
     # A note reaches both.
     other.choose("Table")
-    other.rows_of_table.first.click()
-    expect(other.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
-    name = other.page.locator(".lab-note b").inner_text()
+    expect(other.rows_of_table.first).to_be_visible()
+    name = other.open_row(other.shown()[0])
     other.page.locator("#lpn-lab-tags").fill("shared")
     other.page.locator(".lab-note a").click()
     expect(other.page.locator("#lpn-lab-message")).to_contain_text("Saved")
@@ -587,9 +595,8 @@ def test_a_link_brings_back_what_the_laboratory_shows_and_each_browser_has_its_o
 def test_tags_and_notes_survive_a_restart(
     lab: LabPage, lab_app: RunningApp, cache: Path, new_page: Callable[[], Page]
 ) -> None:
-    lab.rows_of_table.nth(1).click()
-    expect(lab.page.locator("#lpn-lab-table tr.chosen")).to_have_count(1)
-    name = lab.page.locator(".lab-note b").inner_text()
+    row = lab.shown()[1]
+    name = lab.open_row(row)
     tags, note = lab.page.locator("#lpn-lab-tags"), lab.page.locator("#lpn-lab-note")
     tags.fill("night, blur")
     note.fill("Looks like the twin <i>next door</i>.")
@@ -604,7 +611,7 @@ def test_tags_and_notes_survive_a_restart(
     with started(lab_app.data, lab_app.model, cache) as running:
         later = LabPage(new_page())
         later.enter(running.url)
-        later.rows_of_table.nth(1).click()
+        later.open_row(row)
         expect(later.rows_of_table.filter(has_text="night blur")).to_contain_text(name)
         expect(later.page.locator("#lpn-lab-tags")).to_have_value("night blur")
         expect(later.page.locator("#lpn-lab-note")).to_have_value("Looks like the twin <i>next door</i>.")

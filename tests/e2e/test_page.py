@@ -203,6 +203,7 @@ def test_the_tour_and_the_notice_about_software_webgl_are_shown_once_and_the_tou
     expect(notice).to_have_count(0)
     explorer.page.keyboard.press("Control+k")
     explorer.page.get_by_placeholder("Search commands").fill("tour")
+    expect(explorer.page.locator(".mantine-Spotlight-action").first).to_contain_text(re.compile("tour", re.IGNORECASE))
     explorer.page.keyboard.press("Enter")
     expect(card).to_contain_text("1 of 5")
     expect(explorer.page.get_by_placeholder("Search commands")).to_have_count(0)
@@ -285,8 +286,8 @@ def test_everything_can_be_reached_by_keyboard_and_read_aloud(explorer: Explorer
     assert min(sizes)[0] >= 12, min(sizes)
     (tmp_path / "empty.png").write_bytes(b"")
     explorer.upload(tmp_path / "empty.png")
+    expect(page.get_by_text("Sent; it is being read.")).to_be_visible()  # first, as it goes after 4 s
     expect(page.get_by_text("empty.png is empty, or has more than 30 MB")).to_be_visible()
-    expect(page.get_by_text("Sent; it is being read.")).to_be_visible()
     assert page.get_by_text("uploaded successfully").count() == 0
     explorer.tab("Parts")
     expect(page.get_by_text("All parts equal")).to_be_visible()
@@ -317,10 +318,14 @@ def test_everything_needed_is_in_view_on_a_projector(app: RunningApp, contexts: 
     explorer = ExplorerPage(context.new_page())
     explorer.open(app.url)
     expect(explorer.rows).to_have_count(10)
-    for wanted in (explorer.verdict, explorer.rows.nth(9), explorer.page.locator("#lpn-picker .thumb").first):
-        seen = box(wanted)
-        assert seen["y"] >= 0
-        assert seen["y"] + seen["height"] <= 720
+
+    def are_in_view() -> None:
+        for wanted in (explorer.verdict, explorer.rows.nth(9), explorer.page.locator("#lpn-picker .thumb").first):
+            seen = box(wanted)
+            assert seen["y"] >= 0
+            assert seen["y"] + seen["height"] <= 720
+
+    explorer.eventually(are_in_view)
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 from explorer.app import App
 from explorer.compute import ranking_job
 from explorer.opening import open_model
-from tests.e2e.conftest import ExplorerPage
+from tests.e2e.conftest import PATIENCE, ExplorerPage
 from tools.fixtures import small_worlds
 
 
@@ -37,7 +37,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
             expect(explorer.page.get_by_text("All queries are still being ranked")).to_be_visible()
             explorer.key("b")
             expect(explorer.page.locator("#lpn-lab-waiting")).to_contain_text("Ranking 14 queries")
-        assert ranking.join("test").wait(60)
+        assert ranking.join("test").wait(PATIENCE)
         expect(header).to_contain_text(f"{ranking.results['recall@1']:.1f} %")
         expect(picker.locator(".thumb b")).to_have_count(14)
         expect(explorer.page.locator("#lpn-lab-table")).to_be_visible()

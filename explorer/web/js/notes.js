@@ -62,6 +62,6 @@
         one.value = typed;
       });
     }
-    keep(path, kept && kept.typed, texts);
+    keep(path, row ? boxesOf(row).map((one) => one.value) : kept && kept.typed, texts);
   };
 })();

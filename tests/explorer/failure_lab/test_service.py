@@ -134,6 +134,27 @@ def test_a_name_that_is_not_utf8_is_shown_and_its_note_is_refused(
     (workspace.root / "notes.csv").unlink()
 
 
+def test_boxes_stay_in_the_page_when_somebody_else_has_changed_their_note(
+    workspace: Workspace, service: FailureLab, findings: Findings
+) -> None:
+    gui = Gui()
+    view = NoteForm(gui, service)  # type: ignore[arg-type]
+    view.show(findings, 2)
+    boxes, message = gui.elements
+    drawn = boxes.content
+    try:
+        service.set_note(findings.table.paths[2], "", "theirs")
+        assert view.save(SaveNote(TASK, 2, "", "mine", ("", "")))
+        assert "it is now &#39;theirs&#39;" in message.content
+        view.show(service.findings(TASK), 2)
+        assert boxes.content == drawn, "who types on would lose the focus, and what is typed would not be saved"
+        service.set_note(findings.table.paths[2], "", "another's")
+        view.show(service.findings(TASK), 2)
+        assert "another&#39;s" in boxes.content
+    finally:
+        (workspace.root / "notes.csv").unlink()
+
+
 def test_notes_that_cannot_be_written_are_reported_and_change_nothing(workspace: Workspace) -> None:
     file = workspace.root / "notes.csv"
     file.mkdir()
