@@ -37,7 +37,7 @@ from lpn.locate.map_proof import ONE_VIEW
 from lpn.locate.matchers import MatcherName, open_matcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import AGREEING, CONFIDENCE, EVIDENCE, OVERLAP, chance_to_agree
-from lpn.locate.registered_stage import PhotoSearch, register_photo, turned_away, with_map_error
+from lpn.locate.registered_stage import PhotoSearch, compared, register_photo, turned_away, with_map_error
 from lpn.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
@@ -444,6 +444,7 @@ class LiveLocator:
         )
         if answer.accepted:
             answer = self._continuous(answer, frame)
+        answer = compared(self.basemap, answer, search.photo)
         self._fresh = answer.accepted
         located.stages["registration"] = answer
         if not answer.accepted or answer.homography is None:
