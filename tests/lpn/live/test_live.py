@@ -273,6 +273,17 @@ def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_
     assert [line["stage"] == "registration" for line in lines] == [True] * 16
 
 
+@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0)])
+def test_a_photo_that_fits_nowhere_and_one_of_yet_another_turn_begin_the_ten_anew(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], between: tuple[float, ...] | None
+) -> None:
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(16)]
+    laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned} | {"turned 5": between}
+    lines, said = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 15 + [True]
+    assert sum("turned otherwise" in sentence for sentence in said) == 1
+
+
 def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
     settings, options = LiveSettings(belief=tmp_path / "b"), replace(OPTIONS, register=False)
     lines_of(town, list(flight.frames[:1]), settings, options)
