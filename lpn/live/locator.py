@@ -37,7 +37,7 @@ from lpn.locate.map_proof import ONE_VIEW
 from lpn.locate.matchers import MatcherName, open_matcher
 from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import AGREEING, CONFIDENCE, EVIDENCE, OVERLAP, chance_to_agree
-from lpn.locate.registered_stage import PhotoSearch, register_photo, turned_away, with_map_error
+from lpn.locate.registered_stage import PhotoSearch, compared, register_photo, turned_away, with_map_error
 from lpn.locate.retrieval import (
     ALIKE,
     MIN_DISTINCT,
@@ -138,8 +138,8 @@ class _Track:
     # The last accepted registration: place, radius, time; and those since that contradict it.
     last: tuple[float, float, float, float] | None = None
     apart: list[tuple[float, float, float, float]] = field(default_factory=list)
-    # Registrations in a row that were refused for their turn.
-    turned: int = 0
+    # The turns, alike, of the registrations in a row that were refused for their turn.
+    turned: list[float] = field(default_factory=list)
     # The middle of the photo that counted last as proof of the map.
     counted: Float64Array | None = None
 
@@ -444,6 +444,10 @@ class LiveLocator:
         )
         if answer.accepted:
             answer = self._continuous(answer, frame)
+        else:
+            # Photos that fit nowhere show ground beyond the map, where an equal building is turned alike time and again.
+            track.turned.clear()
+        answer = compared(self.basemap, answer, search.photo)
         self._fresh = answer.accepted
         located.stages["registration"] = answer
         if not answer.accepted or answer.homography is None:
@@ -478,7 +482,8 @@ class LiveLocator:
     def _continuous(self, answer: StageRecord, frame: Frame) -> StageRecord:
         """Refuse a registration that is turned otherwise than those before, or that the drone cannot have flown to.
 
-        Three in a row that agree with each other, and ten that are turned, count again.
+        Three in a row that agree with each other count again, and so do ten that are turned alike, with no photo among them that
+        fits nowhere.
         """
         track = self._track
         if (turn := self._other_turn(answer, frame)) is not None:
@@ -509,13 +514,14 @@ class LiveLocator:
         if answer.turn is None or len(track.turns) < _TURNS or not heading_is_certain(frame):
             return None
         if (turned := other_turn(answer.turn, np.array(track.turns))) is None:
-            track.turned = 0
+            track.turned.clear()
             return None
-        track.turned += 1
-        if track.turned < NEW_HEADING:
+        if track.turned and other_turn(answer.turn, np.array(track.turned)) is not None:
+            track.turned.clear()
+        track.turned.append(answer.turn)
+        if len(track.turned) < NEW_HEADING:
             return turned
-        track.turned = 0
-        track.turns.clear()
+        track.turns, track.turned = track.turned[-_RECENT:-1], []
         self._notes.append(
             f"{NEW_HEADING} registrations in a row are turned otherwise than those before; the headings count as changed."
         )

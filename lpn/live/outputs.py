@@ -20,6 +20,7 @@ from lpn.core.resources import is_loopback
 from lpn.flights.cameras import rotation
 from lpn.live.frames import Say
 from lpn.live.telemetry import open_link
+from lpn.locate.belief import BestAnswer
 from lpn.locate.located import LocatedFrame, StageRecord
 
 # Messages that are sent over MAVLink.
@@ -41,8 +42,7 @@ class LiveFix:
 
     Attributes:
         located: the frame with the answers of its stages.
-        stage: "registration" or "sequence", whose place counts.
-        answer: of that stage, moved below the camera as far as the camera's tilt is known; its state says whether it may be used.
+        best: the answer that counts, of the registration or the sequence, moved below the camera as far as its tilt is known.
         latitude, longitude: WGS 84 degrees; None without a place.
         clock: of the frame in seconds since 1970 in UTC.
         age: seconds from the frame's arrival to the answer.
@@ -52,8 +52,7 @@ class LiveFix:
     """
 
     located: LocatedFrame
-    stage: str
-    answer: StageRecord
+    best: BestAnswer
     latitude: float | None
     longitude: float | None
     clock: float
@@ -61,6 +60,11 @@ class LiveFix:
     dropped: int
     telemetry_age: float | None = None
     pixels: UInt8Array | None = None
+
+    @property
+    def answer(self) -> StageRecord:
+        """The answer that counts."""
+        return self.best.answer
 
     @property
     def radius(self) -> float | None:
@@ -75,15 +79,18 @@ class LiveFix:
 
     def feature(self) -> dict[str, Any]:
         """Return the fix as a feature of GeoJSON (RFC 7946), see docs/live.md."""
-        answer = self.answer
+        answer, best = self.answer, self.best
         geometry = None
         if self.latitude is not None and self.longitude is not None:
             geometry = {"type": "Point", "coordinates": [round(self.longitude, 8), round(self.latitude, 8)]}
         properties = {
             "frame": printable(self.located.frame.name),
-            "stage": self.stage,
-            "state": answer.state,
-            "reason": answer.sentence,
+            "stage": best.stage,
+            "state": best.state,
+            "doubt": ", ".join(best.doubt),
+            "checked_beside_middle": best.checked,
+            "reason": best.reason,
+            "note": best.verdict.reason,
             "time": round(self.clock, 3),
             "camera": answer.camera,
             "radius": _rounded(answer.radius, 2),
@@ -116,7 +123,7 @@ class LineOutput:
 
 
 class MavlinkOutput:
-    """Accepted places as GPS_INPUT or VISION_POSITION_ESTIMATE.
+    """Accepted places that nothing contradicts, as GPS_INPUT or VISION_POSITION_ESTIMATE.
 
     VISION_POSITION_ESTIMATE is in metres north and east of the vehicle's own origin, so nothing is sent before the vehicle has
     told it by GPS_GLOBAL_ORIGIN.
@@ -146,8 +153,8 @@ class MavlinkOutput:
         self._waits = False
 
     def send(self, fix: LiveFix) -> None:
-        """Send a fix, unless it was not accepted."""
-        if not fix.answer.accepted or fix.latitude is None or fix.longitude is None:
+        """Send a fix, unless it is refused, or contradicted."""
+        if not fix.best.usable or fix.latitude is None or fix.longitude is None:
             return
         self._link.mav.srcSystem = self._system() or 1
         if self._kind == "gps":

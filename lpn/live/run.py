@@ -14,8 +14,9 @@ from lpn.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.live.locator import LiveLocator
 from lpn.live.outputs import LiveFix
 from lpn.live.telemetry import LiveTelemetry
+from lpn.locate.belief import BestAnswer, best_answer
 from lpn.locate.camera_place import below_camera
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFrame
 
 # Seconds without a frame after which the source counts as stalled, and between two writings of the belief.
 _STALLED, _SAVED = 5.0, 5.0
@@ -141,9 +142,8 @@ class LiveRun:
             return None
         for note in self._locator.take_notes():
             self._say(note)
-        stage, answer = best_answer(located)
-        answer = below_camera(located.frame, answer)
-        latitude = longitude = None
+        best = live_answer(located)
+        answer, latitude, longitude = best.answer, None, None
         if answer.x is not None and answer.y is not None:
             latitude, longitude = self._locator.basemap.frame.degrees([(answer.x, answer.y)])[0].tolist()
         clock = (
@@ -153,7 +153,7 @@ class LiveRun:
         )
         age = time.monotonic() - picture.received
         return LiveFix(
-            located, stage, answer, latitude, longitude, clock, age, self._source.newest.dropped, telemetry_age, pixels
+            located, best, latitude, longitude, clock, age, self._source.newest.dropped, telemetry_age, pixels
         )
 
     def _send(self, fix: LiveFix) -> None:
@@ -166,17 +166,22 @@ class LiveRun:
                 self._failed.add(i)
 
     def _watch(self, fix: LiveFix) -> None:
-        """Say when frames are refused one after another, and whether the map ends there."""
-        self._refused = 0 if fix.answer.accepted else self._refused + 1
+        """Say when frames have no place that may be used one after another, and whether the map ends there."""
+        self._refused = 0 if fix.best.usable else self._refused + 1
         if self._refused != _REFUSED:
             return
         sizes = self._locator.window_side
-        if sizes is not None and self._locator.near_border(_BORDER * sizes):
+        if fix.best.state != "refused":
+            self._say(
+                f"{_REFUSED} frames in a row were refused or contradicted; the last is contradicted by "
+                f"its {' and '.join(fix.best.doubt)}."
+            )
+        elif sizes is not None and self._locator.near_border(_BORDER * sizes):
             self._say(
                 f"{_REFUSED} frames in a row were refused near the border of the map; the flight may have left it."
             )
         else:
-            self._say(f"{_REFUSED} frames in a row were refused; the last says: {fix.answer.sentence}")
+            self._say(f"{_REFUSED} frames in a row were refused; the last says: {fix.best.verdict.reason}")
 
     def _take_up(self) -> None:
         file = self._settings.belief
@@ -197,9 +202,12 @@ class LiveRun:
             self._failed.add(-1)
 
 
-def best_answer(located: LocatedFrame) -> tuple[str, StageRecord]:
-    """Return the stage that counts, and its answer: an accepted registration, else the sequence's."""
-    registration = located.stages.get("registration")
-    if registration is not None and registration.accepted:
-        return "registration", registration
-    return "sequence", located.stages["sequence"]
+def live_answer(located: LocatedFrame) -> BestAnswer:
+    """Return the answer that counts, as `lpn locate --best` has it: an accepted registration, else that of the sequence.
+
+    Both are moved below the camera as far as its tilt is known, see `below_camera`, and compared there with the frame's position.
+    A refused place of the sequence is told, too.
+    """
+    stages = {stage: below_camera(located.frame, answer) for stage, answer in located.stages.items()}
+    best = best_answer(replace(located, stages=stages), last="sequence")
+    return best if best.verdict.stage is not None else replace(best, answer=stages["sequence"])

@@ -6,10 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Literal
 
 from lpn.core.numbers import distance, upper_bound
 from lpn.drawing.words import capitalised, plain
-from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord
+from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord, checked_beside_middle
 from lpn.locate.tracks import TrackPoint, TrackState
 
 # 1-sigma radius in metres of a tag by a consumer's receiver in the open.
@@ -74,6 +75,23 @@ class BestAnswer:
     state: TrackState
     doubt: tuple[str, ...]
     verdict: Belief
+
+    @property
+    def usable(self) -> bool:
+        """True if the position is accepted and nothing contradicts it, or the verdict believes it all the same."""
+        return self.state == "accepted" and (not self.doubt or self.verdict.sign is True)
+
+    @property
+    def reason(self) -> str:
+        """The verdict in one short sentence to filter by."""
+        return f"{self.verdict.summary}."
+
+    @property
+    def checked(self) -> Literal["yes", "no", "contradicted", ""]:
+        """If places beside a registered photo's middle lie where the map has them, see `TrackPoint.checked`."""
+        if self.stage != "registration" or not self.answer.accepted:
+            return ""
+        return "contradicted" if "map" in self.doubt else checked_beside_middle(self.answer)
 
 
 @dataclass(frozen=True)
@@ -194,9 +212,7 @@ def _misfit(frame: int, answer: StageRecord | None) -> Disagreement | None:
 
 def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]) -> list[Belief]:
     """Return the verdict on each frame; `contradictions` are those of all frames."""
-    of_frame: dict[int, list[Disagreement]] = {}
-    for one in contradictions:
-        of_frame.setdefault(one.frame, []).append(one)
+    of_frame = _by_frame(contradictions)
     return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
 
 
@@ -221,12 +237,11 @@ class FlightVerdicts:
 
 def full_track(flight: LocatedFlight) -> list[TrackPoint]:
     """Return the points of all stages, each with the answers that contradict it."""
-    doubts = _doubts(flight.frames, disagreements(flight.frames))
-    numbers = {located.frame.name: i for i, located in enumerate(flight.frames)}
+    of_frame = _by_frame(disagreements(flight.frames))
+    frames = {one.frame.name: (one, of_frame.get(i, ())) for i, one in enumerate(flight.frames)}
     confirmed = flight.radii_confirmed
     return [
-        _doubted(_confirmed(point, confirmed), doubts.get((numbers[point.frame], point.stage), ()))
-        for point in flight.track()
+        _doubted(_confirmed(point, confirmed), _doubt(*frames[point.frame], point.stage)) for point in flight.track()
     ]
 
 
@@ -243,19 +258,31 @@ def _doubted(point: TrackPoint, doubt: tuple[str, ...]) -> TrackPoint:
 
 def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
     """Return the answer that counts for each frame: its correction by hand, or that of the stage that the verdict names."""
-    contradictions = disagreements(flight.frames)
-    doubts = _doubts(flight.frames, contradictions)
-    best = []
-    for i, (located, verdict) in enumerate(zip(flight.frames, beliefs(flight.frames, contradictions), strict=True)):
-        stage, answer = flight.stages[-1] if flight.stages else "", StageRecord("refused", verdict.reason)
-        if located.by_hand is not None:
-            stage, answer = BY_HAND, located.by_hand
-        elif verdict.stage is not None:
-            stage, answer = verdict.stage, located.stages[verdict.stage]
-        is_doubted = stage == "registration" and answer.accepted and verdict.sign is None
-        state: TrackState = "contradicted" if is_doubted else answer.state
-        best.append(BestAnswer(stage, answer, state, doubts.get((i, stage), ()), verdict))
-    return best
+    of_frame = _by_frame(disagreements(flight.frames))
+    last = flight.stages[-1] if flight.stages else ""
+    return [best_answer(located, of_frame.get(i, ()), last) for i, located in enumerate(flight.frames)]
+
+
+def best_answer(
+    located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None, last: str = ""
+) -> BestAnswer:
+    """Return the answer that counts for one frame, see `best_answers`.
+
+    Args:
+        contradictions: those of this frame; by default they are looked for.
+        last: the last stage that ran, which is named where there is no position.
+    """
+    if contradictions is None:
+        contradictions = disagreements([located])
+    verdict = belief(located, contradictions)
+    stage, answer = last, StageRecord("refused", verdict.reason)
+    if located.by_hand is not None:
+        stage, answer = BY_HAND, located.by_hand
+    elif verdict.stage is not None:
+        stage, answer = verdict.stage, located.stages[verdict.stage]
+    is_doubted = stage == "registration" and answer.accepted and verdict.sign is None
+    state: TrackState = "contradicted" if is_doubted else answer.state
+    return BestAnswer(stage, answer, state, _doubt(located, contradictions, stage), verdict)
 
 
 def best_track(flight: LocatedFlight) -> list[TrackPoint]:
@@ -267,23 +294,26 @@ def best_track(flight: LocatedFlight) -> list[TrackPoint]:
             point = replace(
                 _doubted(point, best.doubt),
                 state=best.state,
-                reason=f"{best.verdict.summary}.",
+                reason=best.reason,
                 note=best.verdict.reason,
             )
         points.append(point)
     return points
 
 
-def _doubts(
-    frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]
-) -> dict[tuple[int, str], tuple[str, ...]]:
-    """Return the answers that contradict a stage's, by the frame's number and the stage; a correction settles its frame."""
-    doubts: dict[tuple[int, str], tuple[str, ...]] = {}
+def _by_frame(contradictions: Sequence[Disagreement]) -> dict[int, list[Disagreement]]:
+    of_frame: dict[int, list[Disagreement]] = {}
     for one in contradictions:
-        if frames[one.frame].by_hand is None:
-            for stage, other in ((one.one, one.other), (one.other, one.one)):
-                doubts[one.frame, stage] = (*doubts.get((one.frame, stage), ()), other)
-    return doubts
+        of_frame.setdefault(one.frame, []).append(one)
+    return of_frame
+
+
+def _doubt(located: LocatedFrame, contradictions: Sequence[Disagreement], stage: str) -> tuple[str, ...]:
+    """Return the answers for a frame that contradict a stage's, given its contradictions; a correction settles it."""
+    if located.by_hand is not None:
+        return ()
+    pairs = [(one.one, one.other) for one in contradictions]
+    return tuple(other if one == stage else one for one, other in pairs if stage in (one, other))
 
 
 def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None) -> Belief:

@@ -349,7 +349,7 @@ class LocatedFlight:
             north_from_tag=north,
             tag_latitude=located.frame.latitude,
             tag_longitude=located.frame.longitude,
-            checked=_checked(answer) if stage == "registration" and answer.accepted else "",
+            checked=checked_beside_middle(answer) if stage == "registration" and answer.accepted else "",
             **_of_pose(answer.pose, self.basemap),
         )
 
@@ -458,7 +458,7 @@ def short_reason(text: str) -> tuple[str, str]:
     return (f"{first}.", rest) if end else (text, "")
 
 
-def _checked(answer: StageRecord) -> Literal["yes", "no"]:
+def checked_beside_middle(answer: StageRecord) -> Literal["yes", "no"]:
     """Return "yes" if places away from the photo's middle are enough to check it by the map; they may contradict it."""
     return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
 

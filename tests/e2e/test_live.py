@@ -12,7 +12,7 @@ from explorer.live_window.record import LiveRecord
 from explorer.live_window.server import LiveApp
 from explorer.server.auth import make_authenticator
 from lpn.live.outputs import LiveFix
-from lpn.live.run import best_answer
+from lpn.live.run import live_answer
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from tests.explorer.flight_window.conftest import flight as flight
 from tools.fixtures.processes import free_port
@@ -31,7 +31,7 @@ def test_the_page_follows_the_newest_frame_and_lays_its_photo_over_the_map(
 ) -> None:
     def fix(located: LocatedFrame) -> LiveFix:
         return LiveFix(
-            located, *best_answer(located), 47.0, 8.0, 1e9, 0.25, 2, None, np.full((60, 80, 3), 200, np.uint8)
+            located, live_answer(located), 47.0, 8.0, 1e9, 0.25, 2, None, np.full((60, 80, 3), 200, np.uint8)
         )
 
     record, port = LiveRecord("live", flight.basemap), free_port()

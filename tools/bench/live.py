@@ -25,7 +25,7 @@ from lpn.flights import Flight, open_flight
 from lpn.live.frames import ArrivedPicture, LiveSource
 from lpn.live.locator import LiveLocator, LiveOptions
 from lpn.live.outputs import LiveFix
-from lpn.live.run import LiveRun, best_answer
+from lpn.live.run import LiveRun, live_answer
 from lpn.live.telemetry import LiveTelemetry
 from lpn.locate.located import LocatedFrame
 from lpn.locate.matchers import MatcherName
@@ -87,15 +87,15 @@ def _measure(model_file: Path, matcher: MatcherName, rates: Sequence[float]) -> 
         locator.prepare(_sizes(basemap, flight))
         LiveRun(source, LiveTelemetry(), locator, [kept], print).run()
         ages = np.array([fix.age for fix in kept.fixes])
-        accepted = [best_answer(one) for one in located]
-        errors = [one.error(stage) for one, (stage, answer) in zip(located, accepted, strict=True) if answer.accepted]
+        answers = [live_answer(one) for one in located]
+        errors = [one.error_of(best.answer) for one, best in zip(located, answers, strict=True) if best.usable]
         known = np.array([error for error in errors if error is not None])
         far = f"median {np.median(known):.1f} m, most {known.max():.1f} m" if len(known) else "none accepted"
         print(
             f"{'with' if register else 'without'} registration: {len(located) / seconds.sum():.1f} frames/s, "
             f"median {np.median(seconds):.3f} s, p95 {np.quantile(seconds, 0.95):.3f} s, "
             f"{cpu / len(located):.3f} s of the CPU a frame; "
-            f"{len(errors)} of {len(located)} accepted, {far}; "
+            f"{len(errors)} of {len(located)} may be used, {far}; "
             f"at {rate:g} frames/s p95 of ages {np.quantile(ages, 0.95):.3f} s, {source.newest.dropped} dropped"
         )
     print(f"load average {os.getloadavg()[0]:.1f} at the end")

@@ -16,7 +16,7 @@ from explorer.live_window.record import LiveRecord
 from explorer.server.picture_route import PREFIX
 from explorer.web.messages import decode
 from lpn.live.outputs import LiveFix
-from lpn.live.run import best_answer
+from lpn.live.run import live_answer
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from tests.explorer.flight_window.conftest import flight as flight
 
@@ -30,8 +30,7 @@ def record(flight: LocatedFlight) -> Iterator[LiveRecord]:
 
 def fix(located: LocatedFrame, colour: int = 200) -> LiveFix:
     pixels = np.full((60, 80, 3), colour, np.uint8)
-    stage, answer = best_answer(located)
-    return LiveFix(located, stage, answer, 47.0, 8.0, 1e9, 0.25, 2, None, pixels)
+    return LiveFix(located, live_answer(located), 47.0, 8.0, 1e9, 0.25, 2, None, pixels)
 
 
 def served(record: LiveRecord, frame: int) -> Any:

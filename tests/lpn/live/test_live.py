@@ -22,6 +22,7 @@ from PIL import ExifTags
 
 import lpn.live.frames
 import lpn.live.locator
+import lpn.locate.registered_stage
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
 from lpn.core.resources import is_loopback
@@ -38,11 +39,14 @@ from lpn.live.frames import (
 )
 from lpn.live.locator import LiveLocator, LiveOptions
 from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput
-from lpn.live.run import LiveRun, LiveSettings
+from lpn.live.run import LiveRun, LiveSettings, live_answer
 from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_link, open_telemetry
+from lpn.locate.agreement import MapAgreement
+from lpn.locate.belief import BestAnswer, belief, best_track
 from lpn.locate.camera_place import below_camera
-from lpn.locate.located import LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.registered_stage import PhotoSearch
+from lpn.locate.tracks import track_bytes
 from lpn.maps import Map
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
 from tools.fixtures.photos import exif, write_photo
@@ -150,6 +154,8 @@ def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...] | None]
         return StageRecord("accepted", "It fits.", x, y, True, 1.0, 90.0 + turn, turn, width, 50, matrix)
 
     monkeypatch.setattr(lpn.live.locator, "register_photo", register)
+    # The photos show other ground than these places.
+    monkeypatch.setattr(lpn.live.locator, "compared", lambda _, answer, __: answer)
     return places
 
 
@@ -159,6 +165,48 @@ def test_frames_are_registered_near_the_prediction_while_the_flight_goes_on(town
     assert max(line["error"] for line in lines) < 0.5
     assert all(line["geometry"]["type"] == "Point" and line["age"] >= 0 and line["dropped"] == 0 for line in lines)
     assert said == []
+
+
+@pytest.mark.parametrize(
+    ("metres", "state", "doubt"), [(0.0, "accepted", ""), (40.0, "contradicted", "tag"), (None, "accepted", "")]
+)
+def test_a_line_doubts_a_place_as_the_track_of_a_whole_flight_does(
+    town: Map, flight: Flight, metres: float | None, state: str, doubt: str
+) -> None:
+    tag = [None, None] if metres is None else town.frame.degrees([(PLACES[0][0], PLACES[0][1] + metres)])[0].tolist()
+    frame = replace(flight.frames[0], latitude=tag[0], longitude=tag[1])
+    (line,), said = lines_of(town, [frame])
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    locator.prepare([44.0])
+    located = locator.locate(frame, ArrivedPicture(frame, 0).pixels())
+    track = best_track(LocatedFlight(Flight("friday", (frame,)), town, [located], None, [], None))
+    (point,) = (one["properties"] for one in json.loads(track_bytes(".geojson", "friday", track))["features"])
+    names = ("frame", "stage", "state", "doubt", "checked_beside_middle", "reason", "note")
+    assert {name: line[name] for name in names} == {name: point.get(name, "") for name in names}
+    assert (line["stage"], line["state"], line["doubt"]) == ("registration", state, doubt)
+    assert line["checked_beside_middle"] == "yes", "places away from the middle were looked for"
+    assert line["reason"] == f"Placed by its details{', but its GPS tag disagrees' if doubt else ''}."
+    assert said == []
+
+
+def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    monkeypatch.setattr(lpn.locate.registered_stage, "map_agreement", lambda *_: off)
+    (line,), _ = lines_of(town, [flight.frames[0]])
+    assert (line["state"], line["doubt"], line["checked_beside_middle"]) == ("contradicted", "map", "contradicted")
+
+
+def test_ten_contradicted_frames_in_a_row_are_said(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    longitude = float(town.frame.degrees([(PLACES[0][0] + 60.0, PLACES[0][1])])[0, 1])
+    frames = [replace(flight.frames[0], name=f"{i}", time=1.0 + i, longitude=longitude) for i in range(10)]
+    laid |= {frame.name: (*PLACES[0], 0.0) for frame in frames}
+    lines, said = lines_of(town, frames)
+    assert {(line["state"], line["doubt"]) for line in lines} == {("contradicted", "tag")}
+    assert said == ["10 frames in a row were refused or contradicted; the last is contradicted by its tag."]
 
 
 @pytest.mark.usefixtures("laid")
@@ -225,6 +273,17 @@ def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_
     assert [line["stage"] == "registration" for line in lines] == [True] * 16
 
 
+@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0)])
+def test_a_photo_that_fits_nowhere_and_one_of_yet_another_turn_begin_the_ten_anew(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], between: tuple[float, ...] | None
+) -> None:
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(16)]
+    laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned} | {"turned 5": between}
+    lines, said = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 15 + [True]
+    assert sum("turned otherwise" in sentence for sentence in said) == 1
+
+
 def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
     settings, options = LiveSettings(belief=tmp_path / "b"), replace(OPTIONS, register=False)
     lines_of(town, list(flight.frames[:1]), settings, options)
@@ -240,7 +299,7 @@ def test_the_sequence_alone_proves_no_map_and_says_so(town: Map, flight: Flight)
     lines, _ = lines_of(town, list(flight.frames), options=replace(OPTIONS, register=False))
     assert {line["state"] for line in lines} == {"refused"}
     assert lines[-1]["error"] < 10
-    assert "Nothing shows yet that the map is of this place" in lines[-1]["reason"]
+    assert "Nothing shows yet that the map is of this place" in lines[-1]["note"]
 
 
 def test_frames_that_cannot_be_read_and_clocks_that_jump_are_said_and_the_flight_goes_on(
@@ -260,7 +319,8 @@ def test_a_flight_that_leaves_the_map_is_said(
 ) -> None:
     laid["0.png"] = (-70.0, 5.0, 0.0)
     beyond = [replace(flight.frames[0], name=f"sea {i}", time=1.0 + i) for i in range(10)]
-    lines, said = lines_of(town, [flight.frames[0], *beyond])
+    first = replace(flight.frames[0], latitude=None, longitude=None)
+    lines, said = lines_of(town, [first, *beyond])
     assert [line["state"] for line in lines] == ["accepted"] + ["refused"] * 10
     assert said == ["10 frames in a row were refused near the border of the map; the flight may have left it."]
 
@@ -452,9 +512,16 @@ def test_telemetry_turns_with_a_photo(tmp_path: Path) -> None:
     assert open_telemetry(str(tmp_path / "log.csv"), print).value(picture).frame.heading == pytest.approx(310.0)
 
 
-def fix(flight: Flight, state: str = "accepted", camera: bool = True) -> LiveFix:
+def fix(
+    flight: Flight, state: str = "accepted", camera: bool = True, stage: str = "sequence", tag: float | None = None
+) -> LiveFix:
+    """The fix of a frame whose stage answers so, some metres from its tag."""
     answer = StageRecord(state, "Because.", 1.0, 2.0, camera, 3.0, 270.0)  # type: ignore[arg-type]
-    return LiveFix(LocatedFrame(flight.frames[0], None), "sequence", answer, 47.001, 8.0, 1_714_564_800.5, 0.2, 3)
+    refused = StageRecord("refused", "Few frames agree.", 5.0, 5.0, radius=90.0)
+    place = None if tag is None else np.array([1.0 + tag, 2.0])
+    located = LocatedFrame(flight.frames[0], place, {"sequence": refused, stage: answer})
+    best = replace(live_answer(located), answer=answer)
+    return LiveFix(located, best, 47.001, 8.0, 1_714_564_800.5, 0.2, 3)
 
 
 @pytest.mark.parametrize("kind", ["gps", "vision"])
@@ -467,14 +534,21 @@ def test_accepted_places_are_sent_over_mavlink(flight: Flight, kind: Any) -> Non
         f"udpout:127.0.0.1:{port}", kind, said.append, lambda: origins[0] if origins else None, lambda: 7
     )
     try:
-        output.send(fix(flight, "refused"))
         if kind == "vision":
             output.send(fix(flight))
             assert said == [
                 "The vehicle has not told its origin (GPS_GLOBAL_ORIGIN) yet; VISION_POSITION_ESTIMATE waits for it."
             ]
             origins.append((47.0, 8.0))
-        output.send(fix(flight))
+        for withheld in (
+            fix(flight, "refused"),
+            fix(flight, "refused", stage="registration"),
+            fix(flight, tag=60.0),
+            fix(flight, stage="registration", tag=60.0),
+        ):
+            output.send(withheld)
+        assert receiver.recv_match(blocking=True, timeout=0.5) is None, "no refused or contradicted place may be fused"
+        output.send(fix(flight, stage="registration", tag=3.0))
         message = receiver.recv_match(blocking=True, timeout=10)
     finally:
         output.close()
@@ -607,7 +681,8 @@ def test_a_place_of_the_middle_counts_with_the_tilt(flight: Flight) -> None:
     def radius(pitch: float | None) -> float | None:
         frame = replace(flight.frames[0], pitch=pitch, roll=0.0, height_above_ground=100.0)
         answer = StageRecord("accepted", "", 0.0, 0.0, radius=3.0)
-        return LiveFix(LocatedFrame(frame, None), "sequence", answer, 47.0, 8.0, 1e9, 0.1, 0).radius
+        best = BestAnswer("sequence", answer, "accepted", (), belief(LocatedFrame(frame, None, {"sequence": answer})))
+        return LiveFix(LocatedFrame(frame, None), best, 47.0, 8.0, 1e9, 0.1, 0).radius
 
     assert radius(-45.0) == pytest.approx(math.hypot(3, 100))
     assert radius(-90.0) == radius(None) == pytest.approx(math.hypot(3, 100 * math.tan(math.radians(5))))
