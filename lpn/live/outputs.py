@@ -123,7 +123,7 @@ class LineOutput:
 
 
 class MavlinkOutput:
-    """Accepted places that nothing contradicts, as GPS_INPUT or VISION_POSITION_ESTIMATE.
+    """Accepted places that map and sequence do not contradict, as GPS_INPUT or VISION_POSITION_ESTIMATE.
 
     VISION_POSITION_ESTIMATE is in metres north and east of the vehicle's own origin, so nothing is sent before the vehicle has
     told it by GPS_GLOBAL_ORIGIN.
@@ -153,8 +153,12 @@ class MavlinkOutput:
         self._waits = False
 
     def send(self, fix: LiveFix) -> None:
-        """Send a fix, unless it is refused, or contradicted."""
-        if not fix.best.usable or fix.latitude is None or fix.longitude is None:
+        """Send a fix, unless it is refused, or map or sequence contradict it.
+
+        The vehicle's own position is what a fix is to correct, so that alone holds none back.
+        """
+        usable = fix.best.usable or (fix.answer.accepted and fix.best.doubt == ("tag",))
+        if not usable or fix.latitude is None or fix.longitude is None:
             return
         self._link.mav.srcSystem = self._system() or 1
         if self._kind == "gps":
