@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 import viser
@@ -24,8 +25,16 @@ from lpn.tasks.task import Task
 
 # Seconds for which the page tells that a file is made.
 _TOLD = 6.0
+
+
+class FileProgress(Protocol):
+    """Reports the finished and the total amount of work on a file, and what is counted; see `ReportProgress`."""
+
+    def __call__(self, done: int, total: int, what: str = "done") -> None: ...
+
+
 # A function that makes a report with a model and returns the file's name and contents.
-MakeReport = Callable[[ReportProgress, QueuedModel | None], tuple[str, bytes]]
+MakeReport = Callable[[FileProgress, QueuedModel | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
@@ -146,9 +155,9 @@ class Reporter:
         cancel = f"Press “{control}” again to cancel."
         notification = self._client.add_notification(f"Making a {noun}", cancel, loading=True, auto_close_seconds=None)
 
-        def on_progress(done: int, total: int) -> None:
+        def on_progress(done: int, total: int, what: str = "done") -> None:
             progress(done, total)
-            notification.body = f"{done} of {total} done. {cancel}"
+            notification.body = f"{done:,} of {total:,} {what}. {cancel}"
             self._on_progress(done, total)
 
         try:

@@ -353,7 +353,7 @@ class ClientSession:
         other = None if second is None or second.workspace is None else second.workspace.ranked_as(task)
         # The switch of scorings tells what each brings.
         main, *scored = self._workspace.scored_rankings(task)
-        self._ranking_progress.follow(main, *([] if other is None else [other]), *scored)
+        self._ranking_progress.follow(main, *([] if other is None else [other]), figures=scored)
         self._address.write(analysis.state)
         if log.isEnabledFor(logging.DEBUG):
             log.debug("%s", self._log_line(analysis, time.perf_counter() - started))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from explorer.compute.ranking_job import RankingJob
 
@@ -15,23 +15,32 @@ class RankingProgress:
 
     Args:
         on_progress: shows the progress of a ranking; never called by two threads at a time.
-        on_done: called after each ranking; it shows the page anew.
+        on_done: called after each ranking that the page draws; it shows the page anew.
     """
 
     def __init__(self, on_progress: Callable[[RankingJob], None], on_done: Callable[[], None]) -> None:
         self._on_progress, self._on_done, self._lock = on_progress, on_done, threading.Lock()
         self._pending: tuple[RankingJob, ...] = ()
         self._followed: RankingJob | None = None
+        self._figures: frozenset[RankingJob] = frozenset()
         self._thread: threading.Thread | None = None
         self._closed = False
 
-    def follow(self, main: RankingJob, *others: RankingJob) -> None:
-        """Wait for the ranking that the page shows, then for others one by one, and for no further ones."""
+    def follow(self, main: RankingJob, *others: RankingJob, figures: Sequence[RankingJob] = ()) -> None:
+        """Wait for the ranking that the page shows, then for others one by one, and for no further ones.
+
+        Args:
+            figures: waited for after the others; the page shows their results alone, beside those of `main`.
+        """
+        all_of_them = (main, *others, *figures)
         pending = tuple(
-            ranking for ranking in (main, *others) if ranking.automatic and ranking.result is None and not ranking.error
+            ranking for ranking in all_of_them if ranking.automatic and ranking.result is None and not ranking.error
         )
         with self._lock:
-            if pending == self._pending or self._closed:
+            if self._closed:
+                return
+            self._figures = frozenset(figures) - {main, *others}
+            if (pending, main) == (self._pending, self._followed):
                 return
             for ranking in self._pending:
                 if ranking not in pending:
@@ -69,9 +78,10 @@ class RankingProgress:
             with self._lock:
                 if self._pending[:1] != (ranking,):
                     continue
-                if self._followed is ranking:
-                    self._on_progress(ranking)
+                figures_alone = ranking in self._figures
+                if self._followed is not None and (self._followed is ranking or (ended and figures_alone)):
+                    self._on_progress(self._followed)
                 if ended:
                     self._pending = self._pending[1:]
-            if ended:
+            if ended and not figures_alone:
                 self._on_done()

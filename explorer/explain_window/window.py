@@ -13,7 +13,6 @@ from typing import Any
 import viser
 
 from explorer import judge, reports, session_state
-from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.turned_jobs import TurnedJobs
 from explorer.compute.worker import Worker
@@ -23,7 +22,7 @@ from explorer.explain_window.model_comparison import ModelComparison
 from explorer.explain_window.sweep_request import SweepProgress, SweepRequest
 from explorer.explain_window.whole_task import TurnChoice, WholeTask
 from explorer.panels.first_screen import said
-from explorer.reports import Reporter
+from explorer.reports import FileProgress, Reporter
 from explorer.session_state import StateChange, WhyTab
 from explorer.stage.viewport import EDGE, Viewport
 from explorer.web.html import Html
@@ -31,6 +30,7 @@ from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison, effect_on
 from lpn.core.errors import LPNError
+from lpn.core.progress import at_intervals
 from lpn.drawing.words import speaking
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweptProperty
@@ -50,6 +50,8 @@ _TABS: dict[WhyTab, str] = {
 _MAX_SIZE = (1600, 1100)
 # Seconds between two drawings of a sweep in progress.
 _DRAW_INTERVAL = 0.15
+# Seconds between two reports on the reading of a map's files.
+_READING = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,10 +533,13 @@ class ExplainWindow:
             self._reporter.make(partial(self._reported, content.analysis), control="Save")
 
     def _reported(
-        self, analysis: StateAnalysis, progress: ReportProgress, model: QueuedModel | None
+        self, analysis: StateAnalysis, progress: FileProgress, model: QueuedModel | None
     ) -> tuple[str, bytes]:
+        def on_read(done: int, total: int) -> None:
+            progress(round(done / 1e6), round(total / 1e6), "MB of the map's files read for their SHA-256")
+
         with speaking(self._workspace.vocabulary(True)):
-            told = said(analysis, self._workspace)
+            told = said(analysis, self._workspace, at_intervals(_READING, on_read))
         return reports.of_analysis(self._workspace, analysis, progress, model, told)
 
     def _compare(self, tile: int) -> None:

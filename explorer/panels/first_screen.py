@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 import cv2
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from explorer import judge, lab_choices, session_state
 from explorer.browse.own_pictures import OwnPictures
+from explorer.compute.cache import SingleFlightCache
 from explorer.lab_choices import Tab
 from explorer.panels import answer_text, place_text, wrong_answer
 from explorer.panels.answer_lines import AnswerLines, answer_lines
@@ -36,6 +37,7 @@ from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.core.numbers import heading_figure
+from lpn.core.progress import CountProgress
 from lpn.core.views import View
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme, verdicts, words
@@ -56,6 +58,9 @@ from lpn.retrieval import DescribedPicture
 
 # Map files, and bytes of them, up to which a saved answer has their SHA-256.
 _MOST_MAP_FILES, _MOST_MAP_BYTES = 20, 1_000_000_000
+# The SHA-256 of files, by path and time of the last change, and the bytes that are read at once for one.
+_digests: SingleFlightCache[tuple[Path, int], str] = SingleFlightCache(64)
+_PIECE_BYTES = 16_000_000
 # Sentences for a photo whose tag and registration contradict each other, by whether the answer is right by the tag.
 _DISPUTED = {
     False: "By its GPS tag the photo lies elsewhere. Laid over the map by its details, it lies on this piece.",
@@ -353,8 +358,12 @@ def _ground(details: str, laid: LaidPhoto | None, linked: bool) -> str:
     return Markup(" ").join(filter(None, sentences))
 
 
-def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
-    """Return what the screen says of an answer, and its pictures, for a file that is read without it."""
+def said(analysis: StateAnalysis, workspace: Workspace, on_read: CountProgress = lambda *_: None) -> Said:
+    """Return what the screen says of an answer, and its pictures, for a file that is read without it.
+
+    Args:
+        on_read: see `_map_facts`.
+    """
     analysis = replace(analysis, state=replace(analysis.state, why=False))
     laid = _laid(workspace.located(analysis), workspace, analysis.registered is not None)
     found, positive = _verdicts(analysis, workspace), analysis.positive
@@ -394,7 +403,7 @@ def said(analysis: StateAnalysis, workspace: Workspace) -> Said:
         lines.told,
         tuple(pictures),
         _photo_facts(analysis),
-        _map_facts(workspace),
+        _map_facts(workspace, on_read),
         tuple((method, tuple(sentences)) for method, sentences in reasons),
         tuple(filter(None, [lines.criterion, checked])),
         _said_details(analysis, workspace),
@@ -411,8 +420,12 @@ def _said_details(analysis: StateAnalysis, workspace: Workspace) -> SaidDetails 
     )
 
 
-def _map_facts(workspace: Workspace) -> tuple[tuple[str, str], ...]:
-    """Return names and SHA-256 of the map's files that can be read; of many or large ones their number and size alone."""
+def _map_facts(workspace: Workspace, on_read: CountProgress = lambda *_: None) -> tuple[tuple[str, str], ...]:
+    """Return names and SHA-256 of the map's files that can be read; of many or large ones their number and size alone.
+
+    Args:
+        on_read: called while files are read, which may take seconds at the first time: with the bytes that are read, and all.
+    """
     sheets = () if workspace.basemap is None else workspace.basemap.sheets
     # Files within an archive are none of their own.
     paths = sorted({path for sheet in sheets for path in sheet.raster.files() if path.is_file()})
@@ -422,17 +435,36 @@ def _map_facts(workspace: Workspace) -> tuple[tuple[str, str], ...]:
             return (
                 ("Map", f"{len(paths):,} files of {size / 1e6:,.0f} MB, too many or too large for their SHA-256 here"),
             )
-        digests = [(path.name, _digest(path, path.stat().st_mtime_ns)) for path in paths]
+        digests, before = [], 0
+        for path in paths:
+            digests.append((path.name, _digest(path, partial(_count, on_read, before, size))))
+            before += path.stat().st_size
     except OSError:  # a file has gone meanwhile
         return ()
     return tuple(("Map", f"{printable(name)}, SHA-256 {digest}") for name, digest in digests)
 
 
-@lru_cache(maxsize=64)
-def _digest(path: Path, *_: int) -> str:
-    """Return the SHA-256 of a file in hexadecimal digits; a time of its last change makes it be read again."""
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _count(on_read: CountProgress, before: int, size: int, read: int) -> None:
+    on_read(min(before + read, size), size)
+
+
+def _digest(path: Path, on_read: Callable[[int], None]) -> str:
+    """Return the SHA-256 of a file in hexadecimal digits; a file that has changed is read again.
+
+    Args:
+        on_read: called with the bytes that are read.
+    """
+
+    def compute() -> str:
+        digest, read = hashlib.sha256(), 0
+        with path.open("rb") as file:
+            while piece := file.read(_PIECE_BYTES):
+                digest.update(piece)
+                read += len(piece)
+                on_read(read)
+        return digest.hexdigest()
+
+    return _digests.get((path, path.stat().st_mtime_ns), compute)
 
 
 def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:

@@ -225,11 +225,18 @@ def test_the_switch_waits_for_the_scorings_that_are_not_shown(workspace: Workspa
     rankings = workspace.scored_rankings(shown.task)
     assert rankings[0] is shown
     assert {one.task.scoring for one in rankings} == set(SCORINGS)
-    jobs, told = [RankingJob(one.task) for one in rankings], list[str]()  # none of them is ranked yet
-    progress = RankingProgress(lambda _: None, lambda: told.append("the page is shown anew"))
-    progress.follow(*jobs)
-    wait_until(lambda: len(told) == 3)
-    assert all(job.result is not None for job in jobs)
+    main, *others = jobs = [RankingJob(one.task) for one in rankings]  # none of them is ranked yet
+    told, drawn = list[tuple[RankingJob, int]](), list[str]()
+
+    def tell(ranking: RankingJob) -> None:
+        told.append((ranking, sum(job.result is not None for job in jobs)))
+
+    progress = RankingProgress(tell, lambda: drawn.append("the page is shown anew"))
+    progress.follow(main, figures=others)
+    wait_until(lambda: (main, 3) in told)
+    assert {ranking for ranking, _ in told} == {main}, "the results are those that are shown"
+    progress.follow(main, figures=others)
+    assert len(drawn) == 1, "the figures of the others stand in its results alone"
 
 
 def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace: Workspace) -> None:

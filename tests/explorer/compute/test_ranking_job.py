@@ -5,6 +5,8 @@ from __future__ import annotations
 import threading
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -118,6 +120,24 @@ def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
     assert set(told) == {one.task.name}
     progress.follow(other)
     wait_until(lambda: progress._thread is None)
+
+
+def test_a_ranking_that_is_chosen_while_its_figures_are_waited_for_draws_the_page(workspace: Workspace) -> None:
+    chosen = RankingJob(workspace.rankings[TASK].task)
+    ended, begun, drawn = threading.Event(), threading.Event(), threading.Event()
+    background: Any = SimpleNamespace(wait=lambda _: (begun.set(), ended.wait(TIMEOUT))[1], cancelled=False)
+    chosen.join = lambda _: background  # type: ignore[method-assign]
+    shown, told = workspace.rankings[TASK], list[RankingJob]()
+    assert shown.join(object()).wait(TIMEOUT)
+    progress = RankingProgress(told.append, drawn.set)
+    progress.follow(shown, figures=[chosen])
+    assert begun.wait(TIMEOUT)
+    progress.follow(chosen, figures=[shown])
+    assert told[-1] is chosen
+    ended.set()
+    assert drawn.wait(TIMEOUT)
+    assert told[-1] is chosen
+    progress.close()
 
 
 def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:

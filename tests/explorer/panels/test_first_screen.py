@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from base64 import b64decode
 from dataclasses import replace
@@ -440,13 +441,23 @@ def test_a_saved_answer_has_the_map_s_digests_and_counts_many_or_large_files(
     for i, file in enumerate(files):
         file.write_bytes(bytes([i]) * 100_000)
     gone = tmp_path / "town.zip" / "a.tif"
+    read: list[tuple[int, int]] = []
 
     def facts(*of: Path) -> Any:
         sheet = SimpleNamespace(raster=SimpleNamespace(files=lambda: [*of, gone]))
-        return first_screen._map_facts(SimpleNamespace(basemap=SimpleNamespace(sheets=[sheet, sheet])))  # type: ignore[arg-type]
+        place: Any = SimpleNamespace(basemap=SimpleNamespace(sheets=[sheet, sheet]))
+        return first_screen._map_facts(place, lambda *counted: read.append(counted))
 
     few = tuple(("Map", f"{file.name}, SHA-256 {sha256(file.read_bytes()).hexdigest()}") for file in files[:20])
     assert facts(*files[:20]) == few, "a file of two sheets is one, and one within an archive none"
+    assert read == [(100_000 * i, 2_000_000) for i in range(1, 21)]
+    assert facts(*files[:20]) == few
+    assert len(read) == 20, "a file is read once"
+    files[0].write_bytes(bytes([1]) * 100_000)
+    os.utime(files[0], ns=(1, 1))
+    few = (("Map", f"00.tif, SHA-256 {sha256(bytes([1]) * 100_000).hexdigest()}"), *few[1:])
+    assert facts(*files[:20]) == few, "one that has changed is read again"
+    assert len(read) == 21
     assert facts(*files) == (("Map", "21 files of 2 MB, too many or too large for their SHA-256 here"),)
     monkeypatch.setattr(first_screen, "_MOST_MAP_BYTES", 150_000)
     assert facts(files[0]) == few[:1]
