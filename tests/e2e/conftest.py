@@ -404,12 +404,30 @@ def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
         context.close()
 
 
+def empty_context(browser: Browser, **options: Any) -> BrowserContext:
+    """A browser profile that has never been here, as patient as all others: playwright itself waits 30 s."""
+    context = browser.new_context(**options)
+    context.set_default_timeout(1000 * PATIENCE)
+    return context
+
+
 def new_context(browser: Browser, **options: Any) -> BrowserContext:
     """A browser profile that has seen the tour, on a system with a dark theme."""
-    context = browser.new_context(**{"viewport": {"width": 1456, "height": 835}, "color_scheme": "dark", **options})
-    context.set_default_timeout(1000 * PATIENCE)
+    given = {"viewport": {"width": 1456, "height": 835}, "color_scheme": "dark", **options}
+    context = empty_context(browser, **given)
     context.add_init_script(_PREPARE)
     return context
+
+
+def outlast(page: Page, milliseconds: int) -> None:
+    """Give timers of a limit in a page's scripts `PATIENCE`: a page goes on without what is late, as a busy machine is."""
+    page.evaluate(
+        """([limit, patience]) => {
+          const timer = window.setTimeout;
+          window.setTimeout = (act, delay, ...rest) => timer(act, delay === limit ? patience : delay, ...rest);
+        }""",
+        [milliseconds, 1000 * PATIENCE],
+    )
 
 
 @pytest.fixture(scope="package")

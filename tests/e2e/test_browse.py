@@ -13,7 +13,7 @@ import explorer.web
 from explorer.browse.messages import BeginBatch, BrowseMessage
 from explorer.server.message_filter import MAX_TEXT
 from explorer.web.messages import decode
-from tests.e2e.conftest import ExplorerPage
+from tests.e2e.conftest import ExplorerPage, empty_context
 from tools.fixtures import small_worlds
 
 
@@ -80,7 +80,7 @@ def test_many_files_become_queries_and_bad_ones_are_listed(explorer: ExplorerPag
 @pytest.fixture
 def bare(browser: Browser) -> Iterator[Page]:
     """A page of an upload button and the script of one's own pictures; it sends `sent`, uploads `put`, and draws `bars`."""
-    page = browser.new_page()
+    page = empty_context(browser).new_page()
     page.set_content("<input type=file>")
     scripts = Path(explorer.web.__file__).parent / "js"
     page.add_script_tag(path=scripts / "viser_compat.js")
@@ -93,7 +93,7 @@ def bare(browser: Browser) -> Iterator[Page]:
     }""")
     page.add_script_tag(path=scripts / "own.js")
     yield page
-    page.close()
+    page.context.close()
 
 
 @pytest.mark.slow

@@ -14,14 +14,13 @@ from playwright.sync_api import Browser, Page, expect
 from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_PLACE
 from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
 from lpn.core.images import load_picture, shrink
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, expect_accessible, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, empty_context, expect_accessible, started
 from tools.fixtures import small_worlds
 
-# Check that a phone's sheet has not scrolled since the last look.
-AT_REST = """() => {
-  const before = window.before, now = document.querySelector(".mantine-ScrollArea-viewport").scrollTop;
-  window.before = now;
-  return before === now;
+# Note when a phone's sheet comes to rest after a scroll: a busy page may stand still in between.
+NOTE_REST = """() => {
+  const sheet = document.querySelector(".mantine-ScrollArea-viewport");
+  sheet.addEventListener("scrollend", () => (window.atRest = true));
 }"""
 
 # Count what the stage draws from the page's beginning on, and note whether the panel of the query was ever unfolded.
@@ -60,8 +59,7 @@ PLACES = """(pins) => {
 @pytest.fixture
 def fresh(browser: Browser) -> Iterator[Page]:
     """A page of a browser profile without any storage."""
-    context = browser.new_context(viewport={"width": 1280, "height": 800}, color_scheme="dark")
-    context.set_default_timeout(1000 * PATIENCE)
+    context = empty_context(browser, viewport={"width": 1280, "height": 800}, color_scheme="dark")
     yield context.new_page()
     context.close()
 
@@ -354,8 +352,7 @@ def test_a_picture_of_ones_own_is_chosen_on_a_small_screen(app: RunningApp, fres
 
 @pytest.mark.slow
 def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> None:
-    context = browser.new_context(viewport={"width": 390, "height": 664}, has_touch=True, is_mobile=True)
-    context.set_default_timeout(1000 * PATIENCE)
+    context = empty_context(browser, viewport={"width": 390, "height": 664}, has_touch=True, is_mobile=True)
     page = context.new_page()
     page.goto(app.url)
     first, query = page.locator("#lpn-first"), page.locator("#lpn-first .pair img").first
@@ -422,6 +419,7 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     expect(card).to_have_count(0)
     page.locator("#lpn-header .tools").get_by_text("Tour").tap()
     expect(card).to_be_visible()
+    page.evaluate(NOTE_REST)
     touch = context.new_cdp_session(page)
     for kind, y in (("Start", 620), *(("Move", y) for y in range(600, 400, -20)), ("End", None)):
         points = [] if y is None else [{"x": 195, "y": y}]
@@ -429,7 +427,7 @@ def test_a_phone_shows_what_was_asked_for(app: RunningApp, browser: Browser) -> 
     expect(page.locator("#lpn-header")).not_to_be_in_viewport()
     expect(card).to_be_visible()
     # A tap on a sheet that still glides stops it, and nothing else.
-    page.wait_for_function(AT_REST, polling=400)
+    page.wait_for_function("window.atRest")
     page.touchscreen.tap(195, 620)
     expect(card).to_have_count(0)
     page.get_by_label("Expand panel Query").tap()

@@ -28,7 +28,7 @@ from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.task import flight_task
 from lpn.maps import LocalFrame, open_map
-from tests.e2e.conftest import ExplorerPage, box, expect_accessible
+from tests.e2e.conftest import ExplorerPage, box, expect_accessible, outlast
 from tests.lpn.locate.scenery import ground_to_photo
 from tests.lpn.maps.small_maps import smooth, write_geotiff
 from tools.fixtures.processes import free_port
@@ -337,6 +337,7 @@ def test_pictures_that_the_server_is_too_busy_for_are_asked_for_again(
 @pytest.mark.slow
 def test_a_frame_is_shown_when_all_of_its_pictures_are_there(window: FlightPage) -> None:
     held: list[Route] = []
+    outlast(window.page, 5000)  # after which a frame is shown without its pictures
     window.page.route(re.compile(r"/pictures/.*/(pair|photo)/1$"), lambda route: held.append(route))
     window.page.get_by_role("button", name="Swipe").click()
     window.page.evaluate(

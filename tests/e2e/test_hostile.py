@@ -28,7 +28,7 @@ from explorer.url_state import UrlState
 from lpn.cli import main
 from lpn.core.files import printable
 from lpn.locate.tracks import TrackPoint, write_track
-from tests.e2e.conftest import ExplorerPage, RunningApp, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, empty_context, started
 from tools.fixtures import small_worlds
 from tools.fixtures.chromium import returning
 
@@ -101,6 +101,7 @@ def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactor
     folder = tmp_path_factory.mktemp("walk")
     with started(places, model_file, folder / "cache") as running:
         context = returning(browser, 1456, 835)
+        context.set_default_timeout(1000 * PATIENCE)
         walked = Walk(context.new_page(), running.url)
         page = walked.page
         page.on("request", lambda request: walked.asked.append(request.url))
@@ -193,7 +194,7 @@ def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(walk: Walk) -> 
 @pytest.fixture
 def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
     """A page for files, and what must not happen in it: requests for anything else, dialogs, and errors."""
-    context = browser.new_context()
+    context = empty_context(browser)
     page, alarms = context.new_page(), list[str]()
     page.on(
         "request",

@@ -18,7 +18,7 @@ from explorer.layout import layout_for
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, StateAnalysis
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, difference, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, difference, empty_context, started
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 
@@ -180,7 +180,7 @@ def test_light_and_dark(explorer: ExplorerPage) -> None:
 def test_the_tour_and_the_notice_about_software_webgl_are_shown_once_and_the_tour_follows_the_stage(
     app: RunningApp, browser: Browser
 ) -> None:
-    context = browser.new_context(viewport={"width": 1280, "height": 720})
+    context = empty_context(browser, viewport={"width": 1280, "height": 720})
     explorer = ExplorerPage(context.new_page())
     explorer.open(app.url)
     notice = explorer.page.locator("#webgl-software-rendering")

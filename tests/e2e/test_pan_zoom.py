@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Browser, Page
 
 import explorer.web
+from tests.e2e.conftest import empty_context
 
 # A map of 400 x 300 pixels at (50, 20) of the page, of which 2 pixels are a unit; a button lies on it. `calls` is what it called.
 PAGE = """() => {
@@ -91,7 +92,7 @@ class PanZoomPage:
 
 @pytest.fixture
 def pan_zoom(browser: Browser) -> Iterator[PanZoomPage]:
-    context = browser.new_context(has_touch=True, viewport={"width": 600, "height": 400})
+    context = empty_context(browser, has_touch=True, viewport={"width": 600, "height": 400})
     yield PanZoomPage(context.new_page())
     context.close()
 

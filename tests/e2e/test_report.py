@@ -13,6 +13,7 @@ from lpn import report
 from lpn.datasets import open_dataset
 from lpn.report import Options
 from lpn.tasks.opening import describe_task
+from tests.e2e.conftest import empty_context
 
 
 @pytest.fixture
@@ -24,7 +25,7 @@ def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
 
 
 def test_a_report_needs_nothing_else_and_prints_two_pages_a_query(browser: Browser, file: Path) -> None:
-    context = browser.new_context(viewport={"width": 1100, "height": 900}, color_scheme="dark")
+    context = empty_context(browser, viewport={"width": 1100, "height": 900}, color_scheme="dark")
     page = context.new_page()
     requests, messages = [], []
     page.on("request", lambda request: requests.append(request.url))
@@ -45,7 +46,7 @@ def test_a_report_needs_nothing_else_and_prints_two_pages_a_query(browser: Brows
 
 
 def test_a_report_fits_a_phone(browser: Browser, file: Path) -> None:
-    context = browser.new_context(viewport={"width": 390, "height": 800})
+    context = empty_context(browser, viewport={"width": 390, "height": 800})
     page = context.new_page()
     page.goto(file.as_uri())
     assert page.evaluate("document.documentElement.scrollWidth") <= 390

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 import explorer.web
+from tests.e2e.conftest import empty_context
 
 # The sheet, a part that is looked for, and what lies above and below it. The browser's own anchoring is off.
 BODY = """<div class=mantine-ScrollArea-viewport style="height:360px;overflow-y:auto;overflow-anchor:none">
@@ -20,7 +21,7 @@ QUIET = 1500
 
 @pytest.fixture
 def sheet(browser: Browser) -> Iterator[Page]:
-    context = browser.new_context(viewport={"width": 390, "height": 664}, has_touch=True, is_mobile=True)
+    context = empty_context(browser, viewport={"width": 390, "height": 664}, has_touch=True, is_mobile=True)
     page = context.new_page()
     page.clock.install()
     page.set_content(f"<meta name=viewport content='width=device-width'><body style='margin:0'>{BODY}")

@@ -13,7 +13,7 @@ from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
 from explorer.stories import film
 from explorer.stories.story import Step, Story
-from tests.e2e.conftest import ExplorerPage, RunningApp, started
+from tests.e2e.conftest import ExplorerPage, RunningApp, empty_context, outlast, started
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_two_steps_are_recorded_told_saved_and_exported(
     explorer.key("n")
     explorer.expect_status("name", "0008")
 
-    context = browser.new_context(offline=True)
+    context = empty_context(browser, offline=True)
     exported, requests, problems = context.new_page(), [], []
     exported.on("request", lambda request: requests.append(request.url))
     exported.on("console", lambda message: problems.append(message.text))
@@ -168,10 +168,11 @@ def test_a_story_begun_on_the_first_screen_ends_there_and_no_tour_covers_it(
 ) -> None:
     steps = [{"shows": "query=0011", "caption": "The first"}, {"shows": "query=0012", "caption": "The second"}]
     (story_app.data / "stories.json").write_text(json.dumps([{"name": "Two", "steps": steps}]))
-    context = browser.new_context()
+    context = empty_context(browser)
     page = context.new_page()
     explorer = ExplorerPage(page)
     page.goto(story_app.url)
+    outlast(page, 5000)  # after which a caption waits no more for its picture
     first = page.locator("#lpn-first")
     first.get_by_role("button", name="Glossary").click()
     page.get_by_role("dialog").get_by_role("button", name="Close").click()

@@ -44,7 +44,7 @@ from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError, MissingPackageError
 from tools.fixtures import small_worlds
 from tools.fixtures.small_proxy import SmallProxy
-from tools.fixtures.waiting import wait_until
+from tools.fixtures.waiting import TIMEOUT, wait_until
 from tools.fixtures.websocket_client import WebSocketClient
 
 T = TypeVar("T")
@@ -76,7 +76,7 @@ def url(app: App) -> str:
 
 
 def get(app: App, path: str = "/", **headers: str) -> tuple[int, http.client.HTTPMessage, str]:
-    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", app.server.get_port(), timeout=TIMEOUT)
     connection.request("GET", path, headers={name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
     body = answer.read().decode()
@@ -193,7 +193,7 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
 
 def raw(app: App, data: bytes) -> bytes:
     """Return the first line of the response to bytes that may not be a request."""
-    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
+    with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=TIMEOUT) as connection:
         connection.sendall(data)
         return connection.makefile("rb").readline().strip()
 
@@ -204,7 +204,7 @@ def test_proxies_that_ask_by_http_1_0_or_whether_the_server_is_up_are_answered(l
     assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 401 Unauthorized"
     locked.authenticator.token = None
     assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 200 OK"
-    connection = http.client.HTTPConnection("127.0.0.1", locked.server.get_port(), timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", locked.server.get_port(), timeout=TIMEOUT)
     connection.request("HEAD", "/")
     response = connection.getresponse()
     assert (response.status, response.read(), response.headers["Connection"]) == (200, b"", "close")
@@ -226,7 +226,7 @@ def test_a_connection_that_is_no_request_is_named_on_the_terminal_once(
     monkeypatch.setattr(app.gateway._check, "_logged", set())
     monkeypatch.setattr(app.gateway._check, "_lines", TokenBucket(1, 100))
     for _ in range(2):
-        with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) as connection:
+        with socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=TIMEOUT) as connection:
             connection.sendall(start)
             connection.shutdown(socket.SHUT_WR)
             assert connection.recv(100) == b""
@@ -366,7 +366,7 @@ def test_the_log_has_no_token(locked: App, caplog: pytest.LogCaptureFixture) -> 
 def test_pending_connections_do_not_exhaust_the_file_descriptors(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gateway, "MAX_PENDING", 8)
     before = len(list(Path("/proc/self/fd").iterdir()))
-    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=20) for _ in range(30)]
+    held = [socket.create_connection(("127.0.0.1", app.server.get_port()), timeout=TIMEOUT) for _ in range(30)]
     try:
         for connection in held[:-8]:
             with contextlib.suppress(ConnectionResetError):
