@@ -14,6 +14,7 @@ from lpn.core.numbers import error_figure
 from lpn.core.progress import Progress
 from lpn.flights import Flight
 from lpn.locate.audit import TagAudit, audit_tags, corrected_tags
+from lpn.locate.beyond import places_beyond
 from lpn.locate.corrections import Correction
 from lpn.locate.index_windows import WindowIndex
 from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
@@ -99,7 +100,8 @@ def locate(
                 frame.stages["sequence"] = answers.sequence[frame.frame.name]
             notes += answers.notes
         elif options.sequence:
-            notes += enter_sequence(retrieval, flight, frames, options)
+            beyond = places_beyond(basemap, retrieval.places, retrieval.sizes, retrieval.overlap)
+            notes += enter_sequence(retrieval, flight, frames, options, beyond)
     registrations = {} if answers is None else answers.registration
     located = LocatedFlight(
         flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior

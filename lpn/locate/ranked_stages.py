@@ -44,6 +44,21 @@ _LEAST_STEPS = 10
 _LEAST_STEP = 0.3
 
 
+# Probability of places beyond the map from which a frame is said to lie there.
+_LEFT = 0.5
+# No places beyond the map, (0, 2).
+_NOWHERE = np.zeros((0, 2))
+
+
+def left_map(probability: float) -> str:
+    """Say that a frame lies beyond the map with some probability, which is not rounded up."""
+    share = math.floor(100 * probability) / 100
+    return (
+        f"The drone was probably beyond the map's edge, with a probability of {share:.2f}: where it can have been, the map "
+        "resembles this photo and its neighbours too little."
+    )
+
+
 def enter_retrieval(retrieval: MapRetrieval, frames: list[LocatedFrame], k: int) -> None:
     """Enter the answers of the retrieval."""
     for i, located in enumerate(frames):
@@ -90,8 +105,12 @@ def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
     return float(2 * (scores[best] - scores[apart].max())) if apart.any() else None
 
 
-def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tuple[SequenceResult, MotionModel, float]:
-    """Run the sequence over windows and headings; return it with its motion and its `heading_evidence`.
+def smoothed(
+    retrieval: MapRetrieval, flight: Flight, speed: float | None, beyond: Float64Array
+) -> tuple[SequenceResult, MotionModel, float]:
+    """Run the sequence over windows, places `beyond` the map, (B, 2), and headings; return it, its motion, and its evidence.
+
+    The evidence is that of `heading_evidence`.
 
     A frame whose heading is told has this one as its state, as the drone flies along it, and each window counts with the best of
     the turns that are tried. Other frames have all headings that are tried.
@@ -112,38 +131,49 @@ def smoothed(retrieval: MapRetrieval, flight: Flight, speed: float | None) -> tu
 
     motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
     evidence = heading_evidence(scores, headings, retrieval.places, flight.times, motion, temperature)
-    near = OVERLAP * side
+    near, alike = OVERLAP * side, motion.alike(flight.times, side)
     track = smooth(
-        lambda i: emissions(scores(i), temperature),
+        lambda i: emissions(scores(i), temperature, beyond=len(beyond), alike=alike[i]),
         headings,
-        retrieval.places,
+        np.concatenate([retrieval.places, beyond]),
         flight.times,
         motion,
         near,
         lambda shares: retrieval.best_apart(shares, TOP, APART),
+        len(beyond),
     )
     return track, motion, evidence
 
 
 def enter_sequence(
-    retrieval: MapRetrieval, flight: Flight, frames: list[LocatedFrame], options: LocateOptions
+    retrieval: MapRetrieval,
+    flight: Flight,
+    frames: list[LocatedFrame],
+    options: LocateOptions,
+    beyond: Float64Array = _NOWHERE,
 ) -> list[str]:
     """Enter the answers of the sequence; return sentences about it.
 
     Where the direction of flight does not show that the map is of its place, answers are refused until `confirm_sequence`.
+
+    Args:
+        beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
     """
     side = float(np.median(retrieval.sizes))
     spacing = side * (1 - retrieval.overlap)
-    track, motion, evidence = smoothed(retrieval, flight, options.speed)
+    track, motion, evidence = smoothed(retrieval, flight, options.speed, beyond)
+    path = np.concatenate([retrieval.places, beyond])[track.path]
     for i, located in enumerate(frames):
         radius = float(np.hypot(track.radii[i], spacing / 2))
         state: State = "accepted"
         sentence = track.sentence(i)
-        off = float(np.linalg.norm(retrieval.places[track.path[i]] - track.positions[i]))
+        off = float(np.linalg.norm(path[i] - track.positions[i]))
         if off > OVERLAP * side:
             sentence += f" The most probable path of the whole flight passes {off:.0f} m from here."
         if i in retrieval.broken:
             state, sentence = "refused", "The photo cannot be read; the position is a guess of its neighbours."
+        elif track.beyond[i] > _LEFT:
+            state, sentence = "refused", left_map(float(track.beyond[i]))
         elif radius > side:
             state = "refused"
             sentence = (

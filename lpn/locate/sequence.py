@@ -5,6 +5,9 @@ a floor for frames whose scores mislead. Forward-backward gives each frame's pos
 Proceedings of the IEEE 77, 1989). Speed, kind of motion, and temperature are those at which the flight's scores are most
 probable. Scores count in units of what a window gets from frames of other places, so that a window that resembles many
 frames, such as one ploughed field among others, proves little.
+
+A drone may leave the map, so places beyond its edge are states, too. No window shows them, so a frame has one emission for all
+of them: frames whose windows on the way are no better than others lie there, if the way leads there. Leaving the map is rare.
 """
 
 from __future__ import annotations
@@ -45,6 +48,11 @@ _HEADING_DEVIATION = 20.0
 _ANY_HEADING = 0.1
 # Usual steps in seconds beyond which a step may be a pause, and the probability that it is one.
 _LONG, _PAUSE = 3.0, 0.5
+# Log odds of a place beyond the map against a window of mean share, where a frame shows the ground of the one before: a wrong
+# window that suits the one suits the other.
+_ALIKE = 1.5
+# Factor of the probability of a step that leaves the map, and the probability that the first frame lies beyond it.
+_LEAVE, _BEGIN = 1e-3, 0.1
 # Probability that a step is not of the motion model, as between parts of a flight that lie apart, or where a clock jumps.
 _JUMP = 1e-3
 # States of each frame that Viterbi's path may take.
@@ -102,6 +110,19 @@ class MotionModel:
         elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
         return np.where(np.isnan(elapsed), self.unknown, np.hypot(self.speed * elapsed, self.spacing))
 
+    def alike(self, times: npt.ArrayLike, side: float) -> Float64Array:
+        """Return the share of a window's side that each frame has in common with the one before, (T,); 0 where it is unknown.
+
+        The first frame has that of the second.
+
+        Args:
+            times: seconds, (T,), NaN where unknown.
+            side: of a window in metres.
+        """
+        elapsed = np.abs(np.diff(np.asarray(times, np.float64)))
+        elapsed = np.concatenate([elapsed[:1] if len(elapsed) else [math.nan], elapsed])
+        return np.nan_to_num(np.clip(1 - self.speed * elapsed / side, 0, 1))
+
     def turns(self, elapsed: float, before: Float64Array, after: Float64Array) -> Float64Array:
         """Return the probability of each heading after a step, (K, M), in rows of 1.
 
@@ -131,8 +152,9 @@ class SequenceResult:
         first: windows that `keep` of `smooth` chose by each posterior, all headings together; of each frame (K,) int64.
         probabilities: the posterior of `likeliest`, (T,) float64.
         headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
-        nearby: posterior of all windows near the position, (T,) float64.
-        path: windows of Viterbi's path, the most probable one of the whole flight, (T,) int64.
+        nearby: posterior of all places near the position, (T,) float64.
+        beyond: posterior of all places beyond the map that are not near the position, (T,) float64.
+        path: windows of Viterbi's path, the most probable one of the whole flight, (T,) int64; places beyond the map count on.
         path_headings: headings of that path in degrees, (T,) float64.
         own: window of each frame's best score, (T,) int64.
         moved: metres from that window to `positions`, (T,) float64.
@@ -146,6 +168,7 @@ class SequenceResult:
     probabilities: Float64Array
     headings: Float64Array
     nearby: Float64Array
+    beyond: Float64Array
     path: Int64Array
     path_headings: Float64Array
     own: Int64Array
@@ -221,16 +244,27 @@ def score_units(
     return ScoreUnits(means[:, 0], scales / units, counted, least)
 
 
-def emissions(scores: Float64Array, temperature: float = _FIRST_TEMPERATURE, floor: float = 1e-4) -> Float64Array:
+def emissions(
+    scores: Float64Array,
+    temperature: float = _FIRST_TEMPERATURE,
+    floor: float = 1e-4,
+    beyond: int = 0,
+    alike: float = 0.0,
+) -> Float64Array:
     """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
+
+    Places beyond the map stand behind the windows. They have the mean share, 1 / (N K), and more by up to a factor of e^1.5
+    where the frame is like the one before.
 
     Args:
         scores: of windows at headings, (N, K).
         temperature: of the softmax, in units of the score, see `score_units`.
         floor: share of a uniform distribution, 0 .. 1.
+        beyond: number of places beyond the map, B.
+        alike: share of the ground that the frame before shows, too, 0 .. 1, see `MotionModel.alike`.
 
     Returns:
-        (N, K) float64.
+        (N + B, K) float64.
 
     Raises:
         InputError: if a number is out of range or not finite.
@@ -248,7 +282,8 @@ def emissions(scores: Float64Array, temperature: float = _FIRST_TEMPERATURE, flo
     shares = np.exp((values - values.max()) / temperature)
     shares /= shares.sum()
     with np.errstate(divide="ignore"):
-        return cast(Float64Array, np.log((1 - floor) * shares + floor / values.size))
+        logs = np.log((1 - floor) * shares + floor / values.size)
+    return np.concatenate([logs, np.full((beyond, values.shape[1]), _ALIKE * alike - math.log(values.size))])
 
 
 def smooth(
@@ -259,24 +294,27 @@ def smooth(
     motion: MotionModel,
     near: float = math.inf,
     keep: Callable[[Float64Array], Int64Array] = lambda shares: np.array([shares.argmax()]),
+    beyond: int = 0,
 ) -> SequenceResult:
     """Run forward-backward and Viterbi.
 
     Memory is O(sqrt(T) N K). Viterbi's path takes the 200 states of each frame that have the greatest posterior.
 
     Args:
-        log_emissions: of each frame, (N, K), see `emissions`.
+        log_emissions: of each frame, (N + B, K), see `emissions`.
         headings: of each frame in degrees, (K,). NaN, as the only one, where none is known.
-        places: centres of the windows in metres, (N, 2). Time is the less, the fewer different x and y they have.
+        places: centres of the windows, and places beyond the map behind them, in metres, (N + B, 2). Time is the less, the fewer
+            different x and y they have.
         times: seconds, (T,), NaN where unknown.
         near: metres around the likeliest window within which windows count for a frame's position, so that it does not lie
             between two places; and around the position for `SequenceResult.nearby`.
         keep: chooses the windows of `SequenceResult.first` by a posterior (N,); by default the likeliest one.
+        beyond: number of places beyond the map, B, which are no frame's position.
 
     Raises:
         InputError: if the shapes do not fit.
     """
-    chain = _Chain(log_emissions, _Steps(headings, places, times, motion))
+    chain = _Chain(log_emissions, _Steps(headings, places, times, motion, beyond))
     gained: dict[int, float] = {}
 
     def ahead(t: int, before: Float64Array | None) -> Float64Array:
@@ -284,9 +322,10 @@ def smooth(
         return belief
 
     frames, states = len(headings), len(places)
-    positions, radii, probabilities, nearby, found_headings = (
+    windows = states - beyond
+    positions, radii, probabilities, nearby, outside, found_headings = (
         np.empty((frames, 2)),
-        *(np.empty(frames) for _ in range(4)),
+        *(np.empty(frames) for _ in range(5)),
     )
     likeliest, own = np.empty(frames, np.int64), np.empty(frames, np.int64)
     probable: list[Int64Array] = []
@@ -299,13 +338,13 @@ def smooth(
         joint = forward * behind
         joint /= joint.sum()
         probable.append(np.argsort(-joint, axis=None)[:_PATH_STATES].copy())
-        shares = joint.sum(axis=1)
+        shares = joint[:windows].sum(axis=1)
         best = likeliest[t] = shares.argmax()
         first.append(keep(shares))
         probabilities[t] = shares[best]
-        point = _point(joint, places, headings[t], near)
-        positions[t], radii[t], found_headings[t], nearby[t] = point
-        own[t] = log_emissions(t).max(axis=1).argmax()
+        point = _point(joint, places, headings[t], near, beyond)
+        positions[t], radii[t], found_headings[t], nearby[t], outside[t] = point
+        own[t] = log_emissions(t)[:windows].max(axis=1).argmax()
     path, path_headings = chain.most_probable(probable[::-1])
     return SequenceResult(
         positions,
@@ -315,6 +354,7 @@ def smooth(
         probabilities,
         found_headings,
         nearby,
+        outside,
         path,
         path_headings,
         own,
@@ -324,25 +364,33 @@ def smooth(
 
 
 class SequencePoint(NamedTuple):
-    """A frame's position in metres, (2,), its 1-sigma radius, heading, and probability nearby, see `SequenceResult`."""
+    """A frame's position in metres, (2,), its 1-sigma radius, heading, and the probabilities nearby and beyond the map.
+
+    See `SequenceResult`.
+    """
 
     position: Float64Array
     radius: float
     heading: float
     nearby: float
+    beyond: float
 
 
-def _point(joint: Float64Array, places: Float64Array, headings: Float64Array, near: float) -> SequencePoint:
-    """Return the place of a distribution (N, K) over windows and headings."""
-    shares = joint.sum(axis=1)
-    best = shares.argmax()
-    position = _local_mean(shares, places, places[best], near)
+def _point(
+    joint: Float64Array, places: Float64Array, headings: Float64Array, near: float, beyond: int
+) -> SequencePoint:
+    """Return the place of a distribution (N + B, K) over windows, B places beyond the map, and headings."""
+    shares, windows = joint.sum(axis=1), len(places) - beyond
+    best = shares[:windows].argmax()
+    position = _local_mean(shares[:windows], places[:windows], places[best], near)
     squared = ((places - position) ** 2).sum(axis=1)
+    is_near = squared <= near**2
     return SequencePoint(
         position,
         float(np.sqrt(shares @ squared / 2)),
         float(headings[joint[best].argmax()]),
-        float(shares[squared <= near**2].sum()),
+        float(shares[is_near].sum()),
+        float(shares[windows:][~is_near[windows:]].sum()),
     )
 
 
@@ -350,16 +398,17 @@ class ForwardFilter:
     """The forward half of forward-backward, frame by frame, for a flight that goes on: it knows no frame to come.
 
     Args:
-        places: centres of the windows in metres, (N, 2).
+        places: centres of the windows in metres, and places beyond the map behind them, (N + B, 2).
         motion: how the flight moves.
+        beyond: number of places beyond the map, B.
 
     Attributes:
-        belief: probability of each window at each heading, (N, K), given all that was weighed; None before the first frame.
+        belief: probability of each place at each heading, (N + B, K), given all that was weighed; None before the first frame.
         headings: of the belief in degrees, (K,); NaN, as the only one, where none is known.
     """
 
-    def __init__(self, places: Float64Array, motion: MotionModel) -> None:
-        self._places, self._motion, self._grid = places, motion, _Grid(places)
+    def __init__(self, places: Float64Array, motion: MotionModel, beyond: int = 0) -> None:
+        self._places, self._motion, self._grid, self._beyond = places, motion, _Grid(places, beyond), beyond
         self.belief: Float64Array | None = None
         self.headings = np.array([math.nan])
 
@@ -371,8 +420,7 @@ class ForwardFilter:
             headings: of the next frame, (K,); NaN, as the only one, where none is known.
         """
         if self.belief is None:
-            shape = len(self._places), len(headings)
-            self.belief = np.full(shape, 1 / (shape[0] * shape[1]))
+            self.belief = self._grid.start(len(headings))
         else:
             deviation = float(self._motion.steps([0.0, elapsed])[0])
             step = _Step(self._grid, self._motion, abs(elapsed), deviation, self.headings, headings)
@@ -380,7 +428,7 @@ class ForwardFilter:
         self.headings = headings
 
     def weigh(self, log_likelihoods: Float64Array) -> None:
-        """Multiply the belief by likelihoods, whose logs are (N, K) or (N, 1), and normalise it."""
+        """Multiply the belief by likelihoods, whose logs are (N + B, K) or (N + B, 1), and normalise it."""
         assert self.belief is not None
         joint = self.belief * np.exp(log_likelihoods - log_likelihoods.max())
         self.belief = joint / joint.sum()
@@ -388,7 +436,7 @@ class ForwardFilter:
     def point(self, near: float) -> SequencePoint:
         """Return where the drone is; `near` is as for `smooth`."""
         assert self.belief is not None
-        return _point(self.belief, self._places, self.headings, near)
+        return _point(self.belief, self._places, self.headings, near, self._beyond)
 
 
 def usual_step(times: npt.ArrayLike) -> float:
@@ -419,7 +467,7 @@ def fitted(
 
     Args:
         scores: of each frame, (N, K), see `ScoreUnits`.
-        headings, places, times: as for `smooth`.
+        headings, places, times: as for `smooth`, without places beyond the map.
         spacing: of the motion model in metres, at most.
         speed: metres a second where it is known.
     """
@@ -501,7 +549,12 @@ class _Steps:
     """
 
     def __init__(
-        self, headings: Sequence[Float64Array], places: Float64Array, times: npt.ArrayLike, motion: MotionModel
+        self,
+        headings: Sequence[Float64Array],
+        places: Float64Array,
+        times: npt.ArrayLike,
+        motion: MotionModel,
+        beyond: int = 0,
     ) -> None:
         seconds = np.asarray(times, np.float64)
         self.headings, self._motion = headings, motion
@@ -512,8 +565,12 @@ class _Steps:
                 f"shape {places.shape}; expected ({len(headings)},) and ({len(places)}, 2)."
             )
         self._elapsed, self._deviations = np.abs(np.diff(seconds)), motion.steps(seconds)
-        self._grid = _Grid(places)
+        self._grid = _Grid(places, beyond)
         self._held = FilledCache[_Step](_HELD_STEPS, lambda step: step.nbytes)
+
+    def start(self, headings: int) -> Float64Array:
+        """Return the distribution before the first frame, (N, K); see `_Grid.start`."""
+        return self._grid.start(headings)
 
     def __getitem__(self, t: int) -> _Step:
         """Return the step from frame t to the next."""
@@ -550,7 +607,7 @@ class _Chain:
             before: that of the frame before; None for the first.
         """
         emitted, peak = self.emission(t)
-        prior = np.full(emitted.shape, 1 / emitted.size) if before is None else self.step(t - 1).push(before)
+        prior = self._steps.start(emitted.shape[1]) if before is None else self.step(t - 1).push(before)
         joint = prior * emitted
         mass = float(joint.sum())
         return joint / mass, math.log(mass) + peak
@@ -561,7 +618,8 @@ class _Chain:
         Args:
             states: of each frame, (B,): window times the number of headings, plus heading.
         """
-        scores, came = self._log_emissions(0).ravel()[states[0]], []
+        first = self._log_emissions(0)
+        scores, came = (first + np.log(self._steps.start(first.shape[1]))).ravel()[states[0]], []
         for t in range(1, len(states)):
             ways = scores[:, None] + np.log(self.step(t - 1).between(states[t - 1], states[t]))
             came.append(ways.argmax(axis=0))
@@ -615,17 +673,26 @@ def _merged(values: Float64Array) -> tuple[Float64Array, Int64Array]:
 class _Grid:
     """Windows as cells of a grid of all their different x and y; those less than 2 cm apart are one.
 
+    Places beyond the map are the last `beyond` of them.
+
     Attributes:
         axes: the different coordinates along x and y, (X,) and (Y,).
         columns, rows: of each window, (N,).
-        windows: in each cell, (Y, X).
+        is_beyond: of each place, (N,), whether it is beyond the map.
     """
 
-    def __init__(self, places: Float64Array) -> None:
+    def __init__(self, places: Float64Array, beyond: int = 0) -> None:
         (x, self.columns), (y, self.rows) = map(_merged, places.T)
         self.axes = x, y
         self._cells = self.rows * len(x) + self.columns
-        self.windows = self.image(np.ones((len(places), 1)))[0]
+        self.is_beyond = np.arange(len(places)) >= len(places) - beyond
+
+    def start(self, headings: int) -> Float64Array:
+        """Return the distribution of a flight before its first frame over places at some headings, (N, K)."""
+        count, out = len(self.is_beyond), int(self.is_beyond.sum())
+        share = _BEGIN if out else 0.0
+        each = np.where(self.is_beyond, share / max(out, 1), (1 - share) / (count - out)) / headings
+        return np.repeat(each[:, None], headings, axis=1)
 
     def image(self, values: Float64Array) -> Float64Array:
         """Return the sums of values (N, K) in each cell, (K, Y, X)."""
@@ -642,8 +709,8 @@ class _Step:
     """The transition from one frame to the next.
 
     Its kernel is a mixture of Gaussians, for each heading before the step, of the distance between two windows. It is
-    normalised by source. A Gaussian is a product of one along x and one along y, so that sums over all pairs of windows are
-    products of matrices.
+    normalised by source. Steps from a window to a place beyond the map are less probable by a factor. A Gaussian is a
+    product of one along x and one along y, so that sums over all pairs of windows are products of matrices.
     """
 
     def __init__(
@@ -674,7 +741,7 @@ class _Step:
             for d, axis in enumerate(grid.axes)
         )
         self._y *= (weights / deviations**2)[:, None, None]
-        self._scale = grid.values(self._blurred(grid.windows, back=True)) / (1 - _JUMP)
+        self._scale = self._back(np.ones((len(grid.is_beyond), 1))) / (1 - _JUMP)
 
     @property
     def nbytes(self) -> int:
@@ -683,15 +750,26 @@ class _Step:
 
     def push(self, weights: Float64Array) -> Float64Array:
         """Return the distribution (N, M) after the step of one before it, (N, K)."""
-        after = self._grid.values(self._blurred(self._grid.image(weights / self._scale))) @ self._turns
+        scaled, out = weights / self._scale, self._grid.is_beyond[:, None]
+        after = self._grid.values(self._blurred(self._grid.image(scaled)))
+        if out.any():
+            left = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, scaled))))
+            after = np.maximum(after - (1 - _LEAVE) * np.where(out, left, 0), 0)
+        after = after @ self._turns
         return cast(Float64Array, after + _JUMP * weights.sum() / after.size)
 
     def pull(self, message: Float64Array) -> Float64Array:
         """Return the expectation (N, K) of a message (N, M) over the step's targets."""
-        before = self._grid.image(message @ self._turns.T)
-        return cast(
-            Float64Array, self._grid.values(self._blurred(before, back=True)) / self._scale + _JUMP * message.mean()
-        )
+        return cast(Float64Array, self._back(message @ self._turns.T) / self._scale + _JUMP * message.mean())
+
+    def _back(self, values: Float64Array) -> Float64Array:
+        """Return the sums (N, K) over the step's targets of values at them, (N, K) or (N, 1), before they are normalised."""
+        out = self._grid.is_beyond[:, None]
+        before = self._grid.values(self._blurred(self._grid.image(values), back=True))
+        if out.any():
+            left = self._grid.values(self._blurred(self._grid.image(np.where(out, values, 0)), back=True))
+            before = np.maximum(before - (1 - _LEAVE) * np.where(out, 0, left), 0)
+        return before
 
     def between(self, sources: Int64Array, targets: Int64Array) -> Float64Array:
         """Return the probability of each step from one of some states (B,) to one of others (C,): (B, C)."""
@@ -701,6 +779,8 @@ class _Step:
         kernel = np.zeros((len(sources), len(targets)))
         for x, y in zip(self._x.swapaxes(0, 1), self._y.swapaxes(0, 1), strict=True):
             kernel += y[kind, rows[end], rows[start][:, None]] * x[kind, columns[end], columns[start][:, None]]
+        out = self._grid.is_beyond
+        kernel *= np.where(out[end] & ~out[start][:, None], _LEAVE, 1.0)
         kernel /= self._scale[start, kind[:, 0]][:, None]
         return kernel * self._turns[k[:, None], m] + _JUMP / (len(rows) * self._count)
 

@@ -783,6 +783,31 @@ def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
     assert not any("path" in frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {}))
 
 
+def test_a_frame_beyond_the_map_is_refused_and_told_so(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
+    smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]
+
+    def left(*given: Any) -> Any:
+        track, *others = smoothed(*given)
+        return replace(track, beyond=np.array([0.0, 0.978, 0.4]), nearby=np.array([1.0, 0.02, 0.6])), *others
+
+    monkeypatch.setattr(ranked_stages, "smoothed", left)
+    answers = [frame.stages["sequence"] for frame in _ranked(flight, scores, {})]
+    assert [answer.state for answer in answers] == ["accepted", "refused", "refused"]
+    assert "was probably beyond the map's edge, with a probability of 0.97:" in answers[1].sentence
+    assert "within 30 m of this place with a probability of 0.6" in answers[2].sentence
+
+
+def test_the_sequence_of_a_flight_knows_places_beyond_the_map(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = []
+    monkeypatch.setattr(pipeline, "enter_sequence", lambda *given: known.append(given[-1]) or [])
+    locate(town, flight, GridModel(), LocateOptions(register=False))  # type: ignore[arg-type]
+    west, south, east, north = town.bounds
+    assert ((known[0] < (west, south)) | (known[0] > (east, north))).any(axis=1).any()
+
+
 def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
     sure, lost = np.eye(25)[12], np.zeros(25)

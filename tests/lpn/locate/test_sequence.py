@@ -14,7 +14,9 @@ import pytest
 from lpn.core.errors import InputError
 from lpn.locate.sequence import (
     _ANY_HEADING,
+    _BEGIN,
     _JUMP,
+    _LEAVE,
     _LEGS,
     ALONG,
     FINER,
@@ -50,13 +52,15 @@ def _direction(heading: float) -> np.ndarray:
     return np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading))])
 
 
-def _transition(motion: MotionModel, elapsed: float, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-    """Return the probability of each state after a step, (5 K, 5 M)."""
+def _transition(
+    motion: MotionModel, elapsed: float, before: np.ndarray, after: np.ndarray, beyond: int = 0
+) -> np.ndarray:
+    """Return the probability of each state after a step, (5 K, 5 M); the last places are beyond the map."""
     off = PLACES[None] - PLACES[:, None]
     any_way = _density(off, float(motion.steps([0.0, elapsed])[0]))
     matrix = np.zeros((5, len(before), 5, len(after)))
     for k, one in enumerate(before):
-        kernel = any_way
+        kernel = any_way.copy()
         if motion.along and not np.isnan([one, elapsed]).any():
             lone = len(after) == 1 and not np.isnan(after[0])
             first, last = _direction(one + motion.aside), _direction(after[0] + motion.aside)
@@ -74,6 +78,7 @@ def _transition(motion: MotionModel, elapsed: float, before: np.ndarray, after: 
             change = np.abs((after - one + 180) % 360 - 180)
             likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
             turns = (1 - _ANY_HEADING) * likely / likely.sum() + _ANY_HEADING / len(after)
+        kernel[: 5 - beyond, 5 - beyond :] *= _LEAVE
         step = kernel / kernel.sum(axis=1, keepdims=True)
         matrix[:, k] = (1 - _JUMP) * step[:, :, None] * turns + _JUMP / (5 * len(after))
     return matrix.reshape(5 * len(before), -1)
@@ -84,18 +89,22 @@ def _brute(
     headings: Sequence[np.ndarray],
     times: np.ndarray = TIMES,
     motion: MotionModel = MOTION,
+    beyond: int = 0,
 ) -> tuple[list[np.ndarray], list[tuple[int, int]], float]:
     """Posteriors (5, K), the best path, and the log likelihood, from all paths."""
     frames = len(emitted)
     matrices = [
-        _transition(motion, float(times[t + 1] - times[t]), headings[t], headings[t + 1]) for t in range(frames - 1)
+        _transition(motion, float(times[t + 1] - times[t]), headings[t], headings[t + 1], beyond)
+        for t in range(frames - 1)
     ]
     flat = [one.ravel() for one in emitted]
     posterior = [np.zeros(one.size) for one in emitted]
+    begin = [_BEGIN / 2, 0.9 / 3] if beyond else [0.0, 1 / 5]
+    start = np.repeat(np.where(np.arange(5) < 5 - beyond, begin[1], begin[0]), len(headings[0])) / len(headings[0])
     best: tuple[float, tuple[int, ...]] = (-np.inf, ())
     total = 0.0
     for path in itertools.product(*(range(one.size) for one in emitted)):
-        value = -np.log(emitted[0].size) + flat[0][path[0]]
+        value = np.log(start[path[0]]) + flat[0][path[0]]
         for t in range(1, frames):
             value += np.log(matrices[t - 1][path[t - 1], path[t]]) + flat[t][path[t]]
         best = max(best, (value, path))
@@ -135,6 +144,25 @@ def test_posteriors_and_path_are_those_of_all_paths(motion: MotionModel, heading
     np.testing.assert_allclose(found.radii, np.sqrt(spread / 2), rtol=1e-6, atol=1e-6)
 
 
+@pytest.mark.parametrize("headings", FLIGHTS)
+def test_places_beyond_the_map_are_states_of_all_paths_and_no_positions(headings: list[np.ndarray]) -> None:
+    emitted = [emissions(one[:3], 0.5, 0.01, 2, 0.8) for one in _random(4, headings)]
+    for one in emitted:
+        np.testing.assert_allclose(np.exp(one[3:]) * 3 * one.shape[1], np.exp(1.5 * 0.8))
+        assert np.exp(one[:3]).sum() == pytest.approx(1)
+    shares, pairs, total = _brute(emitted, headings, TIMES, PAUSED, 2)
+    posterior = np.array([one.sum(axis=1) for one in shares])
+    found = smooth(emitted.__getitem__, headings, PLACES, TIMES, PAUSED, 50.0, beyond=2)
+    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    np.testing.assert_array_equal(found.path, [window for window, _ in pairs])
+    np.testing.assert_array_equal(found.likeliest, posterior[:, :3].argmax(axis=1))
+    np.testing.assert_allclose(found.probabilities, posterior[:, :3].max(axis=1), rtol=1e-9)
+    far = np.linalg.norm(PLACES - found.positions[:, None], axis=2) > 50
+    np.testing.assert_allclose(found.beyond, (posterior * far)[:, 3:].sum(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.nearby, (posterior * ~far).sum(axis=1), rtol=1e-9)
+    assert found.beyond.max() > 0.01
+
+
 def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
     headings = [MIXED[1], MIXED[2]]
     times = np.array([0.0, np.nan])
@@ -150,7 +178,7 @@ def test_coordinates_that_names_rounded_to_a_centimetre_are_one() -> None:
     places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
     off = np.random.default_rng(0).uniform(-0.006, 0.006, places.shape)
     grid = _Grid(places + off)
-    assert grid.windows.shape == (40, 40)
+    assert [len(axis) for axis in grid.axes] == [40, 40]
     for axis, numbers, own in ((grid.axes[0], grid.columns, places[:, 0]), (grid.axes[1], grid.rows, places[:, 1])):
         np.testing.assert_allclose(axis[numbers], own, atol=0.006)
 
@@ -291,6 +319,38 @@ def _land(
 def _accepted(scores: np.ndarray, headings: list[np.ndarray], places: np.ndarray, times: np.ndarray) -> SequenceResult:
     motion, temperature = fitted(lambda t: scores[t][:, None], headings, places, times, 25.0)
     return smooth(lambda t: emissions(scores[t][:, None], temperature), headings, places, times, motion, 75.0)
+
+
+def _standardised(values: np.ndarray) -> np.ndarray:
+    return np.asarray((values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True))
+
+
+def test_a_flight_that_leaves_the_map_is_followed_beyond_its_edge() -> None:
+    motion = MotionModel(2.5, 12.5, along=ALONG)
+    false, kept = np.zeros(2, int), np.zeros(2, int)
+    for seed in (2, 3, 4):
+        values, truth, times, headings, places = _land(np.random.default_rng(seed))
+        shown, off = places[:, 0] < 240, truth[:, 0] > 315  # the drone flies to and fro over 475 m
+        scores, alike = _standardised(values[:, shown]), motion.alike(times, 100.0)
+        for i, beyond in enumerate((places[:0], places[~shown])):
+            logs = [
+                emissions(one[:, None], 0.33, beyond=len(beyond), alike=own)
+                for one, own in zip(scores, alike, strict=True)
+            ]
+            states = np.concatenate([places[shown], beyond])
+            found = smooth(logs.__getitem__, headings, states, times, motion, 75.0, beyond=len(beyond))
+            false[i] += (off & (found.nearby > 0.98)).sum()
+            kept[i] += (~off & (found.nearby > 0.98)).sum()
+            assert np.linalg.norm(found.positions - truth, axis=1)[~off & (found.nearby > 0.98)].max() < 75
+    assert false[0] > 10
+    assert false[1] == 0
+    assert kept[1] > 0.8 * kept[0]
+
+
+def test_frames_have_the_ground_in_common_that_their_way_leaves() -> None:
+    motion = MotionModel(10.0)
+    np.testing.assert_allclose(motion.alike([0.0, 2.0, 12.0, np.nan], 80.0), [0.75, 0.75, 0, 0])
+    np.testing.assert_array_equal(motion.alike([5.0], 80.0), [0])
 
 
 def test_a_flight_that_pauses_is_followed_as_well_as_by_steps_of_one_length() -> None:
