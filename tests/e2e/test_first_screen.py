@@ -148,6 +148,7 @@ def test_the_workbench_opens_at_its_final_size_with_the_left_panel_folded_or_ope
     assert set(sent) == {f"{narrower[2]} x {narrower[3]}"}
 
 
+@pytest.mark.slow
 def test_the_left_panel_is_remembered_as_a_person_left_it(app: RunningApp, fresh: Page) -> None:
     """A press elsewhere remembers nothing: what it does may draw the panel anew, unfolded for a moment."""
     remembered = "() => localStorage.getItem('lpn-panels')"

@@ -202,6 +202,7 @@ def test_the_table_scrolls_to_its_end_and_is_used_by_keys(lab: LabPage, truth: t
     expect_rows(lab, rows)
 
 
+@pytest.mark.slow
 def test_a_filter_narrows_the_table_and_a_wrong_one_is_said_beside_it(
     lab: LabPage, truth: tuple[Outcomes, Table]
 ) -> None:

@@ -367,6 +367,7 @@ def test_a_phone_held_upright_whose_page_nothing_scrolls(
     explorer.page.wait_for_function(f"({tops})().every((top) => top === 0)")
 
 
+@pytest.mark.slow
 def test_no_message_of_a_busy_page_is_lost(explorer: ExplorerPage) -> None:
     # Each message leaves a mark in the address.
     explorer.page.evaluate("""() => {
@@ -380,6 +381,7 @@ def test_no_message_of_a_busy_page_is_lost(explorer: ExplorerPage) -> None:
         wait_address(explorer, key, value)
 
 
+@pytest.mark.slow
 def test_a_phone_held_sideways_whose_resized_stage_is_framed_again(
     app: RunningApp, contexts: Callable[..., BrowserContext]
 ) -> None:

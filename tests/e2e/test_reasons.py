@@ -124,6 +124,7 @@ def swappable(app: RunningApp) -> str:
     raise AssertionError("no wrong answer is put right by other weights")
 
 
+@pytest.mark.slow
 def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: ExplorerPage, app: RunningApp) -> None:
     explorer.page.get_by_role("button", name="Failure", exact=True).click()
     expect(explorer.verdict).to_contain_text("Wrong")
@@ -304,6 +305,7 @@ def _expect_address(explorer: ExplorerPage, pieces: Sequence[str]) -> None:
         assert piece in explorer.page.url
 
 
+@pytest.mark.slow
 def test_one_click_compares_with_the_baseline_and_one_turns_the_task_around(
     baseline_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
