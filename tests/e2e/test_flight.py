@@ -124,9 +124,16 @@ class FlightPage(ExplorerPage):
 
     def at(self, x: float, y: float) -> tuple[float, float]:
         """Where metres of the map's frame lie in the page."""
-        left, top = self.page.evaluate("(at) => lpn.flight.pixels(at)", [x, y])
-        shown = box(self.map)
-        return shown["x"] + left, shown["y"] + top
+        box(self.map)  # it is laid out; map and place are read at once, as the window may still take another size
+        left, top = self.page.evaluate(
+            """(at) => {
+              const [left, top] = lpn.flight.pixels(at);
+              const map = document.querySelector("#lpn-flight .view").getBoundingClientRect();
+              return [map.left + left, map.top + top];
+            }""",
+            [x, y],
+        )
+        return left, top
 
 
 @pytest.fixture

@@ -31,7 +31,9 @@ def open_window(explorer: ExplorerPage) -> Locator:
 
 
 def middle(box: Locator, across: float, down: float) -> tuple[float, float]:
-    """A point of an element in shares of its size."""
+    """A point of an element in shares of its size, once its pictures are there and it moves no more."""
+    box.evaluate("one => Promise.all([...one.querySelectorAll('img')].map(image => image.decode().catch(() => 0)))")
+    box.hover(trial=True)
     found = box.bounding_box()
     assert found is not None
     return found["x"] + across * found["width"], found["y"] + down * found["height"]
