@@ -43,6 +43,20 @@ assert ((after >= (west, south)) & (after <= (east, north))).all()
 assert np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > 5
 """
 
+CUT = """
+import numpy as np, tempfile
+from pathlib import Path
+from tools.bench.cut_maps import cut_maps
+from tools.bench.wrong_maps import RENDERED, open_pair
+flight, own = open_pair(RENDERED, Path())
+with tempfile.TemporaryDirectory() as folder:
+    for name, part in cut_maps(flight, own, [0.5], ["north"], Path(folder)):
+        x, y = part.frame.xy(*flight.degrees.T).T
+        west, south, east, north = part.bounds
+        assert ((x > west - 1) & (x < east + 1) & (y > south - 1) & (y < north + 1)).sum() == 20, name
+        assert north - south < 500 and east - west > 700
+"""
+
 RATE = """
 from tools.bench.pan import frame_rate
 rate, most = frame_rate([100 + 20 * i for i in range(51)])
@@ -171,6 +185,11 @@ def test_the_chart_of_a_county_is_that_of_its_figures(tmp_path: Path) -> None:
     ]
     subprocess.run(command, check=True, capture_output=True, cwd=docs.parent)
     assert drawn.read_text() == (docs / "scale.svg").read_text()
+
+
+def test_a_map_is_cut_where_a_share_of_the_tags_stays() -> None:
+    done = run("-c", CUT)
+    assert done.returncode == 0, done.stderr
 
 
 def test_forged_tags_are_those_of_the_flight_turned_and_moved() -> None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.numbers import wrap_degrees
 
 # Limits of the speed: times the 80th percentile of registered speeds, and times the largest speed of the tags near by.
 _REGISTERED, _TAGGED = 1.2, 1.3
@@ -120,17 +121,22 @@ def jumps(times: Float64Array, places: Float64Array, radii: Float64Array, speeds
 
 
 def other_turn(turn: float, turns: Float64Array) -> float | None:
-    """Return the degrees between a turn and the median of others, (N,) with N > 0; None if it may be one of them.
+    """Return the degrees, 0 .. 180, between a turn and the median of others, (N,) with N > 0; None if it may be one of them.
 
     It may be one within 5 degrees, or within twice what they spread. Half turns count as none, as files may be saved upside down.
+    The degrees that are returned hold them: they are those to the way up that most of the others have.
     """
     from_first = _half_turn(turns - turns[0])
-    apart = abs(float(_half_turn(turn - turns[0] - np.median(from_first))))
-    return apart if apart > max(_TURNED, _TURNED_SPREADS * float(np.ptp(from_first))) else None
+    usual = turns[0] + float(np.median(from_first))
+    if abs(float(_half_turn(turn - usual))) <= max(_TURNED, _TURNED_SPREADS * float(np.ptp(from_first))):
+        return None
+    if (np.abs(wrap_degrees(turns - usual)) > 90).mean() > 0.5:
+        usual += 180.0
+    return abs(float(wrap_degrees(turn - usual)))
 
 
 def other_turns(turns: Float64Array) -> dict[int, float]:
-    """Return which registrations of a flight are turned unlike the others, and by how many degrees.
+    """Return which registrations of a flight are turned unlike the others, and by how many degrees, see `other_turn`.
 
     The others are those within 2.5 degrees of the commonest turn; they must be half of all, and eight at least. A turn stands
     if ten frames share it to within 5 degrees, or half as many as the commonest one.

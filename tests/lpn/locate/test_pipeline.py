@@ -290,7 +290,12 @@ def test_registrations_turned_unlike_the_others_are_refused_where_headings_are_c
     answers = [located.stages["registration"] for located in found.frames]
     refused = [i for i, answer in enumerate(answers) if not answer.accepted]
     assert refused == ([16, 17, 18, 19] if source == "gimbal" else [])
+    told = [note for note in found.notes if "are turned by" in note]
+    assert len(told) == bool(refused)
     if refused:
+        assert told[0].startswith(
+            "4 of 20 registrations are turned by 9° against what their headings and the others have, so"
+        )
         assert "turned by 9° from where its heading and those of the other frames have it" in answers[16].sentence
         assert answers[16].homography == answers[0].homography
         assert found.audit is not None
