@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.numbers import error_figure
 from lpn.core.progress import Progress
@@ -23,7 +24,7 @@ from lpn.locate.options import LocateOptions
 from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
 from lpn.locate.registration import is_turned_over
-from lpn.locate.retrieval import retrieve
+from lpn.locate.retrieval import MapRetrieval, retrieve
 from lpn.locate.shipped import ShippedAnswers
 from lpn.locate.tags import enter_corrections, tags_on_map
 from lpn.maps import Map
@@ -100,8 +101,7 @@ def locate(
                 frame.stages["sequence"] = answers.sequence[frame.frame.name]
             notes += answers.notes
         elif options.sequence:
-            beyond = places_beyond(basemap, retrieval.places, retrieval.sizes, retrieval.overlap)
-            notes += enter_sequence(retrieval, flight, frames, options, beyond)
+            notes += enter_sequence(retrieval, flight, frames, options, _beyond(retrieval, basemap))
     registrations = {} if answers is None else answers.registration
     located = LocatedFlight(
         flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior
@@ -144,6 +144,8 @@ def registered(
     )
     side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
     if side is not None:
+        if not located.shipped:  # a sequence that ships knows them
+            _know_frames_on_map(located, frames, options)
         confirm_sequence(frames, side, located.basemap.bounds)
     notes += refuse_unproven(frames, located.basemap.bounds, options.prior, side)
     answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
@@ -176,6 +178,19 @@ def registered(
         place_error=place_error,
     )
     return found.without_lag() if options.tags == "corrected" else found
+
+
+def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
+    return places_beyond(basemap, retrieval.places, retrieval.sizes, retrieval.overlap)
+
+
+def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], options: LocateOptions) -> None:
+    """Compute the sequence anew where it refuses frames: those that their details, or a person, place are not beyond the map."""
+    refused = any("sequence" in one.stages and not one.stages["sequence"].accepted for one in frames)
+    on_map = {i for i, one in enumerate(frames) if one.by_hand is not None or one.stages["registration"].accepted}
+    if located.retrieval is not None and refused and on_map:
+        beyond = _beyond(located.retrieval, located.basemap)
+        enter_sequence(located.retrieval, located.flight, frames, options, beyond, on_map)
 
 
 def _corrected_note(audit: TagAudit) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import msgspec
 import numpy as np
@@ -106,11 +106,11 @@ def _margin(retrieval: MapRetrieval, frame: int) -> float | None:
 
 
 def smoothed(
-    retrieval: MapRetrieval, flight: Flight, speed: float | None, beyond: Float64Array
+    retrieval: MapRetrieval, flight: Flight, speed: float | None, beyond: Float64Array, on_map: Collection[int]
 ) -> tuple[SequenceResult, MotionModel, float]:
     """Run the sequence over windows, places `beyond` the map, (B, 2), and headings; return it, its motion, and its evidence.
 
-    The evidence is that of `heading_evidence`.
+    The evidence is that of `heading_evidence`. Frames `on_map` have no place beyond.
 
     A frame whose heading is told has this one as its state, as the drone flies along it, and each window counts with the best of
     the turns that are tried. Other frames have all headings that are tried.
@@ -132,8 +132,15 @@ def smoothed(
     motion, temperature = fitted(scores, headings, retrieval.places, flight.times, step, speed)
     evidence = heading_evidence(scores, headings, retrieval.places, flight.times, motion, temperature)
     near, alike = OVERLAP * side, motion.alike(flight.times, side)
+
+    def log_emissions(i: int) -> Float64Array:
+        logs = emissions(scores(i), temperature, beyond=len(beyond), alike=alike[i])
+        if i in on_map:
+            logs[len(retrieval.places) :] = -np.inf
+        return logs
+
     track = smooth(
-        lambda i: emissions(scores(i), temperature, beyond=len(beyond), alike=alike[i]),
+        log_emissions,
         headings,
         np.concatenate([retrieval.places, beyond]),
         flight.times,
@@ -151,6 +158,7 @@ def enter_sequence(
     frames: list[LocatedFrame],
     options: LocateOptions,
     beyond: Float64Array = _NOWHERE,
+    on_map: Collection[int] = (),
 ) -> list[str]:
     """Enter the answers of the sequence; return sentences about it.
 
@@ -158,10 +166,11 @@ def enter_sequence(
 
     Args:
         beyond: places beyond the map in metres, (B, 2), see `places_beyond`.
+        on_map: frames that lie on the map for other reasons. With any, the places where the registration has searched are kept.
     """
     side = float(np.median(retrieval.sizes))
     spacing = side * (1 - retrieval.overlap)
-    track, motion, evidence = smoothed(retrieval, flight, options.speed, beyond)
+    track, motion, evidence = smoothed(retrieval, flight, options.speed, beyond, on_map)
     path = np.concatenate([retrieval.places, beyond])[track.path]
     for i, located in enumerate(frames):
         radius = float(np.hypot(track.radii[i], spacing / 2))
@@ -187,7 +196,8 @@ def enter_sequence(
                 f"The frame lies within {OVERLAP * side:.0f} m of this place with a probability of {probability:.2f}, and "
                 f"{CONFIDENCE:.2f} are needed. {sentence}"
             )
-        located.likely = [(*retrieval.places[w].tolist(), float(retrieval.sizes[w])) for w in track.first[i]]
+        if not on_map:
+            located.likely = [(*retrieval.places[w].tolist(), float(retrieval.sizes[w])) for w in track.first[i]]
         x, y = (float(value) for value in track.positions[i])
         heading = None if math.isnan(track.headings[i]) else float(track.headings[i])
         answer = StageRecord(state, sentence, x, y, radius=radius, heading=heading)

@@ -813,6 +813,36 @@ def test_the_sequence_of_a_flight_knows_places_beyond_the_map(
     assert ((known[0] < (west, south)) | (known[0] > (east, north))).any(axis=1).any()
 
 
+def test_photos_that_their_details_place_are_not_beyond_the_map(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known, tracks = [], []
+    entered, smoothed = pipeline.enter_sequence, ranked_stages.smoothed
+
+    def enter(*given: Any) -> list[str]:
+        known.append(given[5:])
+        return entered(*given)
+
+    def smooth(*given: Any) -> Any:
+        found = smoothed(*given)
+        tracks.append(found[0])
+        return found
+
+    monkeypatch.setattr(pipeline, "enter_sequence", enter)
+    monkeypatch.setattr(ranked_stages, "smoothed", smooth)
+    blind = replace(flight.frames[2], name="blind.png", file=flight.frames[2].file.with_name("blind.png"), time=4.5)
+    cv2.imwrite(str(blind.file), np.full((SIZE[1], SIZE[0], 3), 90, np.uint8))
+    frames = (*flight.frames[:3], blind, flight.frames[3])
+    found = locate(town, replace(flight, frames=frames), GridModel(), SIFT)  # type: ignore[arg-type]
+    states = [frame.stages["registration"].accepted for frame in found.frames]
+    assert states == [True, True, True, False, True]
+    assert known == [(), ({0, 1, 2, 4},)]
+    first, again = (track.beyond for track in tracks)
+    assert (first > 0).all()
+    assert again[[0, 1, 2, 4]].tolist() == [0.0] * 4
+    assert 0 < again[3] < first[3]
+
+
 def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
     sure, lost = np.eye(25)[12], np.zeros(25)
