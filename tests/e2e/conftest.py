@@ -40,15 +40,16 @@ _PREPARE = (
 const parameter = URLSearchParams.prototype.get;
 URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
-// Pictures of the stage that are not decoded yet: viser gives each an address of its own, and takes that back afterwards.
+// Pictures of the stage that are not decoded yet: viser gives each an address of its own, which an image is to load.
 window.undecoded = new Set();
-const { createObjectURL, revokeObjectURL } = URL;
-URL.createObjectURL = (blob) => {
-  const address = createObjectURL.call(URL, blob);
-  if (blob.type?.startsWith('image/')) undecoded.add(address);
-  return address;
-};
-URL.revokeObjectURL = (address) => (undecoded.delete(address), revokeObjectURL.call(URL, address));
+const source = Object.getOwnPropertyDescriptor(HTMLImageElement.prototype, 'src');
+Object.defineProperty(HTMLImageElement.prototype, 'src', { ...source, set(address) {
+  if (String(address).startsWith('blob:')) {
+    undecoded.add(this);
+    for (const end of ['load', 'error']) this.addEventListener(end, () => undecoded.delete(this), { once: true });
+  }
+  source.set.call(this, address);
+} });
 """
     + RETURNING
     + """
