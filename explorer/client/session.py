@@ -39,7 +39,7 @@ _SLOW = 0.5
 # Seconds that a page may take to show the first screen of another workspace.
 _PREVIEWED = 3.0
 # Seconds that a drawing may take to end on a busy machine.
-_DRAWN = 10.0
+_DRAWN = 60.0
 # Seconds between looks at the preparation of a scoring.
 _POLL = 0.5
 

@@ -44,6 +44,7 @@ class Belief:
         summary: the same without figures.
         reason: its grounds in a sentence.
         stage: the stage whose position counts; None without a position.
+        corrected: True if a person has corrected that position, which settles every doubt.
     """
 
     sign: bool | None
@@ -51,11 +52,12 @@ class Belief:
     summary: str
     reason: str
     stage: str | None = None
+    corrected: bool = False
 
     @property
     def in_doubt(self) -> bool:
-        """True if details place the photo, and something contradicts them."""
-        return self.stage == "registration" and self.sign is None
+        """True if details place the photo, something contradicts them, and nobody has corrected the place."""
+        return self.stage == "registration" and self.sign is None and not self.corrected
 
 
 @dataclass(frozen=True)
@@ -341,7 +343,8 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
             beside += f" Its neighbours would place it {doubt.metres:.1f} m from here."
             return Belief(True, headline, summary, why + beside, "registration")
         but = f", but {_AGAINST[doubt.other]}"
-        return Belief(None, headline + but, summary + but, doubt.sentence, "registration")
+        corrected = located.by_hand is not None
+        return Belief(None, headline + but, summary + but, doubt.sentence, "registration", corrected)
     if sequence is not None and sequence.accepted:
         summary = "Placed by its neighbours only"
         return Belief(

@@ -226,21 +226,29 @@ def _refuse_turned(frames: list[LocatedFrame]) -> list[str]:
         located.stages["registration"] = turned_away(answer, degrees, "other frames")
     if not found:
         return []
-    least, most = (f"{degrees:.0f}" for degrees in (min(found.values()), max(found.values())))
-    by = f"{least}°" if least == most else f"{least} to {most}°"
-    are, they = ("is", "it was") if len(found) == 1 else ("are", "they were")
+    least, most = _degrees(min(found.values())), _degrees(max(found.values()))
+    by = f"by {least}" if least == most else f"by {least} to {most}"
+    count = f"{len(found)} of {len(turned)} registrations"
+    if len(found) == 1:
+        return [
+            f"{count} is turned {by} against its heading, unlike the others, and is refused, as it may show an equal building. "
+            "If the headings of its leg are off, it may be right."
+        ]
     return [
-        f"{len(found)} of {len(turned)} registrations {are} turned by {by} against what their headings and the others have, so "
-        f"{they} refused as equal buildings. If the headings of one leg are off, fewer than {continuity.NEW_HEADING} right "
-        "photos can be among them."
+        f"{count} are turned {by} against their headings, unlike the others, and are refused, as they may show equal buildings. "
+        f"Of each leg whose headings are off, up to {continuity.NEW_HEADING - 1} right photos may be among them."
     ]
+
+
+def _degrees(degrees: float) -> str:
+    return f"{degrees:.1f}°" if degrees < 10 else f"{degrees:.0f}°"
 
 
 def turned_away(answer: StageRecord, degrees: float, others: str) -> StageRecord:
     """Refuse a registration that lies by some degrees from where its heading and those of others, frames in words, have it."""
     sentence = (
-        f"The photo fits the map here, but turned by {degrees:.0f}° from where its heading and those of the {others} have it: it "
-        "may be an equal building."
+        f"The photo fits the map here, but turned by {_degrees(degrees)} from where its heading and those of the {others} have "
+        "it: it may be an equal building."
     )
     return msgspec.structs.replace(answer, state="refused", sentence=sentence)
 

@@ -111,6 +111,13 @@ def test_every_count_of_photos_in_doubt_is_that_of_the_verdicts(flight: LocatedF
         assert answer_text.doubts(workspace) == f"In doubt is a photo {kind}."
 
 
+def test_a_photo_that_a_person_has_corrected_is_no_longer_in_doubt(flight: LocatedFlight) -> None:
+    corrected = replace(flight.frames[1], by_hand=flight.frames[1].stages["registration"])
+    view = view_of(replace(flight, frames=[flight.frames[0], corrected, flight.frames[2]]))
+    assert "in doubt" not in page.sentence(view, running=False).lower()
+    assert page.data(view, "x/")["tracks"]["registration"]["count"] == "2 of 3"
+
+
 def test_the_script_gets_every_track_and_what_is_unknown_as_null(view: FlightView) -> None:
     data = json.loads(json.dumps(page.data(view, "pictures/x/"), allow_nan=False))
     assert list(data["tracks"]) == ["tag", "retrieval", "sequence", "registration"]

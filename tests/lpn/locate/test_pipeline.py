@@ -293,10 +293,11 @@ def test_registrations_turned_unlike_the_others_are_refused_where_headings_are_c
     told = [note for note in found.notes if "are turned by" in note]
     assert len(told) == bool(refused)
     if refused:
-        assert told[0].startswith(
-            "4 of 20 registrations are turned by 9° against what their headings and the others have, so"
+        assert told[0] == (
+            "4 of 20 registrations are turned by 9.0° against their headings, unlike the others, and are refused, as they may "
+            "show equal buildings. Of each leg whose headings are off, up to 9 right photos may be among them."
         )
-        assert "turned by 9° from where its heading and those of the other frames have it" in answers[16].sentence
+        assert "turned by 9.0° from where its heading and those of the other frames have it" in answers[16].sentence
         assert answers[16].homography == answers[0].homography
         assert found.audit is not None
         assert found.audit.frames == 16
