@@ -21,7 +21,7 @@ from lpn.locate.index_windows import WindowIndex
 from lpn.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.locate.map_proof import refuse_unproven
 from lpn.locate.options import LocateOptions
-from lpn.locate.ranked_stages import confirm_sequence, enter_retrieval, enter_sequence
+from lpn.locate.ranked_stages import OVERLAP, confirm_sequence, enter_retrieval, enter_sequence
 from lpn.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
 from lpn.locate.registration import is_turned_over
 from lpn.locate.retrieval import MapRetrieval, retrieve
@@ -32,6 +32,8 @@ from lpn.models.base import Model
 
 # Seconds from one answer of a registration that goes on to the next.
 _PARTIAL_INTERVAL = 3.0
+# Photos before and after one whose details, within three quarters of a window's side, show that it lies on the map.
+_NEIGHBOURS = (-2, -1, 1, 2)
 
 
 def locate(
@@ -185,10 +187,20 @@ def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
 
 
 def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], options: LocateOptions) -> None:
-    """Compute the sequence anew where it refuses frames: those that their details, or a person, place are not beyond the map."""
+    """Compute the sequence anew where it refuses frames: those that their details, or a person, place are not beyond the map.
+
+    Beyond the edge a photo may fit an equal building by itself, so details count where those of a photo before or after place
+    that near by, see `_NEIGHBOURS`.
+    """
+    if located.retrieval is None:
+        return
+    near = OVERLAP * float(np.median(located.retrieval.sizes))
     refused = any("sequence" in one.stages and not one.stages["sequence"].accepted for one in frames)
-    on_map = {i for i, one in enumerate(frames) if one.by_hand is not None or one.stages["registration"].accepted}
-    if located.retrieval is not None and refused and on_map:
+    answers = [one.stages["registration"] for one in frames]
+    placed = {i: np.array([one.x, one.y]) for i, one in enumerate(answers) if one.accepted and one.x is not None}
+    on_map = {i for i, one in enumerate(frames) if one.by_hand is not None}
+    on_map |= {i for i in placed for j in _NEIGHBOURS if i + j in placed and answers[i].distance(placed[i + j]) <= near}
+    if refused and on_map:
         beyond = _beyond(located.retrieval, located.basemap)
         enter_sequence(located.retrieval, located.flight, frames, options, beyond, on_map)
 
