@@ -662,8 +662,11 @@ def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array
     return cast(Float64Array, shares[kept] @ places[kept] / shares[kept].sum())
 
 
-def _merged(values: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Return the different coordinates of values (N,) in ascending order, (M,), and which of them each value is, (N,)."""
+def merged_coordinates(values: Float64Array) -> tuple[Float64Array, Int64Array]:
+    """Return the different coordinates of values (N,) in ascending order, (M,), and which of them each value is, (N,).
+
+    Those less than 2 cm apart are one, which is their mean.
+    """
     order = np.argsort(values, kind="stable")
     group = np.empty(len(values), np.int64)
     group[order] = np.cumsum(np.diff(values[order], prepend=values.min()) > _ONE_COORDINATE)
@@ -682,7 +685,7 @@ class _Grid:
     """
 
     def __init__(self, places: Float64Array, beyond: int = 0) -> None:
-        (x, self.columns), (y, self.rows) = map(_merged, places.T)
+        (x, self.columns), (y, self.rows) = map(merged_coordinates, places.T)
         self.axes = x, y
         self._cells = self.rows * len(x) + self.columns
         self.is_beyond = np.arange(len(places)) >= len(places) - beyond
