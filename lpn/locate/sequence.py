@@ -254,7 +254,7 @@ def emissions(
     """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
 
     Places beyond the map stand behind the windows. They have the mean share, 1 / (N K), and more by up to a factor of e^1.5
-    where the frame is like the one before.
+    where the frame is like the one before. A frame whose scores are all alike, as of a photo that cannot be read, tells nothing.
 
     Args:
         scores: of windows at headings, (N, K).
@@ -283,7 +283,8 @@ def emissions(
     shares /= shares.sum()
     with np.errstate(divide="ignore"):
         logs = np.log((1 - floor) * shares + floor / values.size)
-    return np.concatenate([logs, np.full((beyond, values.shape[1]), _ALIKE * alike - math.log(values.size))])
+    more = _ALIKE * alike if np.ptp(values) > 0 else 0.0
+    return np.concatenate([logs, np.full((beyond, values.shape[1]), more - math.log(values.size))])
 
 
 def smooth(
