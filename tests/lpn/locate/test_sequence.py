@@ -177,6 +177,20 @@ def test_frames_without_evidence_do_not_speak_for_leaving_the_map() -> None:
     assert found.beyond.max() < 0.1
 
 
+def test_places_beyond_the_map_cost_few_rows_and_columns_of_the_grid() -> None:
+    side = 25.0 * np.arange(-4, 24)
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    off = ((places < 0) | (places > 475)).any(axis=1)
+    off |= (abs(places - 250) < 30).all(axis=1)  # a hole of the map
+    grid = _Grid(np.concatenate([places[~off], places[off]]), int(off.sum()))
+    assert [len(band) for band in grid.bands] == [8 + 3, 8]
+    step = _Step(grid, MOTION, 3.0, 30.0, np.array([10.0, 80.0]), np.array([20.0, 90.0]))
+    values = np.random.default_rng(0).random((len(places), 2)) * grid.is_beyond[:, None]
+    for back in (False, True):
+        all_cells = step._blurred(grid.image(values), back)
+        np.testing.assert_allclose(step._blurred_beyond(grid.image(values), back), all_cells, rtol=1e-10)
+
+
 def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
     headings = [MIXED[1], MIXED[2]]
     times = np.array([0.0, np.nan])
