@@ -51,11 +51,11 @@ _NOWHERE = np.zeros((0, 2))
 
 
 def left_map(probability: float) -> str:
-    """Say that a frame lies beyond the map with some probability, which is not rounded up."""
+    """Say that a frame lies where no window of the map does, with some probability, which is not rounded up."""
     share = math.floor(100 * probability) / 100
     return (
-        f"The drone was probably beyond the map's edge, with a probability of {share:.2f}: where it can have been, the map "
-        "resembles this photo and its neighbours too little."
+        "The drone was probably beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a "
+        f"probability of {share:.2f}: where it can have been, the map resembles this photo and its neighbours too little."
     )
 
 

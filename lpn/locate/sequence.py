@@ -254,7 +254,7 @@ def emissions(
     """Return log emissions of one frame: log of (softmax of score / temperature + floor / (N K)), normalised.
 
     Places beyond the map stand behind the windows. They have the mean share, 1 / (N K), and more by up to a factor of e^1.5
-    where the frame is like the one before.
+    where the frame is like the one before. A frame whose scores are all alike, as of a photo that cannot be read, tells nothing.
 
     Args:
         scores: of windows at headings, (N, K).
@@ -283,7 +283,8 @@ def emissions(
     shares /= shares.sum()
     with np.errstate(divide="ignore"):
         logs = np.log((1 - floor) * shares + floor / values.size)
-    return np.concatenate([logs, np.full((beyond, values.shape[1]), _ALIKE * alike - math.log(values.size))])
+    more = _ALIKE * alike if np.ptp(values) > 0 else 0.0
+    return np.concatenate([logs, np.full((beyond, values.shape[1]), more - math.log(values.size))])
 
 
 def smooth(
@@ -662,8 +663,11 @@ def _local_mean(shares: Float64Array, places: Float64Array, middle: Float64Array
     return cast(Float64Array, shares[kept] @ places[kept] / shares[kept].sum())
 
 
-def _merged(values: Float64Array) -> tuple[Float64Array, Int64Array]:
-    """Return the different coordinates of values (N,) in ascending order, (M,), and which of them each value is, (N,)."""
+def merged_coordinates(values: Float64Array) -> tuple[Float64Array, Int64Array]:
+    """Return the different coordinates of values (N,) in ascending order, (M,), and which of them each value is, (N,).
+
+    Those less than 2 cm apart are one, which is their mean.
+    """
     order = np.argsort(values, kind="stable")
     group = np.empty(len(values), np.int64)
     group[order] = np.cumsum(np.diff(values[order], prepend=values.min()) > _ONE_COORDINATE)
@@ -679,13 +683,18 @@ class _Grid:
         axes: the different coordinates along x and y, (X,) and (Y,).
         columns, rows: of each window, (N,).
         is_beyond: of each place, (N,), whether it is beyond the map.
+        bands: rows and columns that hold all places beyond the map together, (R,) and (C,).
     """
 
     def __init__(self, places: Float64Array, beyond: int = 0) -> None:
-        (x, self.columns), (y, self.rows) = map(_merged, places.T)
+        (x, self.columns), (y, self.rows) = map(merged_coordinates, places.T)
         self.axes = x, y
         self._cells = self.rows * len(x) + self.columns
         self.is_beyond = np.arange(len(places)) >= len(places) - beyond
+        out = np.zeros((len(y), len(x)), bool)
+        out[self.rows[self.is_beyond], self.columns[self.is_beyond]] = True
+        in_row = out & (out.mean(axis=1)[:, None] >= out.mean(axis=0))
+        self.bands = np.flatnonzero(in_row.any(axis=1)), np.flatnonzero((out & ~in_row).any(axis=0))
 
     def start(self, headings: int) -> Float64Array:
         """Return the distribution of a flight before its first frame over places at some headings, (N, K)."""
@@ -751,10 +760,10 @@ class _Step:
     def push(self, weights: Float64Array) -> Float64Array:
         """Return the distribution (N, M) after the step of one before it, (N, K)."""
         scaled, out = weights / self._scale, self._grid.is_beyond[:, None]
-        after = self._grid.values(self._blurred(self._grid.image(scaled)))
+        after = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, scaled))))
         if out.any():
-            left = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, scaled))))
-            after = np.maximum(after - (1 - _LEAVE) * np.where(out, left, 0), 0)
+            stayed = self._grid.values(self._blurred_beyond(self._grid.image(np.where(out, scaled, 0))))
+            after = np.where(out, _LEAVE, 1) * after + stayed
         after = after @ self._turns
         return cast(Float64Array, after + _JUMP * weights.sum() / after.size)
 
@@ -765,10 +774,10 @@ class _Step:
     def _back(self, values: Float64Array) -> Float64Array:
         """Return the sums (N, K) over the step's targets of values at them, (N, K) or (N, 1), before they are normalised."""
         out = self._grid.is_beyond[:, None]
-        before = self._grid.values(self._blurred(self._grid.image(values), back=True))
+        before = self._grid.values(self._blurred(self._grid.image(np.where(out, 0, values)), back=True))
         if out.any():
-            left = self._grid.values(self._blurred(self._grid.image(np.where(out, values, 0)), back=True))
-            before = np.maximum(before - (1 - _LEAVE) * np.where(out, 0, left), 0)
+            left = self._grid.values(self._blurred_beyond(self._grid.image(np.where(out, values, 0)), back=True))
+            before += np.where(out, 1, _LEAVE) * left
         return before
 
     def between(self, sources: Int64Array, targets: Int64Array) -> Float64Array:
@@ -785,9 +794,21 @@ class _Step:
         return kernel * self._turns[k[:, None], m] + _JUMP / (len(rows) * self._count)
 
     def _blurred(self, image: Float64Array, back: bool = False) -> Float64Array:
-        """Return the sums (K, Y, X) over sources of an image (K, Y, X) or (Y, X), or over targets."""
-        x, y = (self._x, self._y.swapaxes(-1, -2)) if back else (self._x.swapaxes(-1, -2), self._y)
-        return cast(Float64Array, (y @ image.reshape(-1, 1, *image.shape[-2:]) @ x).sum(axis=1))
+        """Return the sums (K, Y, X) over sources of an image (K, Y, X), or over targets."""
+        x, y = self._kernels(back)
+        return cast(Float64Array, (y @ image[:, None] @ x).sum(axis=1))
+
+    def _blurred_beyond(self, image: Float64Array, back: bool = False) -> Float64Array:
+        """Return what `_blurred` does of an image that is 0 but for places beyond the map, which are few rows and columns."""
+        (x, y), (rows, columns) = self._kernels(back), self._grid.bands
+        beside = image[:, None, :, columns]
+        beside[..., rows, :] = 0
+        along_rows = y[..., rows] @ (image[:, None, rows] @ x)
+        return cast(Float64Array, (along_rows + y @ beside @ x[..., columns, :]).sum(axis=1))
+
+    def _kernels(self, back: bool) -> tuple[Float64Array, Float64Array]:
+        """Return the matrices by which an image is multiplied from the right and from the left."""
+        return (self._x, self._y.swapaxes(-1, -2)) if back else (self._x.swapaxes(-1, -2), self._y)
 
 
 def _legs(before: Float64Array, after: Float64Array) -> Float64Array:

@@ -163,6 +163,34 @@ def test_places_beyond_the_map_are_states_of_all_paths_and_no_positions(headings
     assert found.beyond.max() > 0.01
 
 
+def test_frames_without_evidence_do_not_speak_for_leaving_the_map() -> None:
+    np.testing.assert_allclose(np.exp(emissions(np.zeros((3, 2)), 0.5, 0.01, 2, 0.8)), 1 / 6)
+    # The drone flies along the map's edge at x = 0, and 25 photos on the way cannot be read.
+    side = 25.0 * np.arange(12)
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    far = np.stack(np.meshgrid(25.0 * np.arange(-8, 0), side), axis=-1).reshape(-1, 2)
+    scores = 4 * np.exp(-((places - np.linspace((0, 0), (0, 240), 35)[:, None]) ** 2).sum(axis=2) / 800)
+    scores[5:30] = 0
+    logs = [emissions(one[:, None], 0.4, beyond=len(far), alike=0.9) for one in scores]
+    states, motion = np.concatenate([places, far]), MotionModel(2.5, 12.5, along=ALONG)
+    found = smooth(logs.__getitem__, [np.zeros(1)] * 35, states, 4.0 * np.arange(35), motion, 75.0, beyond=len(far))
+    assert found.beyond.max() < 0.1
+
+
+def test_places_beyond_the_map_cost_few_rows_and_columns_of_the_grid() -> None:
+    side = 25.0 * np.arange(-4, 24)
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    off = ((places < 0) | (places > 475)).any(axis=1)
+    off |= (abs(places - 250) < 30).all(axis=1)  # a hole of the map
+    grid = _Grid(np.concatenate([places[~off], places[off]]), int(off.sum()))
+    assert [len(band) for band in grid.bands] == [8 + 3, 8]
+    step = _Step(grid, MOTION, 3.0, 30.0, np.array([10.0, 80.0]), np.array([20.0, 90.0]))
+    values = np.random.default_rng(0).random((len(places), 2)) * grid.is_beyond[:, None]
+    for back in (False, True):
+        all_cells = step._blurred(grid.image(values), back)
+        np.testing.assert_allclose(step._blurred_beyond(grid.image(values), back), all_cells, rtol=1e-10)
+
+
 def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
     headings = [MIXED[1], MIXED[2]]
     times = np.array([0.0, np.nan])
