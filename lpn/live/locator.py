@@ -30,7 +30,7 @@ from lpn.core.views import View
 from lpn.flights.base import Frame
 from lpn.flights.cameras import ground_width
 from lpn.flights.cut import CUT, cut_size, cut_square
-from lpn.locate.continuity import NEW_HEADING, other_turn
+from lpn.locate.continuity import NEW_HEADING, are_alike, other_turn
 from lpn.locate.ground import MapFeatures
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import ONE_VIEW
@@ -516,7 +516,7 @@ class LiveLocator:
         if (turned := other_turn(answer.turn, np.array(track.turns))) is None:
             track.turned.clear()
             return None
-        if track.turned and other_turn(answer.turn, np.array(track.turned)) is not None:
+        if not are_alike(np.array([*track.turned, answer.turn])):
             track.turned.clear()
         track.turned.append(answer.turn)
         if len(track.turned) < NEW_HEADING:

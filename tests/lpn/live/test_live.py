@@ -286,6 +286,16 @@ def test_a_photo_that_fits_nowhere_and_one_of_yet_another_turn_begin_the_ten_ane
     assert sum("turned otherwise" in sentence for sentence in said) == 1
 
 
+def test_turns_that_drift_make_no_new_heading(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    turns = (10.0, 14.9, 21.9, 38.4, 74.9, 88.9, 88.9, 88.9, 88.9, 88.9)
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(10)]
+    laid |= {frame.name: (*PLACES[-1], turn) for frame, turn in zip(turned, turns, strict=True)}
+    lines, _ = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 10
+
+
 def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
     settings, options = LiveSettings(belief=tmp_path / "b"), replace(OPTIONS, register=False)
     lines_of(town, list(flight.frames[:1]), settings, options)
