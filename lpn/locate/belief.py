@@ -176,7 +176,7 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
             allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
             if metres > allowed:
                 pairs.append(Disagreement(i, one, other, metres, allowed, tilt))
-        if (misfit := _misfit(i, located.stages.get("registration"))) is not None:
+        if (misfit := map_misfit(located.stages.get("registration"), i)) is not None:
             pairs.append(misfit)
     return pairs
 
@@ -202,7 +202,7 @@ def tag_figures(located: LocatedFrame, contradictions: Sequence[Disagreement]) -
     return distance(metres) if metres >= _FAR else f"{told} m", f"{allowed} m"
 
 
-def _misfit(frame: int, answer: StageRecord | None) -> Disagreement | None:
+def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | None:
     """Return that places away from the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
     if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:
         return None

@@ -200,6 +200,35 @@ def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
     assert (line["state"], line["doubt"], line["checked_beside_middle"]) == ("contradicted", "map", "contradicted")
 
 
+def contradict(monkeypatch: pytest.MonkeyPatch, *places: tuple[float, float]) -> None:
+    """Let the map contradict the registrations at these places, or all."""
+    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+
+    def compared(_: Map, answer: StageRecord, __: Any) -> StageRecord:
+        is_off = answer.accepted and (not places or (answer.x, answer.y) in places)
+        return replace_record(answer, agreement=off) if is_off else answer
+
+    monkeypatch.setattr(lpn.live.locator, "compared", compared)
+
+
+def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contradict(monkeypatch)
+    unseen = [replace(flight.frames[-1], name=f"unseen {i}", time=9.0 + i) for i in range(2)]
+    frames = [replace(frame, latitude=None, longitude=None) for frame in (*flight.frames, *unseen)]
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    located = [locator.locate(frame, ArrivedPicture(frame, 0).pixels()) for frame in frames]
+    answers = [live_answer(one) for one in located]
+    assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
+    assert all(one.doubt == ("map",) for one in answers[:6])
+    # They lie elsewhere, and are turned otherwise, than any that counts: the next one is not judged by them.
+    monkeypatch.setattr(lpn.live.locator, "compared", lambda _, answer, __: answer)
+    laid["there"] = (80.0, -80.0, 40.0)
+    there = replace(frames[-1], name="there", time=10.5)
+    assert live_answer(locator.locate(there, ArrivedPicture(there, 0).pixels())).state == "accepted"
+
+
 def test_ten_contradicted_frames_in_a_row_are_said(
     town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
 ) -> None:
@@ -275,10 +304,18 @@ def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_
     assert [line["stage"] == "registration" for line in lines] == [True] * 16
 
 
-@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0)])
-def test_a_photo_that_fits_nowhere_and_one_of_yet_another_turn_begin_the_ten_anew(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], between: tuple[float, ...] | None
+CONTRADICTED = (20.0, 0.0)
+
+
+@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0), (*CONTRADICTED, -171.0)])
+def test_photos_that_fit_nowhere_or_badly_and_one_of_yet_another_turn_begin_the_ten_anew(
+    town: Map,
+    flight: Flight,
+    laid: dict[str, tuple[float, ...] | None],
+    between: tuple[float, ...] | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    contradict(monkeypatch, CONTRADICTED)
     turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(16)]
     laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned} | {"turned 5": between}
     lines, said = lines_of(town, [*flight.frames, *turned])
