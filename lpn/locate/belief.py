@@ -25,8 +25,8 @@ _FAR = 1000.0
 PLACED = "Placed by its details"
 # Answers in plain words.
 ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
-# The answers that may contradict a registration, in words.
-_AGAINST = {
+# The answers that may contradict a place, in words.
+AGAINST = {
     "tag": "its GPS tag disagrees",
     "map": "away from its middle it does not fit the map",
     "sequence": "its neighbours disagree",
@@ -340,7 +340,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
         if doubt.other == "sequence" and located.tag is not None:  # two of three agree
             beside += f" Its neighbours would place it {doubt.metres:.1f} m from here."
             return Belief(True, headline, summary, why + beside, "registration")
-        but = f", but {_AGAINST[doubt.other]}"
+        but = f", but {AGAINST[doubt.other]}"
         return Belief(None, headline + but, summary + but, doubt.sentence, "registration")
     if sequence is not None and sequence.accepted:
         summary = "Placed by its neighbours only"

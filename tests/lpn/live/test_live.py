@@ -229,15 +229,49 @@ def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
     assert live_answer(locator.locate(there, ArrivedPicture(there, 0).pixels())).state == "accepted"
 
 
+@pytest.mark.parametrize(
+    ("metres", "off", "refused", "sentence"),
+    [
+        (
+            60.0,
+            False,
+            0,
+            "10 frames in a row are placed, and their GPS tags alone disagree. Tags may have drifted, so that holds none of "
+            "these places back.",
+        ),
+        (
+            0.0,
+            True,
+            0,
+            "10 frames in a row were contradicted; the last one is placed, but away from its middle it does not fit the map.",
+        ),
+        (
+            60.0,
+            True,
+            9,
+            "10 frames in a row were refused or contradicted; the last one is placed, but its GPS tag disagrees and away from "
+            "its middle it does not fit the map.",
+        ),
+    ],
+)
 def test_ten_contradicted_frames_in_a_row_are_said(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+    town: Map,
+    flight: Flight,
+    laid: dict[str, tuple[float, ...] | None],
+    monkeypatch: pytest.MonkeyPatch,
+    metres: float,
+    off: bool,
+    refused: int,
+    sentence: str,
 ) -> None:
-    longitude = float(town.frame.degrees([(PLACES[0][0] + 60.0, PLACES[0][1])])[0, 1])
-    frames = [replace(flight.frames[0], name=f"{i}", time=1.0 + i, longitude=longitude) for i in range(10)]
-    laid |= {frame.name: (*PLACES[0], 0.0) for frame in frames}
+    if off:
+        contradict(monkeypatch)
+    longitude = float(town.frame.degrees([(PLACES[0][0] + metres, PLACES[0][1])])[0, 1])
+    frames = [replace(flight.frames[0], name=f"at {i}", time=1.0 + i, longitude=longitude) for i in range(10)]
+    laid |= {frame.name: (*PLACES[0], 0.0) for frame in frames[refused:]}
     lines, said = lines_of(town, frames)
-    assert {(line["state"], line["doubt"]) for line in lines} == {("contradicted", "tag")}
-    assert said == ["10 frames in a row were refused or contradicted; the last is contradicted by its tag."]
+    assert [line["state"] for line in lines] == ["refused"] * refused + ["contradicted"] * (10 - refused)
+    assert said == [sentence]
 
 
 @pytest.mark.usefixtures("laid")
