@@ -30,7 +30,9 @@ from lpn.core.views import View
 from lpn.flights.base import Frame
 from lpn.flights.cameras import ground_width
 from lpn.flights.cut import CUT, cut_size, cut_square
-from lpn.locate.continuity import NEW_HEADING, other_turn
+from lpn.locate.belief import map_misfit
+from lpn.locate.camera_place import below_camera
+from lpn.locate.continuity import NEW_HEADING, are_alike, other_turn
 from lpn.locate.ground import MapFeatures
 from lpn.locate.located import APART, LocatedFrame, StageRecord, WindowRecord
 from lpn.locate.map_proof import ONE_VIEW
@@ -442,15 +444,17 @@ class LiveLocator:
         answer = with_map_error(
             register_photo(search), self._map_error, self.basemap.place_error(self.options.map_error)
         )
-        if answer.accepted:
-            answer = self._continuous(answer, frame)
-        else:
+        answer = compared(self.basemap, answer, search.photo)
+        # It is judged where it is told. A place that the map contradicts may be an equal building, and shows nothing.
+        counts = answer.accepted and map_misfit(below_camera(frame, answer)) is None
+        if not counts:
             # Photos that fit nowhere show ground beyond the map, where an equal building is turned alike time and again.
             track.turned.clear()
-        answer = compared(self.basemap, answer, search.photo)
-        self._fresh = answer.accepted
+        if answer.accepted:
+            answer = self._continuous(answer, frame, counts)
         located.stages["registration"] = answer
-        if not answer.accepted or answer.homography is None:
+        self._fresh = counts and answer.accepted
+        if not self._fresh or answer.homography is None:
             return
         middle = located.middle(answer)
         sequence = located.stages["sequence"]
@@ -479,22 +483,24 @@ class LiveLocator:
             track.add("turns", answer.turn)
         track.heading = answer.heading
 
-    def _continuous(self, answer: StageRecord, frame: Frame) -> StageRecord:
+    def _continuous(self, answer: StageRecord, frame: Frame, counts: bool) -> StageRecord:
         """Refuse a registration that is turned otherwise than those before, or that the drone cannot have flown to.
 
         Three in a row that agree with each other count again, and so do ten that are turned alike, with no photo among them that
-        fits nowhere.
+        fits nowhere. One that does not count is judged by those before, and leaves no trace.
         """
         track = self._track
-        if (turn := self._other_turn(answer, frame)) is not None:
+        if (turn := self._other_turn(answer, frame, counts)) is not None:
             return turned_away(answer, turn, "frames before")
         assert answer.x is not None
         assert answer.y is not None
         here = answer.x, answer.y, answer.own_radius, math.nan if frame.time is None else frame.time
         if track.last is None or self._reachable(track.last, here):
-            track.last, track.apart = here, []
+            if counts:
+                track.last, track.apart = here, []
             return answer
-        track.apart = [*[one for one in track.apart if self._reachable(one, here)][-_NEW_TRACK:], here]
+        if counts:
+            track.apart = [*[one for one in track.apart if self._reachable(one, here)][-_NEW_TRACK:], here]
         if len(track.apart) >= _NEW_TRACK:
             track.last, track.apart = here, []
             self._notes.append(
@@ -508,7 +514,7 @@ class LiveLocator:
             "be an equal building.",
         )
 
-    def _other_turn(self, answer: StageRecord, frame: Frame) -> float | None:
+    def _other_turn(self, answer: StageRecord, frame: Frame, counts: bool) -> float | None:
         """Return the degrees between a registration's turn and those before, if these show that it is another place."""
         track = self._track
         if answer.turn is None or len(track.turns) < _TURNS or not heading_is_certain(frame):
@@ -516,7 +522,9 @@ class LiveLocator:
         if (turned := other_turn(answer.turn, np.array(track.turns))) is None:
             track.turned.clear()
             return None
-        if track.turned and other_turn(answer.turn, np.array(track.turned)) is not None:
+        if not counts:
+            return turned
+        if not are_alike(np.array([*track.turned, answer.turn])):
             track.turned.clear()
         track.turned.append(answer.turn)
         if len(track.turned) < NEW_HEADING:

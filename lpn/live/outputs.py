@@ -77,6 +77,11 @@ class LiveFix:
         tilt = min(max(math.degrees(math.acos(min(max(down, -1.0), 1.0))), _TILT), _MOST_TILT)
         return math.hypot(self.answer.radius, height * math.tan(math.radians(tilt)))
 
+    @property
+    def may_correct(self) -> bool:
+        """True if the place may correct the vehicle's own position, which alone holds back none that it contradicts."""
+        return self.best.usable or (self.answer.accepted and self.best.doubt == ("tag",))
+
     def feature(self) -> dict[str, Any]:
         """Return the fix as a feature of GeoJSON (RFC 7946), see docs/live.md."""
         answer, best = self.answer, self.best
@@ -153,12 +158,8 @@ class MavlinkOutput:
         self._waits = False
 
     def send(self, fix: LiveFix) -> None:
-        """Send a fix, unless it is refused, or map or sequence contradict it.
-
-        The vehicle's own position is what a fix is to correct, so that alone holds none back.
-        """
-        usable = fix.best.usable or (fix.answer.accepted and fix.best.doubt == ("tag",))
-        if not usable or fix.latitude is None or fix.longitude is None:
+        """Send a fix, unless it is refused, or map or sequence contradict it, see `LiveFix.may_correct`."""
+        if not fix.may_correct or fix.latitude is None or fix.longitude is None:
             return
         self._link.mav.srcSystem = self._system() or 1
         if self._kind == "gps":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,13 +15,14 @@ from lpn.live.frames import ArrivedPicture, LiveSource, Say
 from lpn.live.locator import LiveLocator
 from lpn.live.outputs import LiveFix
 from lpn.live.telemetry import LiveTelemetry
-from lpn.locate.belief import BestAnswer, best_answer
+from lpn.locate.belief import AGAINST, BestAnswer, best_answer
 from lpn.locate.camera_place import below_camera
 from lpn.locate.located import LocatedFrame
 
 # Seconds without a frame after which the source counts as stalled, and between two writings of the belief.
 _STALLED, _SAVED = 5.0, 5.0
-# Refused frames in a row after which a sentence says so, and windows from the map's border within which it may be the reason.
+# Frames in a row without a place to use, or with one against their tags, after which a sentence says so; and windows from the
+# map's border within which it may be the reason.
 _REFUSED, _BORDER = 10, 1.0
 # Seconds for which one look at the queue waits.
 _LOOK = 0.2
@@ -76,7 +78,8 @@ class LiveRun:
         self._stop = stop or threading.Event()
         # The wall clock may jump while the flight goes on; it is read once.
         self._clock_lead = time.time() - time.monotonic()
-        self._refused = 0
+        # The frames in a row without a place that may be used, by state, and those that their tags alone contradict.
+        self._unplaced, self._apart = Counter[str](), 0
         self._saved = 0.0
         self._failed: set[int] = set()
         self._problem = ""
@@ -166,22 +169,27 @@ class LiveRun:
                 self._failed.add(i)
 
     def _watch(self, fix: LiveFix) -> None:
-        """Say when frames have no place that may be used one after another, and whether the map ends there."""
-        self._refused = 0 if fix.best.usable else self._refused + 1
-        if self._refused != _REFUSED:
+        """Say when frames one after another have no place that may be used, or another one than their tags."""
+        self._apart = self._apart + 1 if fix.may_correct and not fix.best.usable else 0
+        if self._apart == _REFUSED:
+            self._say(
+                f"{_REFUSED} frames in a row are placed, and their GPS tags alone disagree. Tags may have drifted, so that holds "
+                "none of these places back."
+            )
+        if fix.may_correct:
+            self._unplaced.clear()
             return
+        self._unplaced[fix.best.state] += 1
+        if self._unplaced.total() != _REFUSED:
+            return
+        were = f"{_REFUSED} frames in a row were {' or '.join(sorted(self._unplaced, reverse=True))}"
         sizes = self._locator.window_side
         if fix.best.state != "refused":
-            self._say(
-                f"{_REFUSED} frames in a row were refused or contradicted; the last is contradicted by "
-                f"its {' and '.join(fix.best.doubt)}."
-            )
+            self._say(f"{were}; the last one is placed, but {' and '.join(AGAINST[one] for one in fix.best.doubt)}.")
         elif sizes is not None and self._locator.near_border(_BORDER * sizes):
-            self._say(
-                f"{_REFUSED} frames in a row were refused near the border of the map; the flight may have left it."
-            )
+            self._say(f"{were} near the border of the map; the flight may have left it.")
         else:
-            self._say(f"{_REFUSED} frames in a row were refused; the last says: {fix.best.verdict.reason}")
+            self._say(f"{were}; the last says: {fix.best.verdict.reason}")
 
     def _take_up(self) -> None:
         file = self._settings.belief

@@ -25,8 +25,8 @@ _FAR = 1000.0
 PLACED = "Placed by its details"
 # Answers in plain words.
 ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
-# The answers that may contradict a registration, in words.
-_AGAINST = {
+# The answers that may contradict a place, in words.
+AGAINST = {
     "tag": "its GPS tag disagrees",
     "map": "away from its middle it does not fit the map",
     "sequence": "its neighbours disagree",
@@ -178,7 +178,7 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
             allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
             if metres > allowed:
                 pairs.append(Disagreement(i, one, other, metres, allowed, tilt))
-        if (misfit := _misfit(i, located.stages.get("registration"))) is not None:
+        if (misfit := map_misfit(located.stages.get("registration"), i)) is not None:
             pairs.append(misfit)
     return pairs
 
@@ -204,7 +204,7 @@ def tag_figures(located: LocatedFrame, contradictions: Sequence[Disagreement]) -
     return distance(metres) if metres >= _FAR else f"{told} m", f"{allowed} m"
 
 
-def _misfit(frame: int, answer: StageRecord | None) -> Disagreement | None:
+def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | None:
     """Return that places away from the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
     if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:
         return None
@@ -342,7 +342,7 @@ def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None 
         if doubt.other == "sequence" and located.tag is not None:  # two of three agree
             beside += f" Its neighbours would place it {doubt.metres:.1f} m from here."
             return Belief(True, headline, summary, why + beside, "registration")
-        but = f", but {_AGAINST[doubt.other]}"
+        but = f", but {AGAINST[doubt.other]}"
         corrected = located.by_hand is not None
         return Belief(None, headline + but, summary + but, doubt.sentence, "registration", corrected)
     if sequence is not None and sequence.accepted:

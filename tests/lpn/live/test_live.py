@@ -200,15 +200,78 @@ def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
     assert (line["state"], line["doubt"], line["checked_beside_middle"]) == ("contradicted", "map", "contradicted")
 
 
-def test_ten_contradicted_frames_in_a_row_are_said(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+def contradict(monkeypatch: pytest.MonkeyPatch, *places: tuple[float, float]) -> None:
+    """Let the map contradict the registrations at these places, or all."""
+    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+
+    def compared(_: Map, answer: StageRecord, __: Any) -> StageRecord:
+        is_off = answer.accepted and (not places or (answer.x, answer.y) in places)
+        return replace_record(answer, agreement=off) if is_off else answer
+
+    monkeypatch.setattr(lpn.live.locator, "compared", compared)
+
+
+def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    longitude = float(town.frame.degrees([(PLACES[0][0] + 60.0, PLACES[0][1])])[0, 1])
-    frames = [replace(flight.frames[0], name=f"{i}", time=1.0 + i, longitude=longitude) for i in range(10)]
-    laid |= {frame.name: (*PLACES[0], 0.0) for frame in frames}
+    contradict(monkeypatch)
+    unseen = [replace(flight.frames[-1], name=f"unseen {i}", time=9.0 + i) for i in range(2)]
+    frames = [replace(frame, latitude=None, longitude=None) for frame in (*flight.frames, *unseen)]
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    located = [locator.locate(frame, ArrivedPicture(frame, 0).pixels()) for frame in frames]
+    answers = [live_answer(one) for one in located]
+    assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
+    assert all(one.doubt == ("map",) for one in answers[:6])
+    # They lie elsewhere, and are turned otherwise, than any that counts: the next one is not judged by them.
+    monkeypatch.setattr(lpn.live.locator, "compared", lambda _, answer, __: answer)
+    laid["there"] = (80.0, -80.0, 40.0)
+    there = replace(frames[-1], name="there", time=10.5)
+    assert live_answer(locator.locate(there, ArrivedPicture(there, 0).pixels())).state == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("metres", "off", "refused", "sentence"),
+    [
+        (
+            60.0,
+            False,
+            0,
+            "10 frames in a row are placed, and their GPS tags alone disagree. Tags may have drifted, so that holds none of "
+            "these places back.",
+        ),
+        (
+            0.0,
+            True,
+            0,
+            "10 frames in a row were contradicted; the last one is placed, but away from its middle it does not fit the map.",
+        ),
+        (
+            60.0,
+            True,
+            9,
+            "10 frames in a row were refused or contradicted; the last one is placed, but its GPS tag disagrees and away from "
+            "its middle it does not fit the map.",
+        ),
+    ],
+)
+def test_ten_contradicted_frames_in_a_row_are_said(
+    town: Map,
+    flight: Flight,
+    laid: dict[str, tuple[float, ...] | None],
+    monkeypatch: pytest.MonkeyPatch,
+    metres: float,
+    off: bool,
+    refused: int,
+    sentence: str,
+) -> None:
+    if off:
+        contradict(monkeypatch)
+    longitude = float(town.frame.degrees([(PLACES[0][0] + metres, PLACES[0][1])])[0, 1])
+    frames = [replace(flight.frames[0], name=f"at {i}", time=1.0 + i, longitude=longitude) for i in range(10)]
+    laid |= {frame.name: (*PLACES[0], 0.0) for frame in frames[refused:]}
     lines, said = lines_of(town, frames)
-    assert {(line["state"], line["doubt"]) for line in lines} == {("contradicted", "tag")}
-    assert said == ["10 frames in a row were refused or contradicted; the last is contradicted by its tag."]
+    assert [line["state"] for line in lines] == ["refused"] * refused + ["contradicted"] * (10 - refused)
+    assert said == [sentence]
 
 
 @pytest.mark.usefixtures("laid")
@@ -275,15 +338,33 @@ def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_
     assert [line["stage"] == "registration" for line in lines] == [True] * 16
 
 
-@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0)])
-def test_a_photo_that_fits_nowhere_and_one_of_yet_another_turn_begin_the_ten_anew(
-    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], between: tuple[float, ...] | None
+CONTRADICTED = (20.0, 0.0)
+
+
+@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0), (*CONTRADICTED, -171.0)])
+def test_photos_that_fit_nowhere_or_badly_and_one_of_yet_another_turn_begin_the_ten_anew(
+    town: Map,
+    flight: Flight,
+    laid: dict[str, tuple[float, ...] | None],
+    between: tuple[float, ...] | None,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    contradict(monkeypatch, CONTRADICTED)
     turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(16)]
     laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned} | {"turned 5": between}
     lines, said = lines_of(town, [*flight.frames, *turned])
     assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 15 + [True]
     assert sum("turned otherwise" in sentence for sentence in said) == 1
+
+
+def test_turns_that_drift_make_no_new_heading(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    turns = (10.0, 14.9, 21.9, 38.4, 74.9, 88.9, 88.9, 88.9, 88.9, 88.9)
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(10)]
+    laid |= {frame.name: (*PLACES[-1], turn) for frame, turn in zip(turned, turns, strict=True)}
+    lines, _ = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 10
 
 
 def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
