@@ -78,6 +78,13 @@ def test_the_first_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right
         page = first_screen.page(StateAnalyser(workspace).analyse(fails, 10), workspace)
         assert "the first answer is wrong for 4 of 26 graded pictures (15 %)." in text(page)
         assert "84.6 % of all 26 graded pictures right" in text(pages.header(workspace, workspace.tasks[TASK]))
+    result = ranking.result
+    assert result is not None
+    assert result.errors is not None
+    counted = np.delete(result.errors, sorted(DOUBTFUL))
+    within, of_all = 100 * np.mean(counted <= 50), 100 * np.mean(result.errors <= 50)
+    assert f"{within:.1f}" != f"{of_all:.1f}"
+    assert f"within 50 m {within:.1f} %" in text(pages.header(workspace, workspace.tasks[TASK]))
     navigation, seen = Navigation(workspace, lambda *_: None), [start]
     for _ in range(5):
         after = navigation.next_failure(seen[-1])
