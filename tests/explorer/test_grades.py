@@ -22,7 +22,7 @@ from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.cli.main import main
-from lpn.core.demo import DEMO_ANSWERS, DEMO_MODEL, DEMO_PLACE
+from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.drawing.words import speaking
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
@@ -35,12 +35,16 @@ DOUBTFUL, WRONG = {7, 9, 11, 20}, {0, 3, 16, 28}
 PHOTOS = 30
 
 
-@pytest.fixture(scope="module")
-def workspace() -> Iterator[Workspace]:
-    basemap, flight = DEMO_PLACE
+def opened(basemap: Path, flight: Path) -> Workspace:
     place = open_offered_flight(None, basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
     assert place.registration is not None
     assert place.registration.wait(PATIENCE)
+    return place
+
+
+@pytest.fixture(scope="module")
+def workspace() -> Iterator[Workspace]:
+    place = opened(*DEMO_PLACE)
     yield place
     assert place.basemap is not None
     place.basemap.close()
@@ -92,6 +96,19 @@ def test_the_first_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right
         seen.append(after)
     assert {one.query for one in seen[1:]} == WRONG
     assert {one.query for _ in range(40) if (one := navigation.failure(start)) is not None} <= WRONG
+
+
+def test_the_errors_of_placed_photos_stand_behind_their_count() -> None:
+    rendered = opened(*DEMO_FLIGHT)
+    start = SessionState(TASK, rendered.contract.n_parts, query=rendered.first_query, first_screen=True)
+    page = text(first_screen.page(StateAnalyser(rendered).analyse(start, 10), rendered))
+    assert re.search(
+        r"; their details placed 28 of 40, at most \d+\.\d m from their true places(, \d+ of them in doubt)?; "
+        r"\d+( more)? could not be checked away from the middle\.",
+        page,
+    )
+    assert rendered.basemap is not None
+    rendered.basemap.close()
 
 
 def test_the_laboratory_counts_as_the_first_screen_does(workspace: Workspace, findings: Findings) -> None:
