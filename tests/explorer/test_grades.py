@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 
 from explorer import reports, session_state
+from explorer.compute.request_context import RequestContext
+from explorer.explain_window.model_comparison import ModelComparison
 from explorer.failure_lab import state, table
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
@@ -20,7 +23,7 @@ from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.panels import answer_text, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.cli.main import main
 from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.drawing.words import speaking
@@ -121,6 +124,27 @@ def test_the_laboratory_counts_as_the_first_screen_does(workspace: Workspace, fi
     unknown[1] = False
     blind = replace(findings, outcomes=replace(findings.outcomes, known=unknown))
     assert "4 failed (16.0 %) of retrieval, 5 not graded" in text(table.summary(blind, LabState(task=TASK), rows))
+
+
+def test_two_models_are_compared_over_the_graded_photos(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = copy.copy(workspace)  # as the flight is opened for a second model: its photos are not laid over the map
+    assert other.flight is not None
+    other.flight = replace(other.flight, frames=[replace(one, stages={}) for one in other.flight.frames])
+    other.rankings = {TASK: copy.copy(workspace.rankings[TASK])}
+    own = workspace.rankings[TASK].result
+    assert own is not None
+    first = own.ranking.first.copy()
+    first[[7, 9, 1]] = 1 - np.minimum(first[[7, 9, 1]], 1)  # two in doubt, and one that is right
+    assert first[1] == 1
+    other.rankings[TASK].result = replace(own, ranking=replace(own.ranking, first=first))
+    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("two", lambda _: other)])
+    assert workspace.beside[0].open().wait(PATIENCE)
+    comparison = ModelComparison(workspace, RequestContext(workspace.inference))
+    analysis = StateAnalyser(workspace).analyse(SessionState(TASK, workspace.contract.n_parts, why=True), 10)
+    said = text(comparison.page(analysis))
+    assert "Of 26 graded queries, lpn.onnx alone finds 1 and lpn.onnx alone 0." in said
+    assert (said.count("R@1 84.6 %"), said.count("R@1 80.8 %")) == (1, 1)
+    comparison.leave()
 
 
 def test_reports_count_as_the_first_screen_does(
