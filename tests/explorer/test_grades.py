@@ -84,7 +84,7 @@ def test_the_first_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right
         fails = session_state.show_fails(start, int(rows[0]), PHOTOS)
         page = first_screen.page(StateAnalyser(workspace).analyse(fails, 10), workspace)
         assert "the first answer is wrong for 4 of 26 graded pictures (15 %)." in text(page)
-        assert "84.6 % of all 26 graded pictures right" in text(pages.header(workspace, workspace.tasks[TASK]))
+        assert "84.6 % of 26 graded pictures right" in text(pages.header(workspace, workspace.tasks[TASK]))
     result = ranking.result
     assert result is not None
     assert result.errors is not None
