@@ -299,9 +299,9 @@ class Workspace:
         return (int((graded & ~ranking.failed).sum()) if graded.any() else 0), int(graded.sum())
 
     def results(self, ranking: RankingJob) -> dict[str, float] | None:
-        """Return what was measured of a ranking, see `TaskRanking`, over the graded queries; None before they are ranked."""
+        """Return what was measured over the graded queries, see `TaskRanking.measured`; None before they are ranked."""
         result = ranking.result
-        return None if result is None else result.results | result.ranking.metrics(self.graded(ranking))
+        return None if result is None else result.measured(self.graded(ranking))
 
     def answer_distances(self, task: Task) -> AnswerDistances | None:
         """Return how far the answers of a task are; None until it is ranked, without descriptors, and where it takes long."""

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import threading
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from lpn.core.arrays import BoolArray, Int64Array
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import LPNError
 from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
@@ -29,12 +30,31 @@ class TaskRanking:
 
     Attributes:
         ranking: ranks and best matches by query.
-        results: recall and AP in percent, see `lpn.retrieval.metrics.evaluate`. If the task has a geometry, also
-            the values of `error_shares`.
+        errors: metres from each query to its answer, (Q,), NaN where the place is unknown; None without a geometry.
+        known: the queries of a known place, (Q,), or None for all.
     """
 
     ranking: Retrieval
-    results: dict[str, float]
+    errors: Float64Array | None
+    known: BoolArray | None
+
+    def measured(self, counted: BoolArray | None) -> dict[str, float]:
+        """Return recall and AP in percent, see `lpn.retrieval.metrics.evaluate`, and the values of `error_shares`.
+
+        Args:
+            counted: the queries that count, (Q,), or None for all. Those without an error count in recall and AP alone.
+        """
+        figures = self.ranking.metrics(counted)
+        if self.errors is None:
+            return figures
+        errors = self.errors if counted is None else self.errors[counted]
+        placed = ~np.isnan(errors)
+        return figures | error_shares(errors[placed]) if placed.any() else figures
+
+    @cached_property
+    def results(self) -> dict[str, float]:
+        """What was measured over all queries of a known place, see `measured`."""
+        return self.measured(self.known)
 
 
 class RankingJob:
@@ -86,7 +106,7 @@ class RankingJob:
 
     @property
     def results(self) -> dict[str, float]:
-        """See `TaskRanking`; only when the task is ranked."""
+        """See `TaskRanking.results`; only when the task is ranked."""
         assert self.result is not None
         return self.result.results
 
@@ -139,11 +159,9 @@ class RankingJob:
         return self.result
 
     def _result(self, ranking: Retrieval) -> TaskRanking:
-        errors_within: dict[str, float] = {}
+        errors = None
         if self.task.geometry is not None:
             geometry = self.task.current().geometry
             assert geometry is not None
             errors = geometry.answer_errors_m(ranking.best)
-            placed = ~np.isnan(errors)
-            errors_within = error_shares(errors[placed]) if placed.any() else {}
-        return TaskRanking(ranking, ranking.metrics(self.task.known) | errors_within)
+        return TaskRanking(ranking, errors, self.task.known)

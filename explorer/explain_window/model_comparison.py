@@ -18,7 +18,7 @@ from explorer.session_state import SessionState
 from explorer.stage.pictures import draw_parts
 from explorer.web.render import call, progress_bar, render, run, send
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
-from lpn.core.arrays import FloatingArray, Int64Array
+from lpn.core.arrays import BoolArray, FloatingArray, Int64Array
 from lpn.core.numbers import shown_difference
 from lpn.core.views import View
 from lpn.drawing import charts, heatmaps, overlays
@@ -82,8 +82,13 @@ class _Column:
 
 @dataclass(frozen=True)
 class Changes:
-    """Queries that one model alone answers right, and those that the second ranks most higher or lower: query and ranks."""
+    """Queries that one model alone answers right, and those that the second ranks most higher or lower: query and ranks.
 
+    Attributes:
+        graded: how many queries count.
+    """
+
+    graded: int
     alone: tuple[int, int]
     better: list[tuple[int, int, int]]
     worse: list[tuple[int, int, int]]
@@ -169,7 +174,7 @@ class ModelComparison:
             pairs.append((other, self._analyse(replace(state, scoring=task.scoring), other, analysis)))
         maps = self._maps(pairs, state)
         columns = [
-            _column(one, judge.shown(of_one, workspace), _lead(of_one), drawn, own)
+            _column(one, judge.shown(of_one, workspace), self._recall(one, of_one.task), _lead(of_one), drawn, own)
             for (one, of_one), drawn in zip(pairs, maps, strict=True)
         ]
         rankings = [ranking for one, _ in pairs if (ranking := one.ranked_as(task)) is not None]
@@ -189,7 +194,7 @@ class ModelComparison:
                 95,
             ),
             has_box=any(one.share is not None for drawn in maps for one in drawn),
-            changes=changes(*rankings) if len(rankings) == 2 else None,
+            changes=changes(rankings[0], rankings[1], workspace.graded(rankings[0])) if len(rankings) == 2 else None,
             scoring="" if own is analysis else TERMS[task.scoring],
             queries=task.queries,
             thumbnail=workspace.thumbnail,
@@ -288,6 +293,16 @@ class ModelComparison:
         view = opened.query_view if side == "query" else opened.gallery_view
         return self._workspace.centre_mean(workspace, task, side) if has_centre(workspace.contract, view) else None
 
+    def _recall(self, workspace: Workspace, task: Task) -> float | None:
+        """Return R@1 of a model in percent, of a flight over the photos that are graded under the workspace's own model."""
+        ranking, own = workspace.ranked_as(task), self._workspace.ranked_as(task)
+        if ranking is None or ranking.result is None:
+            return None
+        graded = workspace.graded(ranking)
+        if self._workspace.has_flight and own is not None:
+            graded &= self._workspace.graded(own)
+        return ranking.result.ranking.metrics(graded)["recall@1"] if graded.any() else None
+
     def _join(self, wanted: list[RankingJob | CentreMean]) -> None:
         for job in self._joined:
             if job not in wanted:
@@ -301,7 +316,7 @@ class ModelComparison:
             _Choice(
                 index,
                 one.label,
-                None if one.workspace is None else _recall(one.workspace, self._shared_task(state)),
+                None if one.workspace is None else self._recall(one.workspace, self._shared_task(state)),
                 index == state.beside,
                 "" if one.opening else "not opened" if one.error else f"{say('R@1')} not known yet",
             )
@@ -319,7 +334,7 @@ class ModelComparison:
         known = [
             (key, name, one.contract, recall)
             for key, name, one in opened
-            if (recall := _recall(one, self._shared_task(state))) is not None
+            if (recall := self._recall(one, self._shared_task(state))) is not None
         ]
         drawn = []
         differ = {
@@ -385,12 +400,6 @@ def _mean_text(mean: CentreMean) -> str:
     return f"{value} (mean of {mean.total:,}{drawn})"
 
 
-def _recall(workspace: Workspace, task: Task) -> float | None:
-    ranking = workspace.ranked_as(task)
-    known = ranking is not None and ranking.result is not None and ranking.results["queries"]
-    return ranking.results["recall@1"] if ranking is not None and known else None
-
-
 def _same_tile(first: Task, second: Task, index: int) -> bool:
     """Return whether a position means the same tile in two galleries; a data set that changed in between has others."""
     return index < len(second.gallery) and first.gallery[index].path == second.gallery[index].path
@@ -425,14 +434,19 @@ def _values(analysis: StateAnalysis, state: SessionState) -> list[FloatingArray]
 
 
 def _column(
-    workspace: Workspace, analysis: StateAnalysis, lead: float | None, maps: list[_Map], own: StateAnalysis
+    workspace: Workspace,
+    analysis: StateAnalysis,
+    recall: float | None,
+    lead: float | None,
+    maps: list[_Map],
+    own: StateAnalysis,
 ) -> _Column:
     task, truth = analysis.task, analysis.positive
     return _Column(
         workspace.description,
         task.contract.claim,
         workspace.without_cells,
-        _recall(workspace, task),
+        recall,
         analysis.matches[0].true,
         None if truth is None else truth.rank,
         lead,
@@ -453,17 +467,17 @@ def _lead(analysis: StateAnalysis) -> float | None:
     )
 
 
-def changes(first: RankingJob, second: RankingJob) -> Changes | None:
-    """Compare the ranks of all queries; None until both models have ranked them."""
+def changes(first: RankingJob, second: RankingJob, graded: BoolArray) -> Changes | None:
+    """Compare the ranks of the graded queries, (Q,); None until both models have ranked all."""
     if first.result is None or second.result is None:
         return None
     ranks, others = first.ranks, second.ranks
-    known = (ranks >= 0) & (others >= 0)
-    alone = int(((ranks == 0) & (others != 0)).sum()), int(((others == 0) & (ranks != 0)).sum())
+    known = graded & (ranks >= 0) & (others >= 0)
+    alone = int((graded & (ranks == 0) & (others != 0)).sum()), int((graded & (others == 0) & (ranks != 0)).sum())
     change = np.where(known, ranks - others, 0)
     order = np.argsort(-change, kind="stable")
 
     def rows(queries: Int64Array) -> list[tuple[int, int, int]]:
         return [(int(query), int(ranks[query]) + 1, int(others[query]) + 1) for query in queries if change[query]]
 
-    return Changes(alone, rows(order[:_QUERIES]), rows(order[::-1][:_QUERIES]))
+    return Changes(int(graded.sum()), alone, rows(order[:_QUERIES]), rows(order[::-1][:_QUERIES]))

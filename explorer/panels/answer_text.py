@@ -619,14 +619,17 @@ def _of_flight(workspace: Workspace, task: Task) -> str:
     count = f"all {len(tried)}" if len(placed) == len(tried) else f"{len(placed)} of {len(tried)}"
     look += f"; their details placed {count}{' so far' if len(tried) < len(workspace.flight.frames) else ''}"
     judged = verdicts_of_all.beliefs
+    errors = [error for located in placed if (error := located.error("registration")) is not None]
+    measured = workspace.flight.late_tags is None and bool(errors)
+    if measured:
+        truths = "their true places" if workspace.flight.rendered else "their GPS tags"
+        look += f", at most {upper_bound(max(errors))} m from {truths}"
     look += doubted_clause(judged)
     if unchecked := len(unchecked_frames(workspace.flight.frames, judged)):
         more = " more" if any(one.in_doubt for one in judged) else ""
         look += f"; {unchecked}{more} could not be checked away from the middle"
-    errors = [error for located in placed if (error := located.error("registration")) is not None]
-    if workspace.flight.late_tags is None and errors:
-        truths = "their true places" if workspace.flight.rendered else "their GPS tags"
-        return f"{look}, at most {upper_bound(max(errors))} m from {truths}."
+    if measured:
+        return f"{look}."
     elsewhere, _ = trials(workspace)
     return f"{look}. Nobody measured where they really are.{f' {elsewhere}.' if elsewhere else ''}"
 

@@ -420,6 +420,14 @@ def new_context(browser: Browser, **options: Any) -> BrowserContext:
     return context
 
 
+def deny_storage(page: Page) -> None:
+    """Let each use of the browser's storage fail from now on, as it does where a person has denied it."""
+    page.evaluate(
+        """() => ["getItem", "setItem", "removeItem"].forEach(
+          (use) => (Storage.prototype[use] = () => { throw new DOMException("denied", "SecurityError") }))"""
+    )
+
+
 def outlast(page: Page, milliseconds: int) -> None:
     """Give timers of a limit in a page's scripts `PATIENCE`: a page goes on without what is late, as a busy machine is."""
     page.evaluate(

@@ -28,7 +28,7 @@ from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.task import flight_task
 from lpn.maps import LocalFrame, open_map
-from tests.e2e.conftest import ExplorerPage, box, expect_accessible, outlast
+from tests.e2e.conftest import ExplorerPage, box, deny_storage, expect_accessible, outlast
 from tests.lpn.locate.scenery import ground_to_photo
 from tests.lpn.maps.small_maps import smooth, write_geotiff
 from tools.fixtures.processes import free_port
@@ -691,6 +691,25 @@ def test_tie_points_that_are_not_saved_outlast_another_photo_the_window_and_the_
     correct.click()
     page.locator("[data-act=forget]").click()
     expect(page.locator("#lpn-flight-corrected")).to_have_count(0)
+
+
+@pytest.mark.slow
+def test_tie_points_that_are_not_saved_outlast_another_photo_where_storage_is_denied(window: FlightPage) -> None:
+    page = window.page
+    deny_storage(page)
+    corner, correct = page.locator('[data-tie="1"]'), page.locator("[data-photo=correct]")
+    correct.click()
+    corner.focus()
+    page.keyboard.press("Shift+ArrowUp")
+    expect(correct).to_have_class(re.compile("unsaved"))
+    window.key("n")
+    window.expect_frame(1)
+    expect(correct).not_to_have_class(re.compile("unsaved"))
+    window.key("p")
+    window.expect_frame(0)
+    expect(correct).to_have_class(re.compile("unsaved"))
+    page.locator("[data-act=cancel]").click()
+    expect(correct).not_to_have_class(re.compile("unsaved"))
 
 
 @pytest.mark.slow

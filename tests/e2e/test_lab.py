@@ -19,7 +19,7 @@ from lpn.core.tables import Table
 from lpn.tasks import query_outcomes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.query_outcomes import Outcomes
-from tests.e2e.conftest import ExplorerPage, RunningApp, started
+from tests.e2e.conftest import ExplorerPage, RunningApp, deny_storage, started
 from tools.fixtures import small_worlds
 
 WEATHERS = ("rain", "sun", "<b>fog</b>")
@@ -617,6 +617,18 @@ def test_tags_and_notes_survive_a_restart(
         expect(later.page.locator("#lpn-lab-tags")).to_have_value("night blur")
         expect(later.page.locator("#lpn-lab-note")).to_have_value("Looks like the twin <i>next door</i>.")
     (lab_app.data / "notes.csv").unlink()
+
+
+@pytest.mark.slow
+def test_a_note_that_is_typed_outlasts_new_boxes_where_storage_is_denied(lab: LabPage) -> None:
+    deny_storage(lab.page)
+    lab.open_row(lab.shown()[0])
+    note, boxes = lab.page.locator("#lpn-lab-note"), lab.page.locator(".lab-note")
+    note.fill("not saved")
+    boxes.evaluate("row => lpn.noteOpened(row.dataset.path)")  # as when the same boxes come anew
+    expect(note).to_have_value("not saved")
+    expect(boxes).to_have_class(re.compile("unsaved"))
+    note.fill("")
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,6 +14,8 @@ import numpy as np
 import pytest
 
 from explorer import reports, session_state
+from explorer.compute.request_context import RequestContext
+from explorer.explain_window.model_comparison import ModelComparison
 from explorer.failure_lab import state, table
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
@@ -20,9 +23,9 @@ from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.panels import answer_text, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.cli.main import main
-from lpn.core.demo import DEMO_ANSWERS, DEMO_MODEL, DEMO_PLACE
+from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.drawing.words import speaking
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
@@ -35,12 +38,16 @@ DOUBTFUL, WRONG = {7, 9, 11, 20}, {0, 3, 16, 28}
 PHOTOS = 30
 
 
-@pytest.fixture(scope="module")
-def workspace() -> Iterator[Workspace]:
-    basemap, flight = DEMO_PLACE
+def opened(basemap: Path, flight: Path) -> Workspace:
     place = open_offered_flight(None, basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
     assert place.registration is not None
     assert place.registration.wait(PATIENCE)
+    return place
+
+
+@pytest.fixture(scope="module")
+def workspace() -> Iterator[Workspace]:
+    place = opened(*DEMO_PLACE)
     yield place
     assert place.basemap is not None
     place.basemap.close()
@@ -77,7 +84,16 @@ def test_the_first_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right
         fails = session_state.show_fails(start, int(rows[0]), PHOTOS)
         page = first_screen.page(StateAnalyser(workspace).analyse(fails, 10), workspace)
         assert "the first answer is wrong for 4 of 26 graded pictures (15 %)." in text(page)
-        assert "84.6 % of all 26 graded pictures right" in text(pages.header(workspace, workspace.tasks[TASK]))
+        assert "84.6 % of 26 graded pictures right" in text(pages.header(workspace, workspace.tasks[TASK]))
+    result = ranking.result
+    assert result is not None
+    assert result.errors is not None
+    counted = np.delete(result.errors, sorted(DOUBTFUL))
+    within, of_all = 100 * np.mean(counted <= 50), 100 * np.mean(result.errors <= 50)
+    assert f"{within:.1f}" != f"{of_all:.1f}"
+    expert = text(pages.header(workspace, workspace.tasks[TASK]))
+    assert f"within 50 m {within:.1f} %" in expert
+    assert "84.6 % drone → map , 30 queries (26 graded), " in expert
     navigation, seen = Navigation(workspace, lambda *_: None), [start]
     for _ in range(5):
         after = navigation.next_failure(seen[-1])
@@ -85,6 +101,19 @@ def test_the_first_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right
         seen.append(after)
     assert {one.query for one in seen[1:]} == WRONG
     assert {one.query for _ in range(40) if (one := navigation.failure(start)) is not None} <= WRONG
+
+
+def test_the_errors_of_placed_photos_stand_behind_their_count() -> None:
+    rendered = opened(*DEMO_FLIGHT)
+    start = SessionState(TASK, rendered.contract.n_parts, query=rendered.first_query, first_screen=True)
+    page = text(first_screen.page(StateAnalyser(rendered).analyse(start, 10), rendered))
+    assert re.search(
+        r"; their details placed 28 of 40, at most \d+\.\d m from their true places(, \d+ of them in doubt)?; "
+        r"\d+( more)? could not be checked away from the middle\.",
+        page,
+    )
+    assert rendered.basemap is not None
+    rendered.basemap.close()
 
 
 def test_the_laboratory_counts_as_the_first_screen_does(workspace: Workspace, findings: Findings) -> None:
@@ -97,6 +126,27 @@ def test_the_laboratory_counts_as_the_first_screen_does(workspace: Workspace, fi
     unknown[1] = False
     blind = replace(findings, outcomes=replace(findings.outcomes, known=unknown))
     assert "4 failed (16.0 %) of retrieval, 5 not graded" in text(table.summary(blind, LabState(task=TASK), rows))
+
+
+def test_two_models_are_compared_over_the_graded_photos(workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = copy.copy(workspace)  # as the flight is opened for a second model: its photos are not laid over the map
+    assert other.flight is not None
+    other.flight = replace(other.flight, frames=[replace(one, stages={}) for one in other.flight.frames])
+    other.rankings = {TASK: copy.copy(workspace.rankings[TASK])}
+    own = workspace.rankings[TASK].result
+    assert own is not None
+    first = own.ranking.first.copy()
+    first[[7, 9, 1]] = 1 - np.minimum(first[[7, 9, 1]], 1)  # two in doubt, and one that is right
+    assert first[1] == 1
+    other.rankings[TASK].result = replace(own, ranking=replace(own.ranking, first=first))
+    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("two", lambda _: other)])
+    assert workspace.beside[0].open().wait(PATIENCE)
+    comparison = ModelComparison(workspace, RequestContext(workspace.inference))
+    analysis = StateAnalyser(workspace).analyse(SessionState(TASK, workspace.contract.n_parts, why=True), 10)
+    said = text(comparison.page(analysis))
+    assert "Of 26 graded queries, lpn.onnx alone finds 1 and lpn.onnx alone 0." in said
+    assert (said.count("R@1 84.6 %"), said.count("R@1 80.8 %")) == (1, 1)
+    comparison.leave()
 
 
 def test_reports_count_as_the_first_screen_does(

@@ -20,7 +20,7 @@
   const draftKey = () => ["lpn-ties", lpn.title, flight.data.bounds.join(), flight.data.names[flight.chosen]].join(" ");
   const draftOf = (key) => {
     try {
-      const points = JSON.parse(lpn.stored("local", key)) || drafts.get(key);
+      const points = JSON.parse(lpn.stored("local", key) ?? "null") || drafts.get(key);
       return points.length === CORNERS.length && points.every((at) => at.length === 2 && at.every(Number.isFinite)) ? points : null;
     } catch {
       return null; // there is none, or another program's text

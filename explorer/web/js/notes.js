@@ -15,7 +15,7 @@
   const drafts = new Map(); // for a browser that denies its storage
   const draft = (path) => {
     try {
-      return JSON.parse(lpn.stored("session", key(path))) || drafts.get(path) || null;
+      return JSON.parse(lpn.stored("session", key(path)) ?? "null") || drafts.get(path) || null;
     } catch {
       return null; // another program's text
     }

@@ -76,13 +76,13 @@ def test_pages_show_progress_and_mark_nothing_before_the_ranking_is_done(workspa
     ranking = workspace.rankings[TASK]
     assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
     assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [None, None]
-    assert model_comparison.changes(ranking, ranking) is None
+    assert model_comparison.changes(ranking, ranking, workspace.graded(ranking)) is None
     assert ranking.join("me").wait(TIMEOUT)
     assert "R@1" in pages.header(workspace, ranking.task)
     assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [
         int(not failed) for failed in ranking.failed[:2]
     ]
-    assert model_comparison.changes(ranking, ranking) is not None
+    assert model_comparison.changes(ranking, ranking, workspace.graded(ranking)) is not None
 
 
 def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> None:
