@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer import reports, session_state
+from explorer import judge, reports, session_state
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.failure_lab import state, table
@@ -177,6 +177,18 @@ def test_reports_count_as_the_first_screen_does(
     assert main([*command, "--matches", "1", "--no-register"]) == 0
     said = text((tmp_path / "r.html").read_text())
     assert "the worst of 5 failures, lowest margin first" in said, "without registration no judge is in doubt"
+
+
+@pytest.mark.parametrize(("query", "sure"), [(7, True), (1, False)])
+def test_the_answer_that_a_report_shows_does_not_change_what_counts(
+    workspace: Workspace, query: int, sure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(judge, "is_sure", lambda *_: sure)  # as of an answer to a changed photo
+    start = SessionState(TASK, workspace.contract.n_parts, query=query)
+    said = text(reports.of_analysis(workspace, StateAnalyser(workspace).analyse(start, 10))[1].decode())
+    assert "30 queries (26 of known place, for certain, which are graded)" in said
+    assert "84.6 % R@1" in said
+    assert ("It is not graded, as no tile is right for certain" in said) == (not sure)
 
 
 def test_a_flight_is_judged_once_for_each_state_of_its_registration(
