@@ -269,9 +269,10 @@ class Workspace:
     @property
     def verdicts(self) -> FlightVerdicts | None:
         """The verdicts on the flight's photos, computed once for each state of its registration; None without a flight."""
-        return None if self.flight is None else self._verdicts_of(self.flight)
+        return None if self.flight is None else self.verdicts_of(self.flight)
 
-    def _verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
+    def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
+        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile, see `verdicts`."""
         return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
@@ -282,7 +283,7 @@ class Workspace:
         ranked = result.ranking
         return self._doubtful.get(
             (flight, result),
-            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first, self._verdicts_of(flight)),
+            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first, self.verdicts_of(flight)),
         )
 
     def graded(self, ranking: RankingJob) -> BoolArray:

@@ -19,6 +19,7 @@ from explorer.explain_window.model_comparison import ModelComparison
 from explorer.failure_lab import state, table
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
+from explorer.flight_window.service import FlightService
 from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.panels import answer_text, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
@@ -202,6 +203,8 @@ def test_a_flight_is_judged_once_for_each_state_of_its_registration(
     for _ in range(3):
         assert "(1 here)" in answer_text.doubts(workspace)
         assert int(workspace.graded(ranking).sum()) == PHOTOS - len(DOUBTFUL)
+    view = FlightService(workspace).view()
+    assert view.beliefs is FlightService(workspace).view().beliefs
     assert judged == [workspace.flight]
     frames = [
         replace(one, stages={name: answer for name, answer in one.stages.items() if name != "registration"})
