@@ -67,10 +67,15 @@ def of_analysis(
     state, task = analysis.state, analysis.task
     task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
     query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
-    doubtful = _doubtful(workspace, task)
-    if not state.upload:  # the page may show another answer than the ranking of all photos has
-        doubtful = doubtful - {state.query} if judge.is_sure(analysis, workspace) else doubtful | {state.query}
-    options = report.Options(change=state.change, compared_tile=analysis.chosen.index, said=said, doubtful=doubtful)
+    # The page may show another answer than the ranking of all photos has.
+    unsure = () if state.upload or judge.is_sure(analysis, workspace) else (state.query,)
+    options = report.Options(
+        change=state.change,
+        compared_tile=analysis.chosen.index,
+        said=said,
+        doubtful=_doubtful(workspace, task),
+        unsure=unsure,
+    )
     return f"{safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
 

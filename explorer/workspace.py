@@ -23,6 +23,7 @@ from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
+from explorer.compute.watchers import Watchers
 from explorer.layout import layout_for
 from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis import answer_context
@@ -129,6 +130,8 @@ class Workspace:
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
+        # They are told when the registration has ended, which changes what is graded.
+        self.watchers = Watchers()
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
@@ -269,9 +272,10 @@ class Workspace:
     @property
     def verdicts(self) -> FlightVerdicts | None:
         """The verdicts on the flight's photos, computed once for each state of its registration; None without a flight."""
-        return None if self.flight is None else self._verdicts_of(self.flight)
+        return None if self.flight is None else self.verdicts_of(self.flight)
 
-    def _verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
+    def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
+        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile, see `verdicts`."""
         return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
@@ -282,7 +286,7 @@ class Workspace:
         ranked = result.ranking
         return self._doubtful.get(
             (flight, result),
-            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first, self._verdicts_of(flight)),
+            lambda: doubtful_photos(flight, ranking.task, ranked.best, ranked.first, self.verdicts_of(flight)),
         )
 
     def graded(self, ranking: RankingJob) -> BoolArray:
@@ -331,6 +335,7 @@ class Workspace:
         def work(report: ReportProgress) -> None:
             yield_cores()  # it takes minutes, and answers must not wait for it
             self.flight = register(report)
+            self.watchers.tell()
 
         self.registration = BackgroundJob(work, self)
         return self.registration

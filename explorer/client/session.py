@@ -103,6 +103,7 @@ class ClientSession:
             self.views.panels.query.take_over(own)
             self._worker = Worker(self._work, self.views.fail)
             self.views.viewport.watch(self._refit)
+            workspace.watchers.watch(self._worker.wake)
             self._comparisons = OwnPhotoComparisons() if own is None else own.comparisons
             self._own_photo = self._comparisons.of(workspace.own_photos, self._follow_own_photo)
             self._ranking_progress = RankingProgress(self.views.panels.answer.show_results, self._worker.wake)
@@ -176,6 +177,7 @@ class ClientSession:
         self._address.leave()
         self._ranking_progress.close()
         self._comparisons.close()
+        self._workspace.watchers.unwatch(self._worker.wake)
         self._worker.stop()
         self.views.leave()
         self._requests.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -19,7 +20,7 @@ from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, LPNError, PictureError
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement, map_agreement
-from lpn.locate.belief import Belief, Disagreement, beliefs, best_track, disagreements
+from lpn.locate.belief import Belief, Disagreement, FlightVerdicts, best_track
 from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
 from lpn.locate.located import LocatedFlight
@@ -48,17 +49,23 @@ class FlightView:
 
     flight: LocatedFlight
     outlines: list[Outline | None]
-    contradictions: list[Disagreement]
-    beliefs: list[Belief]
+    contradictions: Sequence[Disagreement]
+    beliefs: Sequence[Belief]
     corrections: dict[str, Correction]
     corrections_error: str = ""
 
     @classmethod
-    def of(cls, flight: LocatedFlight, kept: dict[str, Correction], error: str) -> FlightView:
-        """Derive the view of a flight with its corrections, or with the reason why they cannot be used."""
-        pairs = disagreements(flight.frames)
-        verdicts = beliefs(flight.frames, pairs)
-        return cls(flight, [outline(located) for located in flight.frames], pairs, verdicts, kept, error)
+    def of(
+        cls, flight: LocatedFlight, kept: dict[str, Correction], error: str, verdicts: FlightVerdicts | None = None
+    ) -> FlightView:
+        """Derive the view of a flight with its corrections, or with the reason why they cannot be used.
+
+        Args:
+            verdicts: of the flight; by default they are looked for.
+        """
+        verdicts = verdicts or FlightVerdicts.of(flight)
+        outlines = [outline(located) for located in flight.frames]
+        return cls(flight, outlines, verdicts.contradictions, verdicts.beliefs, kept, error)
 
     @cached_property
     def errors(self) -> TagOffsets | None:
@@ -115,7 +122,7 @@ class FlightService:
         assert flight is not None
         with self._lock:
             if self._view is None or self._view.flight is not flight:
-                self._view = FlightView.of(flight, *self._read())
+                self._view = FlightView.of(flight, *self._read(), self._workspace.verdicts_of(flight))
             return self._view
 
     def correct(self, frame: int, corners: Float64Array | None) -> None:

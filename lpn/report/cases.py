@@ -109,6 +109,7 @@ class Options:
         selection: how the queries were chosen, for the report's header.
         said: the screen's words on a single query; they stand first.
         doubtful: queries of the task for which no tile is right for certain; they are not graded, nor counted in its figures.
+        unsure: of the report's queries, those whose answer as it is shown is not graded; by default those that are doubtful.
     """
 
     matches: int = 5
@@ -119,6 +120,12 @@ class Options:
     selection: str = ""
     said: Said | None = None
     doubtful: Collection[int] = ()
+    unsure: Collection[int] | None = None
+
+    @property
+    def ungraded(self) -> Collection[int]:
+        """The queries whose answers are not graded where they are shown."""
+        return self.doubtful if self.unsure is None else self.unsure
 
     def __post_init__(self) -> None:
         if self.matches < 1:
@@ -240,7 +247,7 @@ class Cases:
         case = Case(
             name=analysis.name,
             known=ranking.relevant is not None,
-            doubtful=index in options.doubtful,
+            doubtful=index in options.ungraded,
             facts=self._facts(index),
             picture=self._partitioned(analysis.query.picture, 0),
             areas=self._areas(analysis.query, 0),

@@ -68,8 +68,8 @@ def build(
     options = options or Options()
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
-    task = task.without_truth(options.doubtful)
-    cases = Cases(task, options)
+    shown, task = task.without_truth(options.ungraded), task.without_truth(options.doubtful)
+    cases = Cases(shown, options)
     done, steps = 0, len(queries) * (1 + len(cases.turns))
 
     def tick() -> None:
@@ -82,8 +82,8 @@ def build(
     for number, query in enumerate(queries, 1):
         case = cases.make(query, tick)
         # A case holds pictures and a whole ranking, so only its HTML is kept.
-        lines.append(_line(case, task, query))
-        sections.append(section(case, task, number))
+        lines.append(_line(case, shown, query))
+        sections.append(section(case, shown, number))
     graded = int(task.metrics["queries"])
     return render(
         "report.html.j2",

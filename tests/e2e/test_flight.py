@@ -688,9 +688,19 @@ def test_tie_points_that_are_not_saved_outlast_another_photo_the_window_and_the_
     page.locator("[data-act=save]").click()
     expect(corner).to_be_hidden()
     expect(correct).not_to_have_class(re.compile("unsaved"))
+    # The saved place is forgotten, and the tie points that are not saved are not.
     correct.click()
+    corner.focus()
+    page.keyboard.press("Shift+ArrowUp")
+    page.keyboard.press("Shift+ArrowUp")
+    moved = place()
     page.locator("[data-act=forget]").click()
     expect(page.locator("#lpn-flight-corrected")).to_have_count(0)
+    expect(corner).to_be_hidden()
+    expect(correct).to_have_class(re.compile("unsaved"))
+    correct.click()
+    assert place() == pytest.approx(moved, abs=0.1)
+    page.locator("[data-act=cancel]").click()
 
 
 @pytest.mark.slow

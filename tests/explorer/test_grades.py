@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer import reports, session_state
+from explorer import judge, reports, session_state
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.failure_lab import state, table
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
+from explorer.flight_window.service import FlightService
 from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.panels import answer_text, first_screen, pages, wrong_answer
 from explorer.panels.navigation import Navigation
@@ -179,6 +180,18 @@ def test_reports_count_as_the_first_screen_does(
     assert "the worst of 5 failures, lowest margin first" in said, "without registration no judge is in doubt"
 
 
+@pytest.mark.parametrize(("query", "sure"), [(7, True), (1, False)])
+def test_the_answer_that_a_report_shows_does_not_change_what_counts(
+    workspace: Workspace, query: int, sure: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(judge, "is_sure", lambda *_: sure)  # as of an answer to a changed photo
+    start = SessionState(TASK, workspace.contract.n_parts, query=query)
+    said = text(reports.of_analysis(workspace, StateAnalyser(workspace).analyse(start, 10))[1].decode())
+    assert "30 queries (26 of known place, for certain, which are graded)" in said
+    assert "84.6 % R@1" in said
+    assert ("It is not graded, as no tile is right for certain" in said) == (not sure)
+
+
 def test_a_flight_is_judged_once_for_each_state_of_its_registration(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,6 +203,8 @@ def test_a_flight_is_judged_once_for_each_state_of_its_registration(
     for _ in range(3):
         assert "(1 here)" in answer_text.doubts(workspace)
         assert int(workspace.graded(ranking).sum()) == PHOTOS - len(DOUBTFUL)
+    view = FlightService(workspace).view()
+    assert view.beliefs is FlightService(workspace).view().beliefs
     assert judged == [workspace.flight]
     frames = [
         replace(one, stages={name: answer for name, answer in one.stages.items() if name != "registration"})

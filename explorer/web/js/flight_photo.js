@@ -12,10 +12,11 @@
   // Metres within which a tie point lies where the photo's corner does.
   const SAME = 0.02;
   let at = -1; // the frame whose photo was brought near last
-  let ties = null; // { frame, draft: its key, points: metres of each tie point, saves: how many were saved when these were sent }
+  // { frame, draft: its key, points: metres of each tie point, saved, forgot: how many saves there were when that was sent }
+  let ties = null;
 
   // Tie points that are not saved stay in the browser until Save or Cancel: neither another photo, nor closing the window, nor
-  // closing the page loses them.
+  // closing the page, nor forgetting the saved ones loses them.
   const drafts = new Map(); // for a browser that denies its storage
   const draftKey = () => ["lpn-ties", lpn.title, flight.data.bounds.join(), flight.data.names[flight.chosen]].join(" ");
   const draftOf = (key) => {
@@ -39,7 +40,7 @@
   };
   // The tie points leave the map; a sentence says that those which are not saved are kept.
   const putAway = () => {
-    if (ties && ties.saves === undefined && draftOf(ties.draft)) lpn.say("The tie points are kept, and not saved yet: Correct shows them again.", 8);
+    if (ties && ties.saved === undefined && draftOf(ties.draft)) lpn.say("The tie points are kept, and not saved yet: Correct shows them again.", 8);
     ties = null;
   };
 
@@ -62,7 +63,7 @@
   const tied = () => lpn.homography(CORNERS.map(pixel), ties.points);
   const moveTie = (which, [right, up]) => {
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
-    delete ties.saves; // what was sent are other points
+    ties.saved = ties.forgot = undefined; // what was sent are other points
     keepDraft(ties.draft, ties.points);
     flight.draw();
   };
@@ -170,7 +171,9 @@
     followed: () => {
       if (at !== flight.chosen) approach();
       if (!ties || !flight.followed) return;
-      if (ties.saves !== undefined && ties.saves !== flight.followed.saves) photo.cancel();
+      const ended = (sent) => sent !== undefined && sent !== flight.followed.saves;
+      if (ended(ties.saved)) photo.cancel();
+      else if (ended(ties.forgot)) photo.use("off");
       else if (ties.frame !== flight.chosen) putAway();
     },
     cancel: () => {
@@ -181,11 +184,11 @@
       const h = ties && tied();
       if (!h) return lpn.say("The tie points do not span a picture.");
       const millimetres = (value) => Math.round(1000 * value) / 1000;
-      ties.saves = flight.followed.saves;
+      [ties.saved, ties.forgot] = [flight.followed.saves, undefined];
       lpn.send("flight-correct", [ties.frame, CORNERS.map((corner) => lpn.through(h, pixel(corner)).map(millimetres))]);
     },
     forget: () => {
-      if (ties) ties.saves = flight.followed.saves;
+      if (ties) [ties.saved, ties.forgot] = [undefined, flight.followed.saves];
       lpn.send("flight-forget", flight.chosen);
     },
     attach: () => {

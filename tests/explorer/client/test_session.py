@@ -5,15 +5,18 @@ from __future__ import annotations
 import threading
 from contextlib import nullcontext
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import MagicMock
 
 import pytest
 
 from explorer.client.session import ClientSession
+from explorer.compute.watchers import Watchers
 from explorer.compute.worker import Worker
 from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
+from explorer.workspace import Workspace
 
 
 @pytest.mark.parametrize(
@@ -48,6 +51,27 @@ def test_the_first_screen_of_another_place_starts_at_its_first_picture(monkeypat
     monkeypatch.setattr("explorer.client.session.StateAnalyser", lambda *_, **__: analyser)
     ClientSession.preview(session, services, "?show=there&screen=first")
     assert [(state.query, state.why) for state in analysed] == [(1, False)]
+
+
+def test_a_page_is_drawn_again_when_the_registration_of_its_flight_has_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("ClientViews", "Worker", "PageAddress", "StateAnalyser", "RankingProgress", "OwnPhotoComparisons"):
+        monkeypatch.setattr(f"explorer.client.session.{name}", MagicMock())
+    monkeypatch.setattr(ClientSession, "_opening_state", lambda *_: SessionState("drone-to-satellite", 4))
+    flight: Any = object()
+    workspace: Any = SimpleNamespace(
+        flight=None, watchers=Watchers(), inference=MagicMock(), model=MagicMock(), own_photos=None
+    )
+    services: Any = MagicMock(workspace=workspace)
+    session = ClientSession(MagicMock(), services, MagicMock())
+    wake: Any = session._worker.wake
+    wake.reset_mock()
+    wake.side_effect = lambda: drawn.append(workspace.flight)
+    drawn = list[Any]()
+    assert Workspace.register_flight(workspace, lambda _: flight).wait(60)
+    assert drawn == [flight]
+    session.leave()
+    assert Workspace.register_flight(workspace, lambda _: flight).wait(60)
+    assert drawn == [flight]
 
 
 def test_a_session_that_ends_waits_for_what_its_flight_window_draws() -> None:

@@ -13,12 +13,15 @@ from explorer.flight_window import page
 from explorer.flight_window.service import FlightService
 from explorer.session_state import SessionState
 from explorer.stories.windows import WindowSources, draw_flight
+from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
 
 
 @pytest.fixture
 def sources(flight: LocatedFlight) -> WindowSources:
-    workspace: Any = SimpleNamespace(flight=flight, root=flight.frames[0].frame.file.parent)
+    workspace: Any = SimpleNamespace(
+        flight=flight, root=flight.frames[0].frame.file.parent, verdicts_of=FlightVerdicts.of
+    )
     lab: Any = None
     return WindowSources(workspace, lab, FlightService(workspace))
 

@@ -38,7 +38,7 @@ from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 def view_of(flight: LocatedFlight) -> FlightView:
     folder = flight.frames[0].frame.file.parent
-    return FlightService(SimpleNamespace(flight=flight, root=folder)).view()  # type: ignore[arg-type]
+    return FlightService(SimpleNamespace(flight=flight, root=folder, verdicts_of=FlightVerdicts.of)).view()  # type: ignore[arg-type]
 
 
 @pytest.fixture

@@ -18,6 +18,7 @@ from explorer.flight_window.service import FlightService
 from lpn.core.errors import InputError
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement
+from lpn.locate.belief import FlightVerdicts
 from lpn.locate.corrections import NAME
 from lpn.locate.located import LocatedFlight
 from tests.explorer.flight_window.conftest import SIZE
@@ -27,7 +28,7 @@ CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
 
 @pytest.fixture
 def service(flight: LocatedFlight, tmp_path: Path) -> FlightService:
-    return FlightService(SimpleNamespace(flight=flight, root=tmp_path))  # type: ignore[arg-type]
+    return FlightService(SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of))  # type: ignore[arg-type]
 
 
 def test_the_view_is_derived_once_and_again_when_something_changes(service: FlightService) -> None:

@@ -20,6 +20,7 @@ from explorer.flight_window.window import FlightWindow
 from explorer.session_state import SessionState
 from explorer.stage.viewport import Viewport
 from explorer.web.messages import Receivers
+from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
 
 SQUARE = [[0, 30], [40, 30], [40, 0], [0, 0]]
@@ -80,7 +81,7 @@ class WindowOf:
 
 @pytest.fixture
 def service(flight: LocatedFlight, tmp_path: Path) -> FlightService:
-    return FlightService(SimpleNamespace(flight=flight, root=tmp_path))  # type: ignore[arg-type]
+    return FlightService(SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of))  # type: ignore[arg-type]
 
 
 @pytest.fixture
