@@ -54,8 +54,8 @@ def left_map(probability: float) -> str:
     """Say that a frame lies where no window of the map does, with some probability, which is not rounded up."""
     share = math.floor(100 * probability) / 100
     return (
-        "The drone was probably beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a "
-        f"probability of {share:.2f}: where it can have been, the map resembles this photo and its neighbours too little."
+        "Where the drone can have been, the map resembles this photo and its neighbours too little. By these scores it was "
+        f"beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a probability of {share:.2f}."
     )
 
 

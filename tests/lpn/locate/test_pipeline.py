@@ -800,9 +800,9 @@ def test_a_frame_beyond_the_map_is_refused_and_told_so(flight: Flight, monkeypat
     monkeypatch.setattr(ranked_stages, "smoothed", left)
     answers = [frame.stages["sequence"] for frame in _ranked(flight, scores, {})]
     assert [answer.state for answer in answers] == ["accepted", "refused", "refused"]
-    assert answers[1].sentence.startswith(
-        "The drone was probably beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a "
-        "probability of 0.97: "
+    assert answers[1].sentence.endswith(
+        "By these scores it was beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a "
+        "probability of 0.97."
     )
     assert "within 30 m of this place with a probability of 0.6" in answers[2].sentence
 
