@@ -212,9 +212,9 @@ def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Wo
 
 def test_two_contracts_stand_side_by_side(regions: Workspace, without_cells: Workspace) -> None:
     own, other = analysed(regions), analysed(without_cells)
-    column = model_comparison._column(regions, own, None, [], own)
+    column = model_comparison._column(regions, own, None, None, [], own)
     assert (column.claim, column.without_cells) == ("exact, with the regions of each picture held", "")
-    assert "no cells" in model_comparison._column(without_cells, other, None, [], own).without_cells
+    assert "no cells" in model_comparison._column(without_cells, other, None, None, [], own).without_cells
     assert len(model_comparison._values(own, own.state)) == 2
     assert not model_comparison._values(other, other.state)
 
