@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.locate.belief import belief
-from lpn.locate.grades import is_contradicted, is_doubtful
+from lpn.locate.grades import is_doubtful
 from lpn.locate.located import Judge
 
 # The words for the piece that each judge calls right.
@@ -26,7 +26,7 @@ def judged_piece(analysis: StateAnalysis, workspace: Workspace) -> str:
     if flight is None or analysis.state.upload is not None or flight.rendered:
         return ""
     query = analysis.state.query
-    if not is_contradicted(belief(flight.frames[query])) and confirmed(workspace) is not False:
+    if not belief(flight.frames[query]).contradicted and confirmed(workspace) is not False:
         return ""
     return _PIECES[flight.judge_of(query)]
 

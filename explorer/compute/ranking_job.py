@@ -53,7 +53,7 @@ class TaskRanking:
 
     @cached_property
     def results(self) -> dict[str, float]:
-        """What was measured over all queries of a known place, see `measured`."""
+        """Return the figures of all queries of a known place, see `measured`."""
         return self.measured(self.known)
 
 

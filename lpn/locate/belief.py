@@ -55,9 +55,14 @@ class Belief:
     corrected: bool = False
 
     @property
+    def contradicted(self) -> bool:
+        """True if details place the photo, and something contradicts them."""
+        return self.stage == "registration" and self.sign is None
+
+    @property
     def in_doubt(self) -> bool:
-        """True if details place the photo, something contradicts them, and nobody has corrected the place."""
-        return self.stage == "registration" and self.sign is None and not self.corrected
+        """True if the place is contradicted, and nobody has corrected it."""
+        return self.contradicted and not self.corrected
 
 
 @dataclass(frozen=True)

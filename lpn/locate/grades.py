@@ -50,7 +50,7 @@ def is_doubtful(
         right: it is right by the judge.
         verdict: on the photo; by default it is looked for.
     """
-    by_details = flight.judge_of(query) == "its details" and is_contradicted(verdict or belief(flight.frames[query]))
+    by_details = flight.judge_of(query) == "its details" and (verdict or belief(flight.frames[query])).contradicted
     return by_details or is_disputed(flight, task, query, answer, right)
 
 
@@ -83,8 +83,3 @@ def window_of(task: Task, index: int) -> Window | None:
     """Return where a tile lies on the map; None where it is no piece of one."""
     cut = task.gallery[index].cut
     return cut.window if isinstance(cut, WindowCut) else None
-
-
-def is_contradicted(verdict: Belief) -> bool:
-    """Return whether a verdict doubts the registration that it rests on."""
-    return verdict.stage == "registration" and verdict.sign is None
