@@ -57,31 +57,6 @@ with tempfile.TemporaryDirectory() as folder:
         assert north - south < 500 and east - west > 700
 """
 
-RATE = """
-from tools.bench.pan import frame_rate
-rate, most = frame_rate([100 + 20 * i for i in range(51)])
-assert abs(rate - 50) < 1e-6 and most == 20
-# One gap of 500 ms among nineteen of 10 ms is one in twenty.
-rate, most = frame_rate([*range(0, 200, 10), 690])
-assert abs(rate - 1000 * 20 / 690) < 1e-6 and most == 10
-"""
-
-SHEET = """
-import cv2
-import numpy as np
-from tools.bench.before_after import MOST_BYTES, ROOM, SPACE, encoded, sheet
-noise = np.random.default_rng(0).integers(0, 256, (90, 144, 3), np.uint8).repeat(10, 0).repeat(10, 1)
-phone = np.full((844, 390, 3), 40, np.uint8)
-made = sheet([[noise, noise], [phone, phone]])
-desk, wide = round(ROOM[0] * 900 / 1440), round(390 * ROOM[1] / 844)
-assert made.shape == (desk + SPACE + ROOM[1], 2 * ROOM[0] + SPACE, 3), made.shape
-left = (ROOM[0] - wide) // 2
-assert (made[desk + SPACE :, left : left + wide] == 40).all() and (made[desk + SPACE :, left - 1] != 40).all()
-data = encoded(made)
-assert len(data) <= MOST_BYTES
-assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR).shape == made.shape
-"""
-
 WITHOUT_COMPILER = """
 from lpn.core.errors import InputError
 from tools.bench import describe, gpu
@@ -172,21 +147,6 @@ def test_flights_are_measured_with_a_fresh_cache(tmp_path: Path, monkeypatch: py
     assert run("-c", program).stdout.split() == ["True", "False", "False"]
 
 
-def test_the_chart_of_a_county_is_that_of_its_figures(tmp_path: Path) -> None:
-    docs, drawn = Path(__file__).parents[1] / "docs", tmp_path / "chart.svg"
-    command = [
-        sys.executable,
-        "-m",
-        "tools.bench.county",
-        "--rows",
-        docs / "measured" / "county.json",
-        "--chart",
-        drawn,
-    ]
-    subprocess.run(command, check=True, capture_output=True, cwd=docs.parent)
-    assert drawn.read_text() == (docs / "scale.svg").read_text()
-
-
 def test_a_map_is_cut_where_a_share_of_the_tags_stays() -> None:
     done = run("-c", CUT)
     assert done.returncode == 0, done.stderr
@@ -194,10 +154,4 @@ def test_a_map_is_cut_where_a_share_of_the_tags_stays() -> None:
 
 def test_forged_tags_are_those_of_the_flight_turned_and_moved() -> None:
     done = run("-c", FORGED)
-    assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("program", [RATE, SHEET], ids=["frames a second", "former and today's workbench"])
-def test_figures_and_sheets_of_the_page_are_those_of_their_parts(program: str) -> None:
-    done = run("-c", program)
     assert done.returncode == 0, done.stderr

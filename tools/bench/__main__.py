@@ -1,6 +1,6 @@
 """Run all benchmarks, in one table: `python -m tools.bench [NAME ...]`.
 
-Names are query, search, evaluate, describe, page, large, and train; without one, all are run, each in a process of its own. The
+Names are query, search, evaluate, describe, page, and train; without one, all are run, each in a process of its own. The
 page is measured on the demo.
 """
 
@@ -15,7 +15,7 @@ from importlib import import_module
 from lpn.core.demo import DEMO
 from tools.bench.figures import Figure, show
 
-NAMES = ("query", "search", "evaluate", "describe", "page", "large", "train")
+NAMES = ("query", "search", "evaluate", "describe", "page", "train")
 
 
 def measured(name: str) -> list[Figure]:

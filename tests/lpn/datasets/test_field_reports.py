@@ -1,4 +1,4 @@
-"""Data sets as public reports describe them; docs/field.md has the sources."""
+"""Data sets as public reports describe them."""
 
 from __future__ import annotations
 

@@ -1,6 +1,5 @@
 """Files of public reports, rebuilt small: each opens with the descriptors of its weights, or is named with what to do.
 
-docs/field.md names the report of each.
 """
 
 from __future__ import annotations
