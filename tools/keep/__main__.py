@@ -1,0 +1,200 @@
+"""Measure what must not get worse: `python -m tools.keep [NAME ...] [--slow] [--out FILE] [--accept NAME ...]`.
+
+Without names, the quick measures run, and with `--slow` the slow ones. The program ends with status 1 and one sentence for each
+broken bound. `--accept` writes new baselines for measures whose figures changed on purpose.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import subprocess
+import sys
+import time
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from lpn.core.errors import LPNError
+from lpn.core.files import check_outputs, write_atomic, write_json
+from lpn.core.resources import usable_cores
+from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, all_measures, errors
+
+BASELINE = Path(__file__).with_name("baseline")
+_ROOT = Path(__file__).parents[2]
+# Changes elsewhere do not change what is measured.
+_MEASURED = ("lpn", "explorer", "tools", "assets", ":!tools/keep/baseline")
+
+
+def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, baseline: Path = BASELINE) -> int:
+    """Measure, print the table, and return the exit status.
+
+    Args:
+        measures: by default all.
+        baseline: folder of the baselines, one file for each measure.
+    """
+    known = all_measures() if measures is None else measures
+    options = _parser(known).parse_args(arguments)
+    if unknown := sorted(set(options.names + options.accept) - set(known)):
+        return _refuse(f"There is no measure {', '.join(unknown)}; there are {', '.join(known)}.")
+    names = options.names + options.accept + ["calls"] * options.calls
+    names = list(dict.fromkeys(names)) or [name for name, one in known.items() if one.slow == options.slow]
+    try:
+        check_outputs((options.out, ".json"))
+        state = _state()
+        records = _earlier(options.out, state)
+        for name in names:
+            if "figures" not in records.get(name, {}):
+                print(f"Measuring {name} ...", file=sys.stderr, flush=True)
+                records[name] = _measured(known[name])
+            old = _read(baseline / f"{name}.json").get("figures", {})
+            records[name] = _compared(known[name], records[name], old)
+            if name in options.accept and "figures" in records[name]:
+                found = _values(records[name])
+                write_atomic(baseline / f"{name}.json", _text({"commit": state, "figures": found}).encode())
+                _show({name: records[name]}, "Accepted: the old baseline beside the new one")
+                records[name] = _compared(known[name], records[name], found)
+            elif name in options.accept:
+                records[name].setdefault("error", f"{name}: nothing was measured, so its baseline stays as it is.")
+            if options.out is not None:
+                write_json(options.out, {"commit": state, "cores": usable_cores(), "measures": records})
+        _show({name: records[name] for name in names})
+    except LPNError as error:
+        return _refuse(str(error))
+    broken = [sentence for name in names for sentence in _sentences(name, records[name])]
+    for sentence in broken:
+        print(sentence, file=sys.stderr)
+    return 1 if broken else 0
+
+
+def _parser(known: dict[str, Measure]) -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m tools.keep", description="Measure what must not get worse.")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"measures: {', '.join(known)}")
+    parser.add_argument("--slow", action="store_true", help="run the slow half instead of the quick one")
+    parser.add_argument("--calls", action="store_true", help="count the calls of a turn, and print their path")
+    parser.add_argument("--out", type=Path, help="JSON file of the results; the same commit goes on where it stopped")
+    parser.add_argument(
+        "--accept", nargs="+", default=[], metavar="NAME", help="write new baselines for these measures"
+    )
+    return parser
+
+
+def _refuse(sentence: str) -> int:
+    print(sentence, file=sys.stderr)
+    return 1
+
+
+def _state() -> str:
+    """The commit, with a digest of what differs from it; empty outside of a checkout."""
+    git = ["git", "-C", str(_ROOT)]
+    head, changes = (
+        subprocess.run([*git, *command], capture_output=True, text=True, check=False).stdout
+        for command in (("rev-parse", "--short=8", "HEAD"), ("diff", "HEAD", "--", *_MEASURED))
+    )
+    return head.strip() + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
+
+
+def _read(file: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(file.read_bytes()) if file.is_file() else {}
+    return found
+
+
+def _earlier(out: Path | None, state: str) -> dict[str, Any]:
+    """The records of an interrupted run of the same state of the code."""
+    found = {} if out is None else _read(out)
+    records: dict[str, Any] = found.get("measures", {}) if state and found.get("commit") == state else {}
+    return records
+
+
+def _measured(measure: Measure) -> dict[str, Any]:
+    started = time.perf_counter()
+    try:
+        figures = measure.run()
+    except NotMeasuredError as reason:
+        return {"not_measured": str(reason)}
+    except Exception as error:
+        traceback.print_exc()
+        return {"error": f"{measure.name} failed: {type(error).__name__}: {error}"}
+    seconds = round(time.perf_counter() - started, 1)
+    return {"seconds": seconds, "figures": {name: {"value": value} for name, value in figures.items()}}
+
+
+def _values(record: dict[str, Any]) -> dict[str, Value]:
+    return {name: one["value"] for name, one in record["figures"].items() if "value" in one}
+
+
+def _compared(measure: Measure, record: dict[str, Any], baseline: Figures) -> dict[str, Any]:
+    """Add baseline, bound, and verdict to each figure of a record."""
+    if "figures" not in record:
+        return record
+    found = _values(record)
+    wrong = errors(measure, found, baseline)
+    figures: dict[str, dict[str, Any]] = {}
+    for name in {**found, **wrong}:
+        bound = measure.bound(name)
+        figures[name] = {"value": found[name]} if name in found else {}
+        figures[name] |= {"baseline": baseline[name]} if name in baseline else {}
+        figures[name] |= {"bound": "" if bound is None else bound.text, "verdict": wrong.get(name, "held")}
+    return {**record, "figures": figures}
+
+
+def _sentences(name: str, record: dict[str, Any]) -> list[str]:
+    """One sentence for each broken bound."""
+    if "error" in record:
+        return [record["error"]]
+    verdicts = {figure: one["verdict"] for figure, one in record.get("figures", {}).items()}
+    return [f"{name}, {figure}: {verdict}." for figure, verdict in verdicts.items() if verdict != "held"]
+
+
+def _text(baseline: dict[str, Any]) -> str:
+    """A baseline as JSON, each figure on a line of its own."""
+    lines = ",\n".join(
+        f"  {json.dumps(name)}: {json.dumps(value, separators=(',', ':'))}"
+        for name, value in baseline["figures"].items()
+    )
+    return f'{{"commit": {json.dumps(baseline["commit"])}, "figures": {{\n{lines}\n}}}}\n'
+
+
+def _show(records: dict[str, Any], title: str = "What must not get worse") -> None:
+    table = Table(title=title)
+    for column in ("measure", "figure", "value", "baseline", "largest change", "bound", ""):
+        table.add_column(column, justify="right" if column in ("value", "baseline", "largest change") else "left")
+    for name, record in records.items():
+        for figure, one in record.get("figures", {}).items():
+            values = one.get("value"), one.get("baseline")
+            verdict = "held" if one["verdict"] == "held" else "[red]BROKEN[/]"
+            verdict = "" if one["bound"] == "reported" else verdict
+            table.add_row(name, figure, *map(_short, values), _change(*values), one["bound"], verdict)
+        reason = record.get("not_measured") or record.get("error")
+        if reason:
+            table.add_row(name, reason, "", "", "", "", "not measured")
+        table.add_section()
+    Console(width=150).print(table)
+
+
+def _short(value: Value | None) -> str:
+    if value is None:
+        return ""
+    return (
+        f"{len(value):,} values"
+        if isinstance(value, list)
+        else f"{value:g}"
+        if isinstance(value, float)
+        else str(value)
+    )
+
+
+def _change(value: Value | None, baseline: Value | None) -> str:
+    if value is None or baseline is None or isinstance(value, str) or isinstance(baseline, str):
+        return ""
+    new, old = (one if isinstance(one, list) else [one] for one in (value, baseline))
+    return f"{max((abs(a - b) for a, b in zip(new, old, strict=True)), default=0):.2g}" if len(new) == len(old) else ""
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
