@@ -178,15 +178,14 @@ def _show(records: dict[str, Any], title: str = "What must not get worse") -> No
 
 
 def _short(value: Value | None) -> str:
-    if value is None:
-        return ""
-    return (
-        f"{len(value):,} values"
-        if isinstance(value, list)
-        else f"{value:g}"
-        if isinstance(value, float)
-        else str(value)
-    )
+    match value:
+        case None:
+            return ""
+        case list():
+            return f"{len(value):,} values"
+        case str():
+            return value if len(value) <= 40 else f"{value[:37]}..."
+    return f"{value:g}"
 
 
 def _change(value: Value | None, baseline: Value | None) -> str:

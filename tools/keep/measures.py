@@ -71,9 +71,15 @@ def reported() -> Bound:
     return Bound("reported", lambda *_: "")
 
 
-def at_most(limit: float) -> Bound:
-    """A number up to a limit."""
-    return Bound(f"at most {limit:g}", lambda _, value, __: "" if _number(value) <= limit else f"found {value}")
+def at_most(limit: float | None = None) -> Bound:
+    """A number up to a limit, of a list each number; by default up to the baseline's number."""
+
+    def error(name: str, value: Value, before: Figures) -> str:
+        most = _number(before[name]) if limit is None else limit
+        worst = max(value, default=0.0) if isinstance(value, list) else _number(value)
+        return "" if worst <= most else f"found {worst}, and the limit is {most}"
+
+    return Bound("at most the baseline" if limit is None else f"at most {limit:g}", error, relative=limit is None)
 
 
 def at_least(limit: float) -> Bound:
