@@ -20,7 +20,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from lpn.core.errors import LPNError
+from lpn.core.errors import InputError, LPNError
 from lpn.core.files import check_outputs, write_atomic, write_json
 from lpn.core.resources import usable_cores
 from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, all_measures, errors
@@ -52,7 +52,7 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
             if "figures" not in records.get(name, {}):
                 print(f"Measuring {name} ...", file=sys.stderr, flush=True)
                 records[name] = _measured(known[name])
-            old = _read(baseline / f"{name}.json").get("figures", {})
+            old = _read(baseline / f"{name}.json", "figures").get("figures", {})
             records[name] = _compared(known[name], records[name], old)
             if name in options.accept and "figures" in records[name]:
                 found = _values(records[name])
@@ -67,7 +67,8 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
     except LPNError as error:
         return _refuse(str(error))
     broken = [sentence for name in names for sentence in _sentences(name, records[name])]
-    for sentence in broken:
+    unmeasured = [f"{n} was not measured: {records[n]['not_measured']}." for n in names if "not_measured" in records[n]]
+    for sentence in (*unmeasured, *broken):
         print(sentence, file=sys.stderr)
     return 1 if broken else 0
 
@@ -99,16 +100,23 @@ def _state() -> str:
     return head.strip() + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
 
 
-def _read(file: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(file.read_bytes()) if file.is_file() else {}
+def _read(file: Path, key: str) -> dict[str, Any]:
+    """Read a file of this program, which has a key beside "commit"; empty without the file."""
+    if not file.is_file():
+        return {}
+    try:
+        found = json.loads(file.read_bytes())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or not isinstance(found.get(key), dict):
+        raise InputError(f'{file} is no JSON of tools.keep with "{key}"; name another file, or delete this one.')
     return found
 
 
 def _earlier(out: Path | None, state: str) -> dict[str, Any]:
     """The records of an interrupted run of the same state of the code."""
-    found = {} if out is None else _read(out)
-    records: dict[str, Any] = found.get("measures", {}) if state and found.get("commit") == state else {}
-    return records
+    found = {} if out is None else _read(out, "measures")
+    return dict(found["measures"]) if state and found.get("commit") == state else {}
 
 
 def _measured(measure: Measure) -> dict[str, Any]:
