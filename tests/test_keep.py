@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 import tools.keep.__main__ as keep
 from tools.keep.measures import Measure, NotMeasuredError, at_least, at_most, equal, reported, within
-keep._state = lambda: "one state"
+keep._state = lambda *_: "one state"
 def run(figures, bounds):
     arguments = sys.argv[1:]
     made = Measure("made", (lambda: figures) if isinstance(figures, dict) else figures, bounds)
@@ -132,7 +132,7 @@ sys.exit(keep.main(["--out", "out.json"], measures, Path("baseline")))
     (tmp_path / "baseline" / "first.json").write_text('{"commit": "before", "figures": {"one": 1.0}}')
     assert run(tmp_path, code)[0] == 0  # what was measured is compared with the present baseline
     assert (tmp_path / "log").read_text() == "first "
-    run(tmp_path, code.replace("sys.exit", 'keep._state = lambda: "another state"\nsys.exit'))
+    run(tmp_path, code.replace("sys.exit", 'keep._state = lambda *_: "another state"\nsys.exit'))
     assert (tmp_path / "log").read_text() == "first first "
 
 

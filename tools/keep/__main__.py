@@ -27,8 +27,8 @@ from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, all_m
 
 BASELINE = Path(__file__).with_name("baseline")
 _ROOT = Path(__file__).parents[2]
-# Changes elsewhere do not change what is measured.
-_MEASURED = ("lpn", "explorer", "tools", "assets", ":!tools/keep/baseline")
+# What is measured, and what measures: changes elsewhere change no figure.
+_PRODUCT, _TOOLS = ("lpn", "explorer", "assets"), ("tools", ":!tools/keep/baseline")
 
 
 def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, baseline: Path = BASELINE) -> int:
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
     names = list(dict.fromkeys(names)) or [name for name, one in known.items() if one.slow == options.slow]
     try:
         check_outputs((options.out, ".json"))
-        state = _state()
+        state = _state(*_PRODUCT, *_TOOLS)
         records = _earlier(options.out, state)
         for name in names:
             if "figures" not in records.get(name, {}):
@@ -56,7 +56,7 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
             records[name] = _compared(known[name], records[name], old)
             if name in options.accept and "figures" in records[name]:
                 found = _values(records[name])
-                write_atomic(baseline / f"{name}.json", _text({"commit": state, "figures": found}).encode())
+                write_atomic(baseline / f"{name}.json", _text({"commit": _state(*_PRODUCT), "figures": found}).encode())
                 _show({name: records[name]}, "Accepted: the old baseline beside the new one")
                 records[name] = _compared(known[name], records[name], found)
             elif name in options.accept:
@@ -90,14 +90,16 @@ def _refuse(sentence: str) -> int:
     return 1
 
 
-def _state() -> str:
-    """The commit, with a digest of what differs from it; empty outside of a checkout."""
-    git = ["git", "-C", str(_ROOT)]
-    head, changes = (
-        subprocess.run([*git, *command], capture_output=True, text=True, check=False).stdout
-        for command in (("rev-parse", "--short=8", "HEAD"), ("diff", "HEAD", "--", *_MEASURED))
+def _state(*paths: str) -> str:
+    """The last commit of some paths, with a digest of what differs from it; empty outside of a checkout."""
+    commands = ("log", "-1", "--format=%h", "--abbrev=8"), ("diff", "HEAD")
+    commit, changes = (
+        subprocess.run(
+            ["git", "-C", str(_ROOT), *command, "--", *paths], capture_output=True, text=True, check=False
+        ).stdout.strip()
+        for command in commands
     )
-    return head.strip() + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
+    return commit + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
 
 
 def _read(file: Path, key: str) -> dict[str, Any]:
