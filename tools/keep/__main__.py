@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from lpn.core.errors import InputError, LPNError
-from lpn.core.files import check_outputs, write_atomic, write_json
+from lpn.core.files import check_outputs, portable, write_atomic
 from lpn.core.resources import usable_cores
 from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, all_measures, errors
 
@@ -56,13 +57,13 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
             records[name] = _compared(known[name], records[name], old)
             if name in options.accept and "figures" in records[name]:
                 found = _values(records[name])
-                write_atomic(baseline / f"{name}.json", _text({"commit": _state(*_PRODUCT), "figures": found}).encode())
+                _write(baseline / f"{name}.json", {"commit": _state(*_PRODUCT), "figures": found}, 2)
                 _show({name: records[name]}, "Accepted: the old baseline beside the new one")
                 records[name] = _compared(known[name], records[name], found)
             elif name in options.accept:
                 records[name].setdefault("error", f"{name}: nothing was measured, so its baseline stays as it is.")
             if options.out is not None:
-                write_json(options.out, {"commit": state, "cores": usable_cores(), "measures": records})
+                _write(options.out, {"commit": state, "cores": usable_cores(), "measures": records}, 4)
         _show({name: records[name] for name in names})
     except LPNError as error:
         return _refuse(str(error))
@@ -139,7 +140,7 @@ def _values(record: dict[str, Any]) -> dict[str, Value]:
 
 
 def _compared(measure: Measure, record: dict[str, Any], baseline: Figures) -> dict[str, Any]:
-    """Add baseline, bound, and verdict to each figure of a record."""
+    """Add baseline, bound, and verdict to each figure of a record; of a list, only its largest change."""
     if "figures" not in record:
         return record
     found = _values(record)
@@ -148,7 +149,9 @@ def _compared(measure: Measure, record: dict[str, Any], baseline: Figures) -> di
     for name in {**found, **wrong}:
         bound = measure.bound(name)
         figures[name] = {"value": found[name]} if name in found else {}
-        figures[name] |= {"baseline": baseline[name]} if name in baseline else {}
+        old = baseline.get(name)
+        figures[name] |= {} if old is None or isinstance(old, list) else {"baseline": old}
+        figures[name] |= {"change": _change(found.get(name), old)}
         figures[name] |= {"bound": "" if bound is None else bound.text, "verdict": wrong.get(name, "held")}
     return {**record, "figures": figures}
 
@@ -161,13 +164,17 @@ def _sentences(name: str, record: dict[str, Any]) -> list[str]:
     return [f"{name}, {figure}: {verdict}." for figure, verdict in verdicts.items() if verdict != "held"]
 
 
-def _text(baseline: dict[str, Any]) -> str:
-    """A baseline as JSON, each figure on a line of its own."""
-    lines = ",\n".join(
-        f"  {json.dumps(name)}: {json.dumps(value, separators=(',', ':'))}"
-        for name, value in baseline["figures"].items()
-    )
-    return f'{{"commit": {json.dumps(baseline["commit"])}, "figures": {{\n{lines}\n}}}}\n'
+def _text(value: object, depth: int, indent: str = "") -> str:
+    """JSON in which the entries of the outer dictionaries have a line each, down to a depth."""
+    if not depth or not isinstance(value, dict):
+        return json.dumps(portable(value), separators=(",", ":"))
+    inner = f"{indent} "
+    lines = [f"{inner}{json.dumps(key)}: {_text(entry, depth - 1, inner)}" for key, entry in value.items()]
+    return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+
+
+def _write(file: Path, value: object, depth: int) -> None:
+    write_atomic(file, f"{_text(value, depth)}\n".encode())
 
 
 def _show(records: dict[str, Any], title: str = "What must not get worse") -> None:
@@ -176,13 +183,13 @@ def _show(records: dict[str, Any], title: str = "What must not get worse") -> No
         table.add_column(column, justify="right" if column in ("value", "baseline", "largest change") else "left")
     for name, record in records.items():
         for figure, one in record.get("figures", {}).items():
-            values = one.get("value"), one.get("baseline")
             verdict = "held" if one["verdict"] == "held" else "[red]BROKEN[/]"
             verdict = "" if one["bound"] == "reported" else verdict
-            table.add_row(name, figure, *map(_short, values), _change(*values), one["bound"], verdict)
+            values = (_short(one.get(key)) for key in ("value", "baseline", "change"))
+            table.add_row(name, escape(figure), *values, one["bound"], verdict)
         reason = record.get("not_measured") or record.get("error")
         if reason:
-            table.add_row(name, reason, "", "", "", "", "not measured")
+            table.add_row(name, escape(reason), "", "", "", "", "not measured")
         table.add_section()
     Console(width=150).print(table)
 
@@ -194,15 +201,17 @@ def _short(value: Value | None) -> str:
         case list():
             return f"{len(value):,} values"
         case str():
-            return value if len(value) <= 40 else f"{value[:37]}..."
+            return escape(value if len(value) <= 40 else f"{value[:37]}...")
     return f"{value:g}"
 
 
-def _change(value: Value | None, baseline: Value | None) -> str:
+def _change(value: Value | None, baseline: Value | None) -> float | None:
+    """The largest difference of two numbers or lists of one length; None of others."""
     if value is None or baseline is None or isinstance(value, str) or isinstance(baseline, str):
-        return ""
+        return None
     new, old = (one if isinstance(one, list) else [one] for one in (value, baseline))
-    return f"{max((abs(a - b) for a, b in zip(new, old, strict=True)), default=0):.2g}" if len(new) == len(old) else ""
+    differences = [abs(a - b) for a, b in zip(new, old, strict=False)]
+    return float(f"{max(differences, default=0):.2g}") if len(new) == len(old) else None
 
 
 if __name__ == "__main__":

@@ -110,7 +110,7 @@ def _number(value: Value) -> float:
 
 
 def _numbers(value: Value) -> list[float]:
-    return value if isinstance(value, list) else [_number(value)]
+    return [_number(one) for one in (value if isinstance(value, list) else [value])]
 
 
 def _difference(name: str, value: Value, before: Figures, limit: float, gaps: str = "", above: float = 0.0) -> str:
