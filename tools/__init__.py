@@ -1,1 +1,1 @@
-"""Programs for developers, which are not installed: benchmarks, what must not get worse, soak, fuzz, and fixtures for the tests."""
+"""Programs for developers, which are not installed: benchmarks, what must not get worse, soak, fuzz, and shared fixtures."""
