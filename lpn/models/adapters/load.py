@@ -36,8 +36,9 @@ log = logging.getLogger(__name__)
 _PLAIN = ("Sample4Geo", "Game4Loc")
 _SHOWN = 3
 # Entries that the released code of the methods has for training alone, or that are read in another form.
+# The buffers of Swin are in files of timm before 0.8 alone.
 _KNOWN = re.compile(
-    r"num_batches_tracked$|classifier|(^|\.)(logit_scale\w*|w_blocks\d|mask_token|cls_token|reg_token|pos_embed|pos_scale|gem\d*\.p)$|"
+    r"num_batches_tracked$|classifier|\.(relative_position_index|relative_coords_table|attn_mask)$|(^|\.)(logit_scale\w*|w_blocks\d|mask_token|cls_token|reg_token|pos_embed|pos_scale|gem\d*\.p)$|"
     r"(^|\.)(head|fc|bn|tri_layer|proj|DEG|MSE|MSF|feature_scaling|slot_model|slot_moe|mix_fusion)\."
 )
 
