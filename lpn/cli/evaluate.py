@@ -364,7 +364,7 @@ class EvaluationOfFlight:
                     for stage, points in errors.items()
                 }
             # A stage without an answer has no median, which JSON cannot express as a number.
-            write_json(self.json, _without_nan(result))
+            write_json(self.json, result)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> list[MatchedSurvey]:
         """Return the surveyed positions, none without a table; what is wrong with them is told before the flight is located."""
@@ -433,7 +433,7 @@ class EvaluationOfPoses:
                 "groups": [asdict(one) for one in summaries],
                 "photos": [{name: getattr(one, name) for name in one.__struct_fields__} for one in photos],
             }
-            write_json(self.json, _without_nan(result))
+            write_json(self.json, result)
 
     def resume_hint(self) -> str:
         """Return how to go on after a stop."""
@@ -680,12 +680,6 @@ def _title(key: str) -> str:
         **{f"{group}_recall": f"mean R@{{}} of {group}s" for group in ("region", "flight")},
     }
     return titles.get(name, name).format(depth)
-
-
-def _without_nan(value: object) -> object:
-    if isinstance(value, dict):
-        return {str(key): _without_nan(entry) for key, entry in value.items()}
-    return None if isinstance(value, float) and value != value else value
 
 
 def _numbers(text: str | None) -> list[int] | None:
