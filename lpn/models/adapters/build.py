@@ -210,11 +210,7 @@ def _one_vector(method: str, prefixes: tuple[tuple[str, ...], ...], entries: Ent
 
 
 def _network_of_timm(entries: Entries) -> _Network:
-    """Build a ConvNeXt, a vision transformer with rotary positions, a plain one, or any network of timm that the options name.
-
-    Raises:
-        ModelFileError: if the entries are of another network, and the options do not name it.
-    """
+    """Build a ConvNeXt, a vision transformer with rotary positions, a plain one, or any network of timm that the options name."""
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
         if "patch_embed.proj.weight" in entries.state:
             _refuse_two(entries, "stages.0.blocks.0.conv_dw.weight", "patch_embed.proj.weight")

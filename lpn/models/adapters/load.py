@@ -190,11 +190,7 @@ def _check_alone(entries: Entries) -> None:
 
 
 def _tell_unknown(method: str, entries: Entries) -> None:
-    """Name the entries that nothing read and the method's released code does not have: the file may be of a method built on it.
-
-    Raises:
-        ModelFileError: as for `Entries.left_over`.
-    """
+    """Name the entries that nothing read and the method's released code does not have: the file may be of a method built on it."""
     unread = entries.left_over()
     first = {re.sub(r"^model_\d\.", "model_1.", key) for key in entries.state.keys() - set(unread)}
     unknown = [key for key in unread if not _KNOWN.search(key) and re.sub(r"^model_\d\.", "model_1.", key) not in first]

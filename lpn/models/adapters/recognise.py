@@ -277,11 +277,7 @@ def _marked(keys: Collection[str]) -> list[tuple[str, tuple[Recognised, ...]]]:
 
 
 def _refuse_mixed(keys: Collection[str], name: str) -> None:
-    """Refuse names that some kind fits beside names of another.
-
-    Raises:
-        ModelFileError: with a name of each kind.
-    """
+    """Refuse names that some kind fits beside names of another."""
     marks = _marked(keys)
     own = {kind: {key for key, kinds in marks if kind in kinds} for kind, _ in _fitting(keys)}
     # A kind that another one is built on is no second one.
