@@ -223,11 +223,12 @@ lpn describe --model lpn.onnx
     assert "lpn evaluate has no --index for a data set" in found[3]
     assert "--out" in found[4]
     assert unknown_options(
-        "`lpn train --teacher x`, `lpn verify --data D`, `--dead`, `--no-calibrate`, and `pip --quiet`"
+        "`lpn train --teacher x`, `lpn verify --data D`, `--dead`, `--no-calibrate`, `lpn exploit`, and `pip --quiet`"
     ) == [
         "line 1: lpn train has no --teacher",
         "line 1: lpn verify has no --data",
         "line 1: lpn has no --dead",
+        "line 1: lpn has no command exploit",
     ]
 
 
@@ -248,6 +249,9 @@ def unknown_options(page: str) -> list[str]:
         for code in re.findall(r"`((?:lpn |--)[^`]+)`", line):
             named = re.match(r"lpn ([a-z]+)", code)
             command = named[1] if named else ""
+            if command not in ("", *main.commands()):
+                found.append(f"line {number}: lpn has no command {command}")
+                continue
             for option in re.findall(r"(?<![\w-])--[a-z][\w-]*", code):
                 option = option.replace("_", "-")
                 if not {option, option.replace("--no-", "--", 1)} & known_options(command):

@@ -316,7 +316,7 @@ def _with_hemispheres(table: LogTable, name: str) -> LogTable:
 
 
 def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
-    """Return the rows' positions in degrees, both None where unknown, notes on how they were read, and whether they were scaled."""
+    """Return the rows' positions in degrees, None where unknown, notes on how they were read, and whether they were scaled."""
     rows = [_Cells(table, cells, f"Line {line} of {name}") for line, cells in table.rows]
     degrees = np.array([row.coordinates() for row in rows], np.float64)
     degrees[(degrees == 0).all(axis=1)] = np.nan

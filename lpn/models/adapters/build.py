@@ -16,7 +16,6 @@ from lpn.models import timm_networks
 from lpn.models.adapters import convnext, sdpl, transformers
 from lpn.models.adapters.denseuav import build_denseuav
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.infogeo import build_infogeo
 from lpn.models.adapters.mfrgn import build_mfrgn
 from lpn.models.adapters.named import named_vector
 from lpn.models.adapters.network import MeanVector, PartBranch
@@ -290,7 +289,6 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "sues200": build_sues,
     "qdfl": build_qdfl,
     "mfrgn": build_mfrgn,
-    "infogeo": build_infogeo,
     "salad": build_salad,
     **{kind: partial(_one_vector, *of) for kind, of in _VECTORS.items()},
 }

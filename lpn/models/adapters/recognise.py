@@ -27,7 +27,6 @@ Kind = Literal[
     "sues200",
     "qdfl",
     "mfrgn",
-    "infogeo",
     "dmnil",
     "salad",
 ]
@@ -79,13 +78,6 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
         "mfrgn",
         Signature(
             "MFRGN", (r"backbone\.backbone\.", r"transformer_H\.layers\.", r"proj_gl\.0\.", r"proj_local\.weight$")
-        ),
-    ),
-    (
-        "infogeo",
-        Signature(
-            "InfoGeo",
-            (r"model\.backbone\.dino_model\.blocks\.", r"slot_mixvpr\.mix\.0\.", r"slot_mixvpr\.row_proj\.weight$"),
         ),
     ),
     (
@@ -159,7 +151,6 @@ _MARKS: tuple[tuple[str, tuple[Recognised, ...]], ...] = (
     (r"backbone\.backbone\.", ("denseuav", "mfrgn", "vit")),
     (r"components\.(AQEU|classifier\d)\.", ("qdfl",)),
     (r"(transformer_H|proj_gl|proj_local)\.", ("mfrgn",)),
-    (r"slot_mixvpr\.", ("infogeo",)),
     (r"aggregator\.(agg\.)?(dust_bin$|cluster_features\.)", ("salad",)),
     (r"(.*\.)?(embeddings\.patch_embeddings?\.(projection\.)?weight|class_embedding)$", ("vit",)),
     (r"(?!(model[_\d]*|backbone)\.)(.*\.)?blocks\.0\.ls1\.gamma$", ("vit",)),

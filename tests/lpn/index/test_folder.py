@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lpn.core.checksums import crc_of_values
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
 from lpn.index import DegreeBox, ExactIndex, create_index, folder, open_index, segments

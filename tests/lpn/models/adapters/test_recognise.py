@@ -34,7 +34,6 @@ GOLDENS = {
     "game4loc_vitb_384": "game4loc",
     "denseuav_vits_224": "denseuav",
     "mfrgn_small": "mfrgn",
-    "infogeo_small": "infogeo",
 }
 
 
@@ -76,7 +75,6 @@ METHODS: dict[str, tuple[Recognised, Collection[str]]] = {
         _names("backbone.model.blocks.0.ls1.gamma", "components.AQEU.coarse.queries", heads="components.classifier0"),
     ),
     "MFRGN": ("mfrgn", published_models.shapes_of("mfrgn_small")),
-    "InfoGeo": ("infogeo", published_models.shapes_of("infogeo_small")),
     "SALAD": (
         "salad",
         ["backbone.model.blocks.0.ls1.gamma", "aggregator.dust_bin", "aggregator.cluster_features.0.weight"],
