@@ -34,6 +34,11 @@ def kinds(room: type[_Message]) -> dict[str, type[_Message]]:
     return {str(tag): one for one in classes if (tag := one.__struct_config__.tag) is not None}
 
 
+def decode(room: type[_Message], kind: str, value: Any) -> _Message | None:
+    """Return the message of a room that a JSON value holds, None if it holds none of this kind."""
+    return _convert(kinds(room)[kind], kind, value)
+
+
 def _convert(message_type: type[_Message], kind: str, value: Any) -> _Message | None:
     count = len(message_type.__struct_fields__)
     values = value if count > 1 else [value][:count]

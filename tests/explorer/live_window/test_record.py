@@ -14,7 +14,7 @@ from explorer.live_window import record as record_module
 from explorer.live_window.messages import GreetLive, LivePageMessage, ResizeLive
 from explorer.live_window.record import LiveRecord
 from explorer.server.picture_route import PREFIX
-from explorer.web.messages import Receivers
+from explorer.web.messages import decode
 from lpn.live.outputs import LiveFix
 from lpn.live.run import live_answer
 from lpn.locate.located import LocatedFlight, LocatedFrame
@@ -91,14 +91,7 @@ def test_a_frame_that_is_kept_does_not_change_the_one_that_was_located(
 
 
 def test_messages_of_the_page_are_checked() -> None:
-    taken: list[LivePageMessage] = []
-    receivers = Receivers({LivePageMessage: taken.append})
-    for kind, value in (
-        ("viewport", [800, 600]),
-        ("viewport", [0, 600]),
-        ("hello", {"viewport": None}),
-        ("hello", "text"),
-    ):
-        receivers.hand_on(kind, value)
-    assert taken[0] == ResizeLive(800, 600)
-    assert [type(message) for message in taken] == [ResizeLive, GreetLive]
+    assert decode(LivePageMessage, "viewport", [800, 600]) == ResizeLive(800, 600)
+    assert decode(LivePageMessage, "viewport", [0, 600]) is None
+    assert isinstance(decode(LivePageMessage, "hello", {"viewport": None}), GreetLive)
+    assert decode(LivePageMessage, "hello", "text") is None
