@@ -286,7 +286,9 @@ def check_folder(settings: Settings, out: Path) -> None:
         held = json.loads(file.read_bytes())
         if is_newer(held.get("format"), WORLD):
             raise OutputError(newer_version(file, held["format"], WORLD))
-        had = {**held["settings"], "vary": tuple(held["settings"]["vary"])}
+        # The shipped city has none of these settings.
+        had = {**dict.fromkeys(_ADDED, 0), "vary": [], **held["settings"]}
+        had["vary"] = tuple(had["vary"])
         same = {**had, **{name: wanted[name] for name in _ADDED}} == wanted
         fewer = [name for name in _ADDED if wanted[name] < had[name]]
         edition = held["edition"]
