@@ -150,13 +150,13 @@ CLAIMS: dict[str, tuple[Claim, ...]] = {
             _rising("224", "256", "320", "384"),
             _DRONE,
         ),
-        Claim("384 pixels retrieve more than 224, in both directions (section IV-D, Table III)", _ahead("384", "224")),
         Claim("512 pixels bring drone queries nothing over 384 (Table III)", _ahead("512", "384"), _DRONE, (0.0, 0.0)),
         Claim(
             "512 pixels are best for satellite queries (Table III)",
             _ahead("512", "224", "256", "320", "384"),
             _SATELLITE,
         ),
+        Claim("384 pixels retrieve more than 224, in both directions (section IV-D, Table III)", _ahead("384", "224")),
     ),
     "table4": (
         _no_drop("Turned drone queries show no significant drop (Table IV)", _DRONE),
