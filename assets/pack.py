@@ -10,26 +10,36 @@ from __future__ import annotations
 
 import csv
 import gzip
+import io
 import json
 import shutil
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import cv2
+import numpy as np
 
 import lpn
 from lpn import descriptors
 from lpn.core import images
+from lpn.core.arrays import Float32Array
 from lpn.core.files import write_atomic
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.datasets.city_model import PACKED
-from lpn.descriptors import STORES, Precision
+from lpn.descriptors import STORES, Manifest, Precision, descriptor_reader
+from lpn.descriptors.partial_store import PartialStore
+from lpn.descriptors.store import row_of
+from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.writer import write_store
+from lpn.models.base import Model
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
+from lpn.retrieval.calibration import Calibration
 from lpn.tasks.opening import calibrated
-from lpn.tasks.shipped_calibration import FOLDER, write_calibration
+from lpn.tasks.shipped_calibration import FOLDER, NAME
 from lpn.world.atlas import Settings, make_atlas
 from lpn.world.model3d import city_model, test_window
 
@@ -116,6 +126,40 @@ def pack_calibration(out: Path) -> None:
     }
     write_calibration(model, out, calibrated(model, dataset), sides)
     link_other_roles(out / FOLDER)
+
+
+def write_calibration(
+    model: Model, root: Path, calibration: Calibration, sides: Mapping[str, tuple[View, Sequence[Picture], Precision]]
+) -> None:
+    """Write a calibration of a model, and calibrated descriptors, into a data set's folder.
+
+    Args:
+        sides: by the store's name, such as "query_drone": view, pictures, and precision on disk.
+    """
+    read, moved = descriptor_reader(root), calibration.applied(model)
+    for name, (view, pictures, precision) in sides.items():
+        rows = tuple(row_of(picture.path, picture.path.parents[1], picture.box) for picture in pictures)
+        manifest = Manifest.for_model(moved, view, UNCHANGED, rows, precision)
+        described = calibration.read(model, pictures, view, read)
+
+        def fill(partial: PartialStore, described: Float32Array = described) -> None:
+            partial.put(range(len(described)), described)
+
+        write_store(root / FOLDER / name, manifest, fill)
+    values: dict[str, Any] = {
+        "fingerprint": np.array(model.fingerprint),
+        "ratio": np.array(calibration.ratio),
+        "tried": np.array(sorted(calibration.tried.items()), np.float64).reshape(-1, 2),
+        "levels": np.array([(level.zoom, level.cost) for level in calibration.levels], np.float64).reshape(-1, 2),
+        "level_means": np.array([level.mean for level in calibration.levels], np.float32),
+    }
+    for view, zooms in calibration.zooms.items():
+        values[f"{view} files"] = np.array([file.relative_to(root).as_posix() for file in zooms])
+        values[f"{view} zooms"] = np.array(list(zooms.values()), np.float64)
+        values[f"{view} mean"] = calibration.means[view]
+    data = io.BytesIO()
+    np.savez_compressed(data, **values)
+    write_atomic(root / FOLDER / NAME, data.getvalue())
 
 
 def link_other_roles(folder: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,15 +17,28 @@ import numpy as np
 
 import lpn
 from explorer.opening import OFFERED_OVERLAP
+from lpn.core.arrays import Float32Array
 from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
-from lpn.flights import open_flight
+from lpn.core.errors import DataError
+from lpn.core.files import write_atomic
+from lpn.core.views import View
+from lpn.descriptors.partial_store import PartialStore
+from lpn.descriptors.store import Manifest, Precision, Row
+from lpn.descriptors.transforms import UNCHANGED
+from lpn.descriptors.writer import write_store
+from lpn.flights import Flight, open_flight
+from lpn.locate import shipped
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.registered_stage import FORMAT
 from lpn.locate.retrieval import retrieve
-from lpn.locate.shipped import FRAMES, WINDOWS, frame_rows, window_rows, write_descriptors, write_record
-from lpn.maps import open_map
+from lpn.locate.shipped import FRAMES, WINDOWS, ShippedRecord, frame_rows, map_files, photo_files, window_rows
+from lpn.maps import Map, open_map
+from lpn.models.base import Model
+
+DIGITS = 6
+"""Significant digits of numbers in located.json: millimetres within a kilometre."""
 
 
 def main() -> None:
@@ -56,6 +70,73 @@ def pack(map_path: Path, flight_path: Path, out: Path, cache: Path) -> None:
     write_record(out, FORMAT, model, basemap, flight, named, sequence, sequence_notes(located))
     size = sum(file.stat().st_size for file in out.rglob("*"))
     print(f"{out}: {len(windows)} windows, {len(rows)} squares of {len(flight.frames)} frames, {size:,} bytes.")
+
+
+def write_descriptors(
+    folder: Path,
+    name: str,
+    model: Model,
+    view: View,
+    rows: Sequence[Row],
+    described: Float32Array,
+    precision: Precision,
+) -> None:
+    """Write the descriptors (N, n, D) of WINDOWS or FRAMES, as the model made them.
+
+    Raises:
+        StoreError: if the folder cannot be written.
+    """
+
+    def fill(partial: PartialStore) -> None:
+        partial.put(range(len(rows)), described)
+
+    write_store(folder / name, Manifest.for_model(model, view, UNCHANGED, tuple(rows), precision), fill)
+
+
+def write_record(
+    folder: Path,
+    registered_by: str,
+    model: Model,
+    basemap: Map,
+    flight: Flight,
+    registration: Mapping[str, StageRecord] | None = None,
+    sequence: Mapping[str, StageRecord] | None = None,
+    notes: Sequence[str] = (),
+) -> None:
+    """Write which model, map, and photos the answers are of, and the answers of the stages, see `ShippedAnswers`.
+
+    Numbers are rounded to six significant digits, and unknown values are left out, as the file ships with each copy.
+
+    Raises:
+        DataError: if a photo cannot be read.
+        OutputError: if the folder cannot be written.
+    """
+    try:
+        files = map_files(basemap), photo_files(flight)
+    except OSError as error:
+        raise DataError(f"A file of the flight cannot be read ({error.strerror or error}); check it.") from error
+    record = ShippedRecord(
+        shipped.FORMAT,
+        registered_by,
+        model.fingerprint,
+        *files,
+        dict(registration or {}),
+        dict(sequence or {}),
+        list(notes),
+    )
+    write_atomic(folder / shipped.NAME, msgspec.json.encode(_short(msgspec.to_builtins(record))) + b"\n")
+
+
+def _short(value: object) -> object:
+    """Return a value of JSON with rounded numbers and without unknown values."""
+    match value:
+        case float():
+            return float(f"{value:.{DIGITS}g}")
+        case dict():
+            return {key: _short(item) for key, item in value.items() if item is not None}
+        case list() | tuple():
+            return [_short(item) for item in value]
+    return value
 
 
 def sequence_notes(located: LocatedFlight) -> list[str]:

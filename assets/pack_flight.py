@@ -13,6 +13,8 @@ import shutil
 import sys
 from pathlib import Path
 
+import numpy as np
+import rasterio
 from PIL import Image
 
 from lpn.core.demo import DEMO_FLIGHT
@@ -21,7 +23,7 @@ from lpn.datasets.rendered import FLIGHT_PLAN, TRUTH, UNFINISHED
 from lpn.maps import MapPlace
 from lpn.maps.folder import write_own_map
 from lpn.world.flight import MAP
-from lpn.world.flight_files import compressed_map
+from lpn.world.flight_files import geotiff
 
 COUNT, FIRST = 40, 0.57
 """Photos that are packed, and where they begin as a share of the flight: shortly before the free path, a photo a second."""
@@ -67,6 +69,12 @@ def pack(flight: Path, out: Path) -> None:
     file = out / packed_map / f"{packed_map}.tif"
     write_atomic(file, compressed_map(flight / MAP, QUALITY["map"]))
     write_own_map(file, file.parent, (), place=MapPlace(photographed="spring")).close()
+
+
+def compressed_map(file: Path, quality: int) -> bytes:
+    """Return a map's GeoTIFF with another quality of JPEG, 1 to 100."""
+    with rasterio.open(file) as opened:
+        return geotiff(np.moveaxis(opened.read(), 0, 2), opened.crs, opened.transform, quality)
 
 
 def as_webp(data: bytes) -> bytes:

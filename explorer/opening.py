@@ -150,11 +150,7 @@ def _put_beside(
 def _check_different(
     own: Sequence[tuple[Path, Kind | None, str | None]], beside: Iterable[tuple[Path, Kind | None, str | None]]
 ) -> None:
-    """Refuse a model that is given twice, as a file with its kind and pooling: a copy of itself has nothing to compare.
-
-    Raises:
-        InputError: with the name of the file.
-    """
+    """Refuse a model that is given twice, as a file with its kind and pooling: a copy of itself has nothing to compare."""
     given = [(file.absolute(), *options) for file, *options in own]
     for file, *options in beside:
         if (file.absolute(), *options) in given:

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+import io
 import re
+import shlex
 import tomllib
 from collections import defaultdict
+from contextlib import redirect_stderr
+from functools import cache
+from itertools import dropwhile
 from pathlib import Path
 
 import pytest
 import yaml
 
 import lpn
+from lpn.cli import by_source, main
+from lpn.cli.choices import IN_ORDER
+from lpn.cli.live import LiveCommand
+from lpn.core import log
+from lpn.core.errors import LPNError
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "README.md"]
+# Words of a page that stand for one of an option's words or numbers.
+STAND_INS = {"TASK": "drone-to-satellite", "K": "3", "N": "1"}
+# Options of every command, of a benchmark, and of the scripts that the authors released.
+FURTHER_OPTIONS = {"--help", "--version", log.FLAG, "--own-seeds", "--hide-headings"}
+FURTHER_OPTIONS |= {"--extra", "--extra-Google", "--multi-loss"}
 
 
 def _anchors(page: Path) -> set[str]:
@@ -100,3 +115,151 @@ def test_a_page_of_a_task_opens_with_its_command_and_has_short_paragraphs(page: 
     assert opening.startswith("    ")
     blocks = re.split(r"\n\s*\n", (ROOT / "docs" / page).read_text("utf-8"))
     assert not [block for block in blocks if not block.startswith(("    ", "|", "-", "`")) and block.count("\n") > 4]
+
+
+def commands_of(page: str) -> list[tuple[int, list[str]]]:
+    """Return the commands in a page's blocks of code: the line on which each begins, and its words.
+
+    Comments are left out, lines that end with a backslash are joined, and a pipe, `&&`, or `>` ends a command.
+    """
+    found: list[tuple[int, list[str]]] = []
+    fenced, begun, text = False, 0, ""
+    for number, line in enumerate(page.splitlines(), 1):
+        fenced ^= line.startswith("```")
+        if not (fenced or line.startswith("    ")):
+            continue
+        begun, text = begun if text else number, text + line.strip()
+        if text.endswith("\\"):
+            text = text.removesuffix("\\") + " "
+            continue
+        lexer, text = shlex.shlex(text, posix=True, punctuation_chars=True), ""
+        lexer.whitespace_split = True
+        try:
+            words = list(lexer)
+        except ValueError:  # an apostrophe: no line of a shell
+            continue
+        parts: list[list[str]] = [[]]
+        for word in words:
+            if set(word) <= set("();<>|&"):
+                parts.append([])
+            else:
+                parts[-1].append(word)
+        found += [(begun, part) for part in parts]
+    return found
+
+
+def arguments_of(words: list[str]) -> list[str] | None:
+    """Return the arguments of `lpn` with words in place of placeholders; None if a command is another program's."""
+    words = list(dropwhile(re.compile(r"[A-Z_]+=").match, words))
+    own = words[words.index("-m") + 1 :] if words[:1] in (["python"], ["torchrun"]) and "-m" in words else words
+    if own[:1] != ["lpn"]:
+        return None
+    bare = [re.sub(r"^\[|\]$|\.\.\.$|\]?\.\.\.\]?$", "", word) for word in own[1:]]
+    return [STAND_INS.get(word, word) for word in bare if word]
+
+
+def refusal(arguments: list[str]) -> str:
+    """Return the sentence with which the parser of a command refuses arguments; empty if it takes them."""
+    _, arguments = log.parse_level(arguments)
+    if not arguments or arguments[0] in ("-h", "--help", "--version"):
+        return ""
+    command = main.commands().get(arguments[0])
+    if command is None:
+        return f"lpn has no command {arguments[0]!r}"
+    said = io.StringIO()
+    try:
+        with IN_ORDER, redirect_stderr(said):
+            main._parse(command, arguments[1:], f"lpn {arguments[0]}")
+    except LPNError as error:
+        return str(error)
+    except SystemExit as error:
+        return " ".join(said.getvalue().split()) if error.code else ""
+    return ""
+
+
+def refused_commands(page: str) -> list[str]:
+    """Return the line of each `lpn` command of a page that its parser refuses, and the parser's sentence."""
+    found = [(line, arguments_of(words)) for line, words in commands_of(page)]
+    tried = [(line, refusal(arguments)) for line, arguments in found if arguments is not None]
+    return [f"line {line}: {sentence}" for line, sentence in tried if sentence]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=lambda page: page.name)
+def test_each_command_of_a_page_is_one_that_its_parser_takes(page: Path) -> None:
+    assert refused_commands(page.read_text("utf-8")) == []
+
+
+def test_a_command_that_no_parser_takes_is_named_with_its_line_and_the_parsers_sentence() -> None:
+    page = """A page with `lpn index --data ROOT`.
+
+    lpn doctor --data ROOT --quick     # it's quick
+    LPN_LOG=debug lpn train --data ROOT --out run \\
+        --recipe small --learning-speed 3 | tee log.txt
+    cd there && lpn exploit --data ROOT
+    python -m tools.bench.query --no-such-option
+
+```bash
+torchrun --nproc-per-node 2 -m lpn train --data ROOT --out run ... [--epochs many]
+lpn evaluate --data ROOT --model lpn.onnx [--csls K] --task TASK
+lpn evaluate --data ROOT --model lpn.onnx --index tiles
+lpn describe --model lpn.onnx
+```
+"""
+    found = refused_commands(page)
+    assert [text.partition(":")[0] for text in found] == ["line 4", "line 6", "line 10", "line 12", "line 13"]
+    assert "--learning-speed" in found[0]
+    assert "lpn has no command 'exploit'" in found[1]
+    assert "--epochs" in found[2]
+    assert "lpn evaluate has no --index for a data set" in found[3]
+    assert "--out" in found[4]
+    assert unknown_options(
+        "`lpn train --teacher x`, `lpn verify --data D`, `--dead`, `--no-calibrate`, `lpn exploit`, and `pip --quiet`"
+    ) == [
+        "line 1: lpn train has no --teacher",
+        "line 1: lpn verify has no --data",
+        "line 1: lpn has no --dead",
+        "line 1: lpn has no command exploit",
+    ]
+
+
+@cache
+def known_options(command: str) -> set[str]:
+    """Return the options of a command with any of its sources; of all commands for an empty name."""
+    if not command:
+        return FURTHER_OPTIONS.union(*map(known_options, main.commands()))
+    of = main.commands()[command]
+    kinds = [of, *getattr(of, "SOURCES", {}).values(), *([LiveCommand] if command == "locate" else [])]
+    return FURTHER_OPTIONS.union(*map(by_source.options, kinds))
+
+
+def unknown_options(page: str) -> list[str]:
+    """Return the line of each option in a page's `code` that the command, or any where none is named, does not have."""
+    found = []
+    for number, line in enumerate(page.splitlines(), 1):
+        for code in re.findall(r"`((?:lpn |--)[^`]+)`", line):
+            named = re.match(r"lpn ([a-z]+)", code)
+            command = named[1] if named else ""
+            if command not in ("", *main.commands()):
+                found.append(f"line {number}: lpn has no command {command}")
+                continue
+            for option in re.findall(r"(?<![\w-])--[a-z][\w-]*", code):
+                option = option.replace("_", "-")
+                if not {option, option.replace("--no-", "--", 1)} & known_options(command):
+                    found.append(f"line {number}: {' '.join(['lpn', *command.split()])} has no {option}")
+    return found
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.name != "CHANGELOG.md"], ids=lambda page: page.name)
+def test_each_option_that_a_page_names_is_one_of_a_command(page: Path) -> None:
+    assert unknown_options(page.read_text("utf-8")) == []
+
+
+def test_the_commands_of_the_makefile_are_taken() -> None:
+    text = (ROOT / "Makefile").read_text("utf-8")
+    text = re.sub(r"^DEMO_TRAIN = (.*)$", lambda line: text.replace("$(DEMO_TRAIN)", line[1]), text, flags=re.MULTILINE)
+    text = re.sub(r"\$\([A-Z]+\)", "1", re.sub(r"^\t@?\$\(BIN\)/", "    ", text, flags=re.MULTILINE))
+    while (plain := re.sub(r"\$\([^()]*\)", "", text)) != text:
+        text = plain
+    named = {arguments[0] for _, words in commands_of(text) if (arguments := arguments_of(words))}
+    assert named >= {"explore", "world", "train"}
+    assert refused_commands(text) == []

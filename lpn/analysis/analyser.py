@@ -17,7 +17,7 @@ from lpn import explain, retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture as Picture
+from lpn.datasets import Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Correspondences, Evidence

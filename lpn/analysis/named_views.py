@@ -46,7 +46,7 @@ class NamedView(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         filter: see `lpn.core.tables`.
         search: text that the names contain.
         chosen: a query must be in all of them.
-        tab: the laboratory's tab; empty, as in files of earlier versions, for the one that is open.
+        tab: the laboratory's tab; empty for the one that is open.
         map: the map that is shown.
         colour: the column that colours it; empty for the outcome.
     """

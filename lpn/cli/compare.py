@@ -356,13 +356,7 @@ class CompareCommand(ComparisonOfSources):
 def _networks(
     page: Path, options: ComparisonOptions, compared: ComparedModels
 ) -> tuple[dict[str, Model], dict[str, int]]:
-    """Return the networks of a page by their names, and the bytes of their files.
-
-    Raises:
-        InputError: if there are fewer than two, one holds descriptors, other files than the page's are to be written, or a file's
-            name has the ending of no kind that is written.
-        OutputError: if a file cannot be written.
-    """
+    """Return the networks of a page by their names, and the bytes of their files."""
     from lpn.core.files import check_outputs
     from lpn.models.shipped import model_file
 

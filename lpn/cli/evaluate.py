@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from lpn.analysis.text_tables import TextTable
     from lpn.datasets import Dataset
     from lpn.flights import Flight
-    from lpn.locate.pose_benchmark import PoseSummary
     from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
     from lpn.maps import Map
     from lpn.models.base import Model
@@ -364,7 +363,7 @@ class EvaluationOfFlight:
                     for stage, points in errors.items()
                 }
             # A stage without an answer has no median, which JSON cannot express as a number.
-            write_json(self.json, _without_nan(result))
+            write_json(self.json, result)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> list[MatchedSurvey]:
         """Return the surveyed positions, none without a table; what is wrong with them is told before the flight is located."""
@@ -391,65 +390,14 @@ class EvaluationOfFlight:
 
 
 @dataclass(kw_only=True)
-class EvaluationOfPoses:
-    """Measure the camera's poses of AnyVisLoc's or OrthoLoC's photos by registration, each over its own map; resumable."""
-
-    data: Path
-    """Folder of the samples: a set of OrthoLoC such as full/test_inPlace, or AnyVisLoc or one of its scenes."""
-    reference: Literal["aerial", "satellite"] = "aerial"
-    """Map of AnyVisLoc's scenes."""
-    matcher: Literal["auto", "xfeat", "sift"] = "auto"
-    """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed, and sift for what it cannot place."""
-    limit: int | None = None
-    """Number of photos of each folder, the first ones; by default all."""
-    json: Path | None = None
-    """File to write the figures and the errors of each photo to, as JSON."""
-
-    def run(self) -> None:
-        from lpn.core.consoles import counting_bar, wide_console
-        from lpn.core.files import check_outputs, printable, write_json
-        from lpn.core.posed_samples import sample_folders
-        from lpn.locate.options import LocateOptions
-        from lpn.locate.pose_benchmark import measure, summarise
-
-        check_outputs((self.json, ".json"))
-        if self.limit is not None and self.limit < 1:
-            raise InputError(f"The limit is {self.limit} photos; expected 1 or more.")
-        folders = [one for one in sample_folders(self.data) if one.samples]
-        layouts = sorted({one.layout for one in folders})
-        if len(layouts) != 1:
-            what = "both AnyVisLoc and OrthoLoC" if layouts else "no sample of AnyVisLoc or OrthoLoC"
-            raise InputError(
-                f"{printable(str(self.data))} holds {what}; give the folder of one of them (docs/data.md)."
-            )
-        console = wide_console()
-        with counting_bar("Registering photos", console, transient=True) as progress:
-            photos = measure(folders, self.reference, self.limit, LocateOptions(matcher=self.matcher), progress)
-        summaries = summarise(folders[0].layout, photos)
-        _print_poses(f"{printable(self.data.resolve().name)}: {len(photos):,} photos of {layouts[0]}", summaries)
-        if self.json is not None:
-            result = {
-                "layout": layouts[0],
-                "groups": [asdict(one) for one in summaries],
-                "photos": [{name: getattr(one, name) for name in one.__struct_fields__} for one in photos],
-            }
-            write_json(self.json, _without_nan(result))
-
-    def resume_hint(self) -> str:
-        """Return how to go on after a stop."""
-        return "Photos that are done are kept; give the same command again."
-
-
-@dataclass(kw_only=True)
 class EvaluateCommand(EvaluationWithAnswers):
-    """Measure recall and AP on a test split or a saved result, the errors of a located flight, or those of cameras' poses."""
+    """Measure recall and AP on a test split or a saved result, or the errors of a located flight."""
 
-    SOURCES: ClassVar[dict[str, type[EvaluationOfSource | EvaluationOfFlight | EvaluationOfPoses]]] = {
+    SOURCES: ClassVar[dict[str, type[EvaluationOfSource | EvaluationOfFlight]]] = {
         Published.WORD: EvaluationOfPublished,
         Arrays.WORD: EvaluationOfArrays,
         Indexed.WORD: EvaluationOfIndex,
         Flown.WORD: EvaluationOfFlight,
-        "poses": EvaluationOfPoses,
     }
 
     source: Data
@@ -648,26 +596,6 @@ def _print_surveyed(
         console.print(line, highlight=False, soft_wrap=True, markup=False)
 
 
-def _print_poses(title: str, summaries: Sequence[PoseSummary]) -> None:
-    """Print the figures of a benchmark of poses."""
-    from rich.table import Table
-
-    from lpn.core.consoles import wide_console
-
-    table = Table(title=title)
-    for name in ("photos of", "number", "poses", "median m", "median °", *summaries[0].within):
-        table.add_column(name, justify="left" if name == "photos of" else "right")
-    for one in summaries:
-        medians = ["-" if math.isnan(value) else f"{value:.2f}" for value in (one.metres, one.degrees)]
-        shares = [f"{share:.1f}" for share in one.within.values()]
-        table.add_row(one.group, f"{one.photos:,}", f"{one.poses:,}", *medians, *shares)
-    console = wide_console()
-    console.print(table)
-    console.print(
-        "Medians are of the photos with a pose; shares are percent of all photos, so that one without a pose counts as missed."
-    )
-
-
 def _figure(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.2f}"
 
@@ -680,12 +608,6 @@ def _title(key: str) -> str:
         **{f"{group}_recall": f"mean R@{{}} of {group}s" for group in ("region", "flight")},
     }
     return titles.get(name, name).format(depth)
-
-
-def _without_nan(value: object) -> object:
-    if isinstance(value, dict):
-        return {str(key): _without_nan(entry) for key, entry in value.items()}
-    return None if isinstance(value, float) and value != value else value
 
 
 def _numbers(text: str | None) -> list[int] | None:

@@ -158,11 +158,7 @@ def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:
 
 
 def _by_name(texts: Sequence[str]) -> dict[str, Path]:
-    """Return the files given with --model by the network they replace.
-
-    Raises:
-        InputError: if two files replace the same network.
-    """
+    """Return the files given with --model by the network they replace."""
     files: dict[str, Path] = {}
     for text in texts:
         name, _, file = text.partition("=")

@@ -290,11 +290,7 @@ def _retryable(notes: ShardMetadata) -> set[ShardItem]:
 def _checked_notes(
     target: Storage, plan: Plan, partitions: list[list[ShardItem]], digests: list[str]
 ) -> list[ShardMetadata]:
-    """Read the notes of all shards.
-
-    Raises:
-        StoreError: if a shard is not visible from this machine, or another run has changed a shard.
-    """
+    """Read the notes of all shards."""
     notes = [one for one in read_notes(target, plan, range(plan.partitions)) if one is not None]
     if unseen := plan.partitions - len(notes):
         raise StoreError(

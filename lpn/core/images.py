@@ -168,11 +168,7 @@ def _eight_bits(numbers: AnyArray) -> UInt8Array | None:
 
 
 def _check_upper_bits(picture: UInt8Array, inverted: bool, name: str) -> None:
-    """Refuse a picture of the upper 8 of 16 bits that is black, or white where 0 is white, for want of the lower ones.
-
-    Raises:
-        PictureError: if it is.
-    """
+    """Refuse a picture of the upper 8 of 16 bits that is black, or white where 0 is white, for want of the lower ones."""
     if (255 - int(picture.min()) if inverted else int(picture.max())) <= _BLACK:
         raise PictureError(
             f"{name} has numbers of 16 bits and uses the lowest 12 at most, of which nothing would be seen, as only the upper 8 "

@@ -122,11 +122,7 @@ def _packages(lines: list[str]) -> Iterator[Package]:
 
 
 def _version(name: str) -> str:
-    """Return the installed version of a package, or of its stand-in.
-
-    Raises:
-        PackageNotFoundError: if neither is installed.
-    """
+    """Return the installed version of a package, or of its stand-in."""
     try:
         return metadata.version(name)
     except metadata.PackageNotFoundError:

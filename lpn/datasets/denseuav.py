@@ -76,7 +76,7 @@ def is_denseuav(root: Path) -> bool:
     if any((root / name).is_file() for name in LISTS):
         return True
     for folder in ("test/query_drone", "train/drone"):
-        place = next(iter(sorted((root / folder).glob("[0-9]*"))), None)
+        place = next((place for place in sorted((root / folder).glob("[0-9]*")) if place.is_dir()), None)
         if place is not None:
             return any(_HEIGHT.fullmatch(file.name) for file in place.iterdir())
     return False

@@ -109,9 +109,6 @@ class _Below(ABC):
 
         Args:
             where: the list, for messages.
-
-        Raises:
-            DataError: if two paths name the same, if several folders fit equally many paths, or if absolute paths name nothing.
         """
         paths = list(dict.fromkeys(paths))
         exact = {path: name for path in paths if not is_absolute(path) and (name := self.find(path)) is not None}

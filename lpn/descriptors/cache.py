@@ -69,7 +69,8 @@ def _cached(
     boxes = [picture.box for picture in pictures]
     identity: list[Any] = [model.fingerprint, view, change.rotate, common]
     identity += [f"shift {change.shift}"] if change.shift else []
-    identity += [f"zoom {change.scale}"] if change.scale != 1 else []
+    zoom = change.scale * change.zoom
+    identity += [f"zoom {zoom}"] if zoom != 1 else []
     identity += [f"down {change.down}"] if change.down else []
     identity += ["around"] if change.around else []
     identity += ["cropped"] if any(boxes) else []

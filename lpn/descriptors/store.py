@@ -66,7 +66,7 @@ class Manifest:
         rows: the file of each row.
         precision: precision of the numbers on disk.
         shift: pixels of the network's input by which the pictures were shifted right.
-        scale: factor by which the pictures were zoomed.
+        scale: factor by which the pictures were zoomed, their own zoom included.
         down: pixels of the network's input by which the pictures were shifted down; written only if not zero.
         around: the pictures are panoramas, rotated by rolling their columns; written only if true.
         role: of the branch, where branches have roles; written only if there is one.
@@ -97,7 +97,7 @@ class Manifest:
         cls, model: Model, view: View, change: Change, rows: tuple[Row, ...], precision: Precision = "float32"
     ) -> Manifest:
         """Return the manifest of files that a model describes."""
-        transform = (change.shift, change.scale, change.down, change.around)
+        transform = (change.shift, change.scale * change.zoom, change.down, change.around)
         n, embedding = model.n_parts, model.embedding
         role = model.role(view) if model.contract.roles == "role" else None
         further = (role, change.released, change.weather)

@@ -9,7 +9,7 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture as Picture
+from lpn.datasets import Picture
 from lpn.descriptors.weather import CLEAR, Weather
 
 MAX_SCALE = 16.0

@@ -76,42 +76,6 @@ def to_dict(
     return {"level": "measured by occlusion", "score": score, "distance2": 2 - 2 * score, "parts": parts}
 
 
-def curve(
-    model: Model,
-    picture: UInt8Array,
-    view: View,
-    other: Float32Array,
-    weights: Float32Array,
-    order: Sequence[int],
-    size: tuple[int, int],
-    steps: int = 10,
-    insert: bool = False,
-) -> Float32Array:
-    """The score while more and more cells of a picture are blurred or, with `insert`, of a blurred picture restored.
-
-    Args:
-        order: cells, numbered row by row, in the order in which they are blurred or restored.
-        size: (h, w) cells that the picture is divided into.
-        steps: number of equal steps from one end to the other.
-
-    Returns:
-        Scores, (steps + 1,).
-    """
-    shaped = model.to_input_size(picture, view)
-    blurred, pictures = blur(shaped), []
-    for step in range(steps + 1):
-        chosen = np.zeros(size[0] * size[1], bool)
-        chosen[list(order[: round(step * len(order) / steps)])] = True
-        pictures.append(mixed(shaped, blurred, (~chosen if insert else chosen).reshape(size)))
-    return cast(Float32Array, _cosines(model, pictures, view, other) @ weights)
-
-
-def centre_first(size: tuple[int, int]) -> list[int]:
-    """Cells from the middle of a picture outwards: the baseline that supposes a centred target."""
-    down, across = (np.abs((np.arange(length) + 0.5) / length - 0.5) for length in size)
-    return [int(cell) for cell in np.argsort(np.hypot(down[:, None], across).reshape(-1), kind="stable")]
-
-
 def blur(picture: UInt8Array) -> UInt8Array:
     """Blur a picture with a standard deviation of an eighth of its shorter side."""
     return cast(UInt8Array, cv2.GaussianBlur(picture, (0, 0), min(picture.shape[:2]) / 8))

@@ -30,9 +30,7 @@ from lpn.flights.lenses import Lens, lens_of_text
 FORMAT = "lpn-flight/1"
 TABLE, HEADER, FRAMES = "flight.csv", "flight.json", "frames"
 _COLUMNS = tuple(field.name for field in fields(Frame))
-# Flights of earlier versions have no lens, the last column.
-_TABLES = (_COLUMNS, _COLUMNS[:-1])
-_FIRST_LINES = tuple(",".join(columns).encode() + b"\n" for columns in _TABLES)
+_FIRST_LINE = ",".join(_COLUMNS).encode() + b"\n"
 _NUMBERS = tuple(name for name in _COLUMNS if name not in ("name", "file", "width", "height", "heading_source", "lens"))
 _LIMITS: Mapping[str, tuple[float, float]] = {
     "latitude": (-90, 90),
@@ -60,15 +58,15 @@ def check_folder(folder: Path) -> None:
     """Raise OutputError if the flight would replace a file that `lpn flight` did not write."""
     try:
         header = format_of(file.read_bytes()) if (file := folder / HEADER).exists() else FORMAT
-        begin = _FIRST_LINES[0]
+        begin = _FIRST_LINE
         if (file := folder / TABLE).exists():
             with file.open("rb") as table:
-                begin = table.readline(len(_FIRST_LINES[0]))
+                begin = table.readline(len(_FIRST_LINE))
     except OSError as error:
         raise OutputError(f"{printable(str(file))} cannot be read ({error.strerror or error}); check it.") from error
     ours = {
         HEADER: isinstance(header, str) and header.startswith(FORMAT.partition("/")[0] + "/"),
-        TABLE: begin in _FIRST_LINES,
+        TABLE: begin == _FIRST_LINE,
     }
     for name, is_ours in ours.items():
         if not is_ours:
@@ -112,10 +110,9 @@ def read_flight(folder: Path) -> Flight:
     except (ValueError, RecursionError) as error:
         raise DataError(f"{path} is not what lpn flight writes; write the flight again.") from error
     rows = read_rows(folder / TABLE, str(folder / TABLE), "surrogateescape")
-    columns = tuple(next(rows, (0, []))[1])
-    if columns not in _TABLES:
+    if tuple(next(rows, (0, []))[1]) != _COLUMNS:
         raise DataError(f"The first line of {folder / TABLE} is not {','.join(_COLUMNS)}; write the flight again.")
-    frames = tuple(_frame(values, columns, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
+    frames = tuple(_frame(values, folder, f"Line {line} of {folder / TABLE}") for line, values in rows)
     if twice := [name for name, times in Counter(frame.name for frame in frames).items() if times > 1]:
         raise DataError(f"{folder / TABLE} names {first_few(twice, 3)} twice; names are unique.")
     return Flight(header.name, frames, tuple(header.notes), header.utc)
@@ -129,10 +126,10 @@ def _relative(file: Path, folder: Path) -> str:
         return file.resolve().as_posix()
 
 
-def _frame(values: list[str], columns: tuple[str, ...], folder: Path, line: str) -> Frame:
-    if len(values) != len(columns):
-        raise DataError(f"{line} has {len(values)} values; expected {len(columns)}.")
-    texts = dict(zip(columns, map(unescape, values), strict=True))
+def _frame(values: list[str], folder: Path, line: str) -> Frame:
+    if len(values) != len(_COLUMNS):
+        raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
+    texts = dict(zip(_COLUMNS, map(unescape, values), strict=True))
     numbers: dict[str, Any] = {name: _number(texts[name], name, line) for name in _NUMBERS}
     source = texts["heading_source"] or None
     if (source is not None and source not in get_args(HeadingSource)) or (source is None) != (
@@ -148,7 +145,7 @@ def _frame(values: list[str], columns: tuple[str, ...], folder: Path, line: str)
         raise DataError(f"{line} has no name or no file; expected both.")
     width, height = (_pixels(texts[name], name, line) for name in ("width", "height"))
     file = Path(os.path.normpath(folder / texts["file"]))
-    lens = _lens(texts.get("lens", ""), line)
+    lens = _lens(texts["lens"], line)
     return Frame(texts["name"], file, width, height, heading_source=source, lens=lens, **numbers)  # type: ignore[arg-type]
 
 

@@ -168,12 +168,7 @@ def read_camera(file: Path) -> tuple[Lens, float]:
 
 
 def _yaml(text: str) -> Any:
-    """Return the content of YAML, also of OpenCV's, whose first line and matrices are its own.
-
-    Raises:
-        ValueError: if it is damaged.
-        MissingPackageError: without PyYAML.
-    """
+    """Return the content of YAML, also of OpenCV's, whose first line and matrices are its own."""
     try:
         import yaml
     except ModuleNotFoundError as error:

@@ -213,11 +213,7 @@ def _with_whole_positions(
 def _rejoined(
     rows: list[tuple[int, list[str]]], header: Sequence[str], columns: LogColumns, name: str, notes: list[str]
 ) -> list[tuple[int, list[str]]]:
-    """Join numbers whose decimal commas also separate the cells: 47,301,8,501 under lat,lon.
-
-    Raises:
-        DataError: if such numbers can be joined in more than one way.
-    """
+    """Join numbers whose decimal commas also separate the cells: 47,301,8,501 under lat,lon."""
     places = [columns.places[what] for what in ("latitude", "longitude") if what in columns.places]
     longer = [
         (line, cells)

@@ -241,11 +241,7 @@ class _Cells:
         return self.table.text(self.cells, what)
 
     def value(self, what: str) -> float | None:
-        """Return a value in metres or degrees, pitch and roll from -180 to 180; None if it is unknown.
-
-        Raises:
-            DataError: if it is no number.
-        """
+        """Return a value in metres or degrees, pitch and roll from -180 to 180; None if it is unknown."""
         text = self.text(what)
         if not text:
             return None
@@ -269,11 +265,7 @@ class _Cells:
         return math.nan if value is None else value
 
     def angle(self, what: str, letters: str) -> float | None:
-        """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown.
-
-        Raises:
-            DataError: if the text is not an angle.
-        """
+        """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown."""
         text = self.text(what)
         if not text:
             return None
@@ -289,11 +281,7 @@ class _Cells:
         return -abs(angle) if letter and letter == letters[1] else angle
 
     def coordinates(self) -> tuple[float | None, float | None]:
-        """Return latitude and longitude; both None if either is unknown.
-
-        Raises:
-            DataError: if the text is not a latitude and a longitude.
-        """
+        """Return latitude and longitude; both None if either is unknown."""
         if "position" not in self.table.columns.places:
             latitude, longitude = self.angle("latitude", "NS"), self.angle("longitude", "EW")
             return (None, None) if latitude is None or longitude is None else (latitude, longitude)
@@ -328,11 +316,7 @@ def _with_hemispheres(table: LogTable, name: str) -> LogTable:
 
 
 def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
-    """Return the rows' positions in degrees, both None where unknown, notes on how they were read, and whether they were scaled.
-
-    Raises:
-        DataError: if they are not degrees on the Earth; the message names the line.
-    """
+    """Return the rows' positions in degrees, None where unknown, notes on how they were read, and whether they were scaled."""
     rows = [_Cells(table, cells, f"Line {line} of {name}") for line, cells in table.rows]
     degrees = np.array([row.coordinates() for row in rows], np.float64)
     degrees[(degrees == 0).all(axis=1)] = np.nan

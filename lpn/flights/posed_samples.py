@@ -215,10 +215,7 @@ def _check_one_map(found: Sequence[tuple[SampleLayout, Path]]) -> None:
     if len(layouts) > 1:
         raise InputError("The files are of AnyVisLoc and of OrthoLoC; make one flight of each.")
     if layouts["OrthoLoC"] > 1:
-        raise InputError(
-            f"Each of these {len(found)} samples of OrthoLoC has a map of its own; give one, or measure all of them with lpn "
-            "evaluate poses --data FOLDER."
-        )
+        raise InputError(f"Each of these {len(found)} samples of OrthoLoC has a map of its own; give one of them.")
     scenes = sorted({path.parent for _, path in found})
     if len(scenes) > 1:
         listed = first_few([printable(scene.name) for scene in scenes], 3)

@@ -294,11 +294,7 @@ def _mode(element: ElementTree.Element) -> str:
 
 
 def _add(points: _Points, numbers: list[str], time: str | None, name: str | None, mode: str) -> None:
-    """Add a point of longitude, latitude, and height; one that is no number is left out and counted.
-
-    Raises:
-        DataError: if there are more than three numbers, as decimal commas make.
-    """
+    """Add a point of longitude, latitude, and height; one that is no number is left out and counted."""
     if len(numbers) > 3:
         raise DataError(
             f"A track has the coordinates {printable(','.join(numbers))[:60]}; expected longitude, latitude, and height "

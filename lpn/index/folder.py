@@ -96,7 +96,7 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         next: number of the next folder or file to be written.
         segments: oldest first.
         windows: sides in metres and overlaps of a map's windows, see `Index.expect_windows`, the newest overlap of a side last;
-            empty for other tiles, and in an index of an earlier version, whose checksum is not of them.
+            empty for other tiles.
         checksum: CRC-32 of all other values.
     """
 
@@ -146,8 +146,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     def _crc(self) -> int:
         values = msgspec.to_builtins(self)
         del values["checksum"]
-        if not self.windows:
-            del values["windows"]
         return crc_of_values(values)
 
 

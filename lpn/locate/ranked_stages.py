@@ -171,14 +171,10 @@ def enter_sequence(
     side = float(np.median(retrieval.sizes))
     spacing = side * (1 - retrieval.overlap)
     track, motion, evidence = smoothed(retrieval, flight, options.speed, beyond, on_map)
-    path = np.concatenate([retrieval.places, beyond])[track.path]
     for i, located in enumerate(frames):
         radius = float(np.hypot(track.radii[i], spacing / 2))
         state: State = "accepted"
         sentence = track.sentence(i)
-        off = float(np.linalg.norm(path[i] - track.positions[i]))
-        if off > OVERLAP * side:
-            sentence += f" The most probable path of the whole flight passes {off:.0f} m from here."
         if i in retrieval.broken:
             state, sentence = "refused", "The photo cannot be read; the position is a guess of its neighbours."
         elif track.beyond[i] > _LEFT:

@@ -1,10 +1,10 @@
 """A hidden Markov model over places and headings: the frames of a flight correct each other.
 
 A state is a window of the map and a heading of the picture. The emission is a softmax of the scores at a temperature, mixed with
-a floor for frames whose scores mislead. Forward-backward gives each frame's posterior, Viterbi the most probable path (Rabiner,
-Proceedings of the IEEE 77, 1989). Speed, kind of motion, and temperature are those at which the flight's scores are most
-probable. Scores count in units of what a window gets from frames of other places, so that a window that resembles many
-frames, such as one ploughed field among others, proves little.
+a floor for frames whose scores mislead. Forward-backward gives each frame's posterior (Rabiner, Proc. IEEE 77, 1989).
+Speed, kind of motion, and temperature are those at which the flight's scores are most probable. Scores count in units of what a
+window gets from frames of other places, so that a window that resembles many frames, such as one ploughed field among others,
+proves little.
 
 A drone may leave the map, so places beyond its edge are states, too. No window shows them, so a frame has one emission for all
 of them: frames whose windows on the way are no better than others lie there, if the way leads there. Leaving the map is rare.
@@ -55,8 +55,6 @@ _ALIKE = 1.5
 _LEAVE, _BEGIN = 1e-3, 0.1
 # Probability that a step is not of the motion model, as between parts of a flight that lie apart, or where a clock jumps.
 _JUMP = 1e-3
-# States of each frame that Viterbi's path may take.
-_PATH_STATES = 200
 # Metres between coordinates that count as one: those of an index come from names, which are rounded to about 1 cm.
 _ONE_COORDINATE = 0.02
 # Bytes of the steps that are held in memory: each is taken several times, and steps of like seconds and headings are one.
@@ -154,8 +152,6 @@ class SequenceResult:
         headings: the likeliest heading in that window in degrees, (T,) float64; NaN where none is known.
         nearby: posterior of all places near the position, (T,) float64.
         beyond: posterior of all places beyond the map that are not near the position, (T,) float64.
-        path: windows of Viterbi's path, the most probable one of the whole flight, (T,) int64; places beyond the map count on.
-        path_headings: headings of that path in degrees, (T,) float64.
         own: window of each frame's best score, (T,) int64.
         moved: metres from that window to `positions`, (T,) float64.
         log_likelihood: log of the probability of the scores.
@@ -169,8 +165,6 @@ class SequenceResult:
     headings: Float64Array
     nearby: Float64Array
     beyond: Float64Array
-    path: Int64Array
-    path_headings: Float64Array
     own: Int64Array
     moved: Float64Array
     log_likelihood: float
@@ -297,9 +291,7 @@ def smooth(
     keep: Callable[[Float64Array], Int64Array] = lambda shares: np.array([shares.argmax()]),
     beyond: int = 0,
 ) -> SequenceResult:
-    """Run forward-backward and Viterbi.
-
-    Memory is O(sqrt(T) N K). Viterbi's path takes the 200 states of each frame that have the greatest posterior.
+    """Run forward-backward; memory is O(sqrt(T) N K).
 
     Args:
         log_emissions: of each frame, (N + B, K), see `emissions`.
@@ -329,7 +321,6 @@ def smooth(
         *(np.empty(frames) for _ in range(5)),
     )
     likeliest, own = np.empty(frames, np.int64), np.empty(frames, np.int64)
-    probable: list[Int64Array] = []
     first: list[Int64Array] = []
     behind = np.ones((states, len(headings[-1])))
     for t, forward in _backwards(ahead, frames):
@@ -338,7 +329,6 @@ def smooth(
             behind /= behind.max()
         joint = forward * behind
         joint /= joint.sum()
-        probable.append(np.argsort(-joint, axis=None)[:_PATH_STATES].copy())
         shares = joint[:windows].sum(axis=1)
         best = likeliest[t] = shares.argmax()
         first.append(keep(shares))
@@ -346,7 +336,6 @@ def smooth(
         point = _point(joint, places, headings[t], near, beyond)
         positions[t], radii[t], found_headings[t], nearby[t], outside[t] = point
         own[t] = log_emissions(t)[:windows].max(axis=1).argmax()
-    path, path_headings = chain.most_probable(probable[::-1])
     return SequenceResult(
         positions,
         radii,
@@ -356,8 +345,6 @@ def smooth(
         found_headings,
         nearby,
         outside,
-        path,
-        path_headings,
         own,
         np.linalg.norm(positions - places[own], axis=1),
         sum(gained.values()),
@@ -399,17 +386,16 @@ class ForwardFilter:
     """The forward half of forward-backward, frame by frame, for a flight that goes on: it knows no frame to come.
 
     Args:
-        places: centres of the windows in metres, and places beyond the map behind them, (N + B, 2).
+        places: centres of the windows in metres, (N, 2).
         motion: how the flight moves.
-        beyond: number of places beyond the map, B.
 
     Attributes:
-        belief: probability of each place at each heading, (N + B, K), given all that was weighed; None before the first frame.
+        belief: probability of each place at each heading, (N, K), given all that was weighed; None before the first frame.
         headings: of the belief in degrees, (K,); NaN, as the only one, where none is known.
     """
 
-    def __init__(self, places: Float64Array, motion: MotionModel, beyond: int = 0) -> None:
-        self._places, self._motion, self._grid, self._beyond = places, motion, _Grid(places, beyond), beyond
+    def __init__(self, places: Float64Array, motion: MotionModel) -> None:
+        self._places, self._motion, self._grid = places, motion, _Grid(places)
         self.belief: Float64Array | None = None
         self.headings = np.array([math.nan])
 
@@ -429,7 +415,7 @@ class ForwardFilter:
         self.headings = headings
 
     def weigh(self, log_likelihoods: Float64Array) -> None:
-        """Multiply the belief by likelihoods, whose logs are (N + B, K) or (N + B, 1), and normalise it."""
+        """Multiply the belief by likelihoods, whose logs are (N, K) or (N, 1), and normalise it."""
         assert self.belief is not None
         joint = self.belief * np.exp(log_likelihoods - log_likelihoods.max())
         self.belief = joint / joint.sum()
@@ -437,7 +423,7 @@ class ForwardFilter:
     def point(self, near: float) -> SequencePoint:
         """Return where the drone is; `near` is as for `smooth`."""
         assert self.belief is not None
-        return _point(self.belief, self._places, self.headings, near, self._beyond)
+        return _point(self.belief, self._places, self.headings, near, 0)
 
 
 def usual_step(times: npt.ArrayLike) -> float:
@@ -613,27 +599,6 @@ class _Chain:
         mass = float(joint.sum())
         return joint / mass, math.log(mass) + peak
 
-    def most_probable(self, states: Sequence[Int64Array]) -> tuple[Int64Array, Float64Array]:
-        """Return windows and headings of the most probable path, (T,), that takes one of these states in each frame.
-
-        Args:
-            states: of each frame, (B,): window times the number of headings, plus heading.
-        """
-        first = self._log_emissions(0)
-        scores, came = (first + np.log(self._steps.start(first.shape[1]))).ravel()[states[0]], []
-        for t in range(1, len(states)):
-            ways = scores[:, None] + np.log(self.step(t - 1).between(states[t - 1], states[t]))
-            came.append(ways.argmax(axis=0))
-            scores = ways.max(axis=0) + self._log_emissions(t).ravel()[states[t]]
-        at = [int(scores.argmax())]
-        for back in reversed(came):
-            at.append(int(back[at[-1]]))
-        pairs = [
-            divmod(int(of[i]), len(own)) for of, i, own in zip(states, at[::-1], self._steps.headings, strict=True)
-        ]
-        headings = [own[k] for own, (_, k) in zip(self._steps.headings, pairs, strict=True)]
-        return np.array([window for window, _ in pairs], np.int64), np.array(headings, np.float64)
-
 
 def _backwards(
     ahead: Callable[[int, Float64Array | None], Float64Array], frames: int
@@ -779,19 +744,6 @@ class _Step:
             left = self._grid.values(self._blurred_beyond(self._grid.image(np.where(out, values, 0)), back=True))
             before += np.where(out, 1, _LEAVE) * left
         return before
-
-    def between(self, sources: Int64Array, targets: Int64Array) -> Float64Array:
-        """Return the probability of each step from one of some states (B,) to one of others (C,): (B, C)."""
-        (start, k), (end, m) = np.divmod(sources, len(self._turns)), np.divmod(targets, self._count)
-        rows, columns = self._grid.rows, self._grid.columns
-        kind = np.minimum(k, len(self._x) - 1)[:, None]
-        kernel = np.zeros((len(sources), len(targets)))
-        for x, y in zip(self._x.swapaxes(0, 1), self._y.swapaxes(0, 1), strict=True):
-            kernel += y[kind, rows[end], rows[start][:, None]] * x[kind, columns[end], columns[start][:, None]]
-        out = self._grid.is_beyond
-        kernel *= np.where(out[end] & ~out[start][:, None], _LEAVE, 1.0)
-        kernel /= self._scale[start, kind[:, 0]][:, None]
-        return kernel * self._turns[k[:, None], m] + _JUMP / (len(rows) * self._count)
 
     def _blurred(self, image: Float64Array, back: bool = False) -> Float64Array:
         """Return the sums (K, Y, X) over sources of an image (K, Y, X), or over targets."""

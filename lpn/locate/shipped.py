@@ -18,13 +18,8 @@ import msgspec
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
-from lpn.core.errors import DataError, StoreError
-from lpn.core.files import write_atomic
-from lpn.core.views import View
-from lpn.descriptors.partial_store import PartialStore
-from lpn.descriptors.store import Manifest, Precision, Row, open_store
-from lpn.descriptors.transforms import UNCHANGED
-from lpn.descriptors.writer import write_store
+from lpn.core.errors import StoreError
+from lpn.descriptors.store import Row, open_store
 from lpn.flights import Flight
 from lpn.locate.located import StageRecord
 from lpn.maps import Map, Window
@@ -34,14 +29,12 @@ NAME, WINDOWS, FRAMES = "located.json", "windows", "frames"
 FORMAT = "lpn-located/1"
 # Metres, degrees, and shares that may differ from one processor to the next.
 _TOLERANCE = 2e-3
-# Significant digits of numbers in located.json: millimetres within a kilometre.
-_DIGITS = 6
 
 # A file's name and size.
-_Files = list[tuple[str, int]]
+Files = list[tuple[str, int]]
 
 
-class _Record(msgspec.Struct, frozen=True):
+class ShippedRecord(msgspec.Struct, frozen=True):
     """The contents of located.json.
 
     Attributes:
@@ -55,8 +48,8 @@ class _Record(msgspec.Struct, frozen=True):
     format: str
     registered_by: str
     fingerprint: str
-    map: _Files
-    photos: _Files
+    map: Files
+    photos: Files
     registration: dict[str, StageRecord] = {}
     sequence: dict[str, StageRecord] = {}
     notes: list[str] = []
@@ -89,10 +82,10 @@ class ShippedAnswers:
             registered_by: the format of the registration.
         """
         try:
-            record = msgspec.json.decode((folder / NAME).read_bytes(), type=_Record)
+            record = msgspec.json.decode((folder / NAME).read_bytes(), type=ShippedRecord)
         except (OSError, msgspec.MsgspecError, ValueError):
             return None
-        wanted = (FORMAT, registered_by, model.fingerprint, _map_files(basemap), _photos(flight))
+        wanted = (FORMAT, registered_by, model.fingerprint, map_files(basemap), photo_files(flight))
         stored = (record.format, record.registered_by, record.fingerprint, record.map, record.photos)
         if stored != wanted:
             return None
@@ -136,73 +129,12 @@ def _row(numbers: Sequence[float], name: str = "", size: int = 0) -> Row:
     return Row(" ".join([*(f"{number:.6f}" for number in numbers), name]), size, 0)
 
 
-def write_descriptors(
-    folder: Path,
-    name: str,
-    model: Model,
-    view: View,
-    rows: Sequence[Row],
-    described: Float32Array,
-    precision: Precision,
-) -> None:
-    """Write the descriptors (N, n, D) of WINDOWS or FRAMES, as the model made them.
-
-    Raises:
-        StoreError: if the folder cannot be written.
-    """
-
-    def fill(partial: PartialStore) -> None:
-        partial.put(range(len(rows)), described)
-
-    write_store(folder / name, Manifest.for_model(model, view, UNCHANGED, tuple(rows), precision), fill)
-
-
-def write_record(
-    folder: Path,
-    registered_by: str,
-    model: Model,
-    basemap: Map,
-    flight: Flight,
-    registration: Mapping[str, StageRecord] | None = None,
-    sequence: Mapping[str, StageRecord] | None = None,
-    notes: Sequence[str] = (),
-) -> None:
-    """Write which model, map, and photos the answers are of, and the answers of the stages, see `ShippedAnswers`.
-
-    Numbers are rounded to six significant digits, and unknown values are left out, as the file ships with each copy.
-
-    Raises:
-        DataError: if a photo cannot be read.
-        OutputError: if the folder cannot be written.
-    """
-    try:
-        files = _map_files(basemap), _photos(flight)
-    except OSError as error:
-        raise DataError(f"A file of the flight cannot be read ({error.strerror or error}); check it.") from error
-    record = _Record(
-        FORMAT, registered_by, model.fingerprint, *files, dict(registration or {}), dict(sequence or {}), list(notes)
-    )
-    write_atomic(folder / NAME, msgspec.json.encode(_short(msgspec.to_builtins(record))) + b"\n")
-
-
-def _short(value: object) -> object:
-    """Return a value of JSON with rounded numbers and without unknown values."""
-    match value:
-        case float():
-            return float(f"{value:.{_DIGITS}g}")
-        case dict():
-            return {key: _short(item) for key, item in value.items() if item is not None}
-        case list() | tuple():
-            return [_short(item) for item in value]
-    return value
-
-
-def _map_files(basemap: Map) -> _Files:
+def map_files(basemap: Map) -> Files:
     files = [file for sheet in basemap.sheets for file in sheet.raster.files()]
     return [(file.name, file.stat().st_size) for file in files]
 
 
-def _photos(flight: Flight) -> _Files:
+def photo_files(flight: Flight) -> Files:
     return [(frame.name, frame.file.stat().st_size) for frame in flight.frames]
 
 

@@ -524,9 +524,6 @@ class _Names:
         """Return the number of a frame: of its whole path, else its name, else its name without suffix, by the most folders.
 
         A frame of another folder is none; a flight names the folders of its photos only where names repeat.
-
-        Raises:
-            InputError: if several frames fit equally well.
         """
         if (number := self._whole.get(path.replace("\\", "/"))) is not None:
             return number

@@ -255,11 +255,7 @@ class CrossValidation:
         return copy.copy(self.source.places(job.recipe.sets)).hold_out(_fold(job), 0)
 
     def _starts(self, init: Sequence[Path], backbones: set[str]) -> dict[str, Path]:
-        """Return the weights of each backbone, given or found.
-
-        Raises:
-            InputError: if a backbone has none.
-        """
+        """Return the weights of each backbone, given or found."""
         auto = any(str(file) == AUTO for file in init)
         starts = by_backbone([file for file in init if str(file) != AUTO])
         for backbone in sorted(backbones - set(starts)):

@@ -120,4 +120,5 @@ def named(dataset: Dataset, view: View, names: Sequence[str] = (), count: int = 
             raise InputError(f"There is no query {name} with a tile; names are such as {queries[0].name}.")
     if names or not pictures:
         return [by_name[name] for name in names]
-    return [pictures[len(pictures) * step // count] for step in range(min(count, len(pictures)))]
+    count = min(count, len(pictures))
+    return [pictures[len(pictures) * step // count] for step in range(count)]

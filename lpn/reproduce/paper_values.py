@@ -156,6 +156,7 @@ CLAIMS: dict[str, tuple[Claim, ...]] = {
             _ahead("512", "224", "256", "320", "384"),
             _SATELLITE,
         ),
+        Claim("384 pixels retrieve more than 224, in both directions (section IV-D, Table III)", _ahead("384", "224")),
     ),
     "table4": (
         _no_drop("Turned drone queries show no significant drop (Table IV)", _DRONE),

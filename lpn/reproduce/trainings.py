@@ -163,10 +163,7 @@ class TrainingJob:
                 f"{self.folder} does not say what is trained there; delete it to train again, or give another --out."
             )
         identity = self.identity()
-        # A setting of a later version is not in the file, and had its default then; one of an earlier version may be off.
-        differs = [
-            key for key, value in file.identity.items() if (identity[key] != value if key in identity else value)
-        ]
+        differs = [key for key in {**identity, **file.identity} if file.identity.get(key) != identity.get(key)]
         if differs:
             raise InputError(
                 f"{self.folder} was trained with other values of {', '.join(differs)}; give the same data and settings, or "

@@ -184,12 +184,7 @@ def load_arrays(
 
 
 def _known(lines: dict[Role, list[_Line]]) -> BoolArray:
-    """Return the queries whose label tells what is right, (Q,): none where no query has a label of the gallery, as 0001 beside 1.
-
-    Raises:
-        DataError: if no query has a label of the gallery, and positions, which would measure errors without labels, are not
-            complete.
-    """
+    """Return the queries whose label tells what is right, (Q,): none where no label is in the gallery, as 0001 beside 1."""
     known = np.array([bool(line.label) for line in lines["query"]], bool)
     own = [line.label for line in lines["query"] if line.label]
     told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]

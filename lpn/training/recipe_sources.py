@@ -99,6 +99,7 @@ _SOURCES: dict[str, dict[str, str]] = {
     "shared": {
         "paper": "paper, section III-A: the satellite and the drone branch share weights",
         "released": f"{_LPN} run.sh:7, model.py:643-644",
+        "cvusa-paper": "paper, section III-A: satellite and drone share weights alone, and CVUSA has no drone pictures",
         "cvusa-released": f"{_LPN} run_cvusa.sh has no --share, model.py:545",
         "safa-released": f"{_SAFA}/spatial_net.py:35, 47",
         "cvact-released": f"{_LPN} run_cvact.sh:22-34 has no --share, model.py:552",
@@ -340,9 +341,10 @@ _SOURCES: dict[str, dict[str, str]] = {
     "rotation": {"*": _OFF},
     "satellite_rotation": {
         "paper": (
-            "paper, section IV-D: drone pictures alone are not rotated in training; the angle is that of "
+            "paper, section IV-D: drone pictures are not rotated in training; that satellites are, and by which angle, as "
             f"{_LPN} train.py:105"
         ),
+        "cvusa-paper": _SILENT,
         "released": f"{_LPN} train.py:105: RandomAffine(90)",
         "cvusa-released": f"{_LPN} train_cvusa.py:105: RandomAffine(90)",
         "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",
@@ -388,7 +390,7 @@ _SOURCES: dict[str, dict[str, str]] = {
     "compression": {"*": _OFF},
     **{name: {"*": _OFF} for name in ("weather", "adapted_blocks", "variants")},
     "flip": {
-        "paper": f"{_STATED}: random horizontal flip",
+        "paper": f"{_STATED}: random flipping; horizontal, and each picture on its own, as {_LPN} train.py:97, 107",
         "released": f"{_LPN} train.py:97, 107: each picture on its own",
         "cvusa-released": f"{_LPN} train_cvusa.py:97, 107: each picture on its own",
         "safa-released": f"{_SAFA}/input_data_cvusa.py: no augmentation",

@@ -18,8 +18,6 @@ from lpn.training.model_selection import EpochMetrics
 from lpn.training.recipes import Recipe
 
 FORMAT = 4
-# The format before, whose descriptors of a cross-batch memory no recipe uses any more.
-_WITH_MEMORY = 3
 
 
 @dataclass(frozen=True)
@@ -69,11 +67,8 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         version = values.get("format")
         if isinstance(version, int) and version > FORMAT:
             raise ModelFileError(newer_version(path, str(version), str(FORMAT)))
-        if version not in (FORMAT, _WITH_MEMORY):
-            raise ModelFileError(
-                f"{path} was written by an earlier version of lpn, whose runs cannot be resumed; start anew in "
-                "another --out."
-            )
+        if version != FORMAT:
+            raise ModelFileError(f"{path} has the format {version}; expected {FORMAT}, so start anew in another --out.")
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
@@ -83,14 +78,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
     except Exception as error:  # the unpickler raises any exception on unknown data
         raise ModelFileError(f"{path} is damaged; start the run again without --resume, in another --out.") from error
     settings = json.loads(recipe.to_json())
-    removed = [name for name, value in saved.items() if value and name not in settings]
-    if removed:
-        raise InputError(
-            f"The run in {path.parent} was started with {', '.join(removed)}, which this version of lpn does not train with; "
-            "start anew in another --out."
-        )
-    # A run of before a setting came was trained without it, which is its default.
-    differs = [name for name, value in settings.items() if saved.get(name, getattr(Recipe, name)) != value]
+    differs = [name for name in {**settings, **saved} if saved.get(name) != settings.get(name)]
     if differs:
         raise InputError(
             f"The run in {path.parent} was started with another {', '.join(differs)}; resume it with the same values."

@@ -286,11 +286,9 @@ def check_folder(settings: Settings, out: Path) -> None:
         held = json.loads(file.read_bytes())
         if is_newer(held.get("format"), WORLD):
             raise OutputError(newer_version(file, held["format"], WORLD))
-        # Worlds were made before there were any of these.
+        # The shipped city has none of these settings.
         had = {**dict.fromkeys(_ADDED, 0), "vary": [], **held["settings"]}
         had["vary"] = tuple(had["vary"])
-        if not had.get("varied"):  # a world was once varied as a whole, or not
-            had.pop("varied", None)
         same = {**had, **{name: wanted[name] for name in _ADDED}} == wanted
         fewer = [name for name in _ADDED if wanted[name] < had[name]]
         edition = held["edition"]

@@ -66,13 +66,6 @@ class FlightSettings:
     map_pixel: float
     oblique: bool = False
 
-    def record(self) -> dict[str, Any]:
-        """Return the settings as flight_world.json has them; a flight that is not oblique has them as before there was one."""
-        values = asdict(self)
-        if not self.oblique:
-            del values["oblique"]
-        return values
-
 
 @dataclass
 class FlightTally:
@@ -202,7 +195,7 @@ def _photo(out: Path, picture: FlightPicture) -> Path:
 
 def _settings_json(settings: FlightSettings, plan: FlightPlan, site: Site) -> bytes:
     values = {
-        "format": FORMAT, "edition": EDITION, "settings": settings.record(), "site": asdict(site),
+        "format": FORMAT, "edition": EDITION, "settings": asdict(settings), "site": asdict(site),
         "middle": {"x": round(plan.x, 3), "y": round(plan.y, 3), "ground": round(plan.ground, 3)},
         "tag errors": asdict(TAG_ERRORS),
     }  # fmt: skip
@@ -232,7 +225,7 @@ def _check_out(settings: FlightSettings, out: Path) -> None:
         had, edition = held["settings"], held["edition"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise OutputError(f"{file} is not a rendered flight's; choose another folder.") from error
-    if had != settings.record() or edition != EDITION:
+    if had != asdict(settings) or edition != EDITION:
         raise OutputError(
             f"{out} holds a flight of edition {edition} made with other settings ({had}); choose another folder, or "
             "delete that one."

@@ -213,7 +213,7 @@ class MapGrid:
 
     def geotiff(self, pixels: NDArray[np.uint8]) -> bytes:
         """Encode the map (n, n, 3) as a tiled GeoTIFF with overviews, JPEG-compressed."""
-        return _geotiff(pixels, self.crs, self._transform, _MAP_QUALITY)
+        return geotiff(pixels, self.crs, self._transform, _MAP_QUALITY)
 
     def elevation(self, heights: Float32Array) -> bytes:
         """Encode heights in metres (n, n) as a tiled GeoTIFF, rounded to centimetres."""
@@ -235,15 +235,7 @@ class MapGrid:
         return Affine(self._pixel, 0.0, self.west, 0.0, -self._pixel, self.north)
 
 
-def compressed_map(file: Path, quality: int) -> bytes:
-    """Return a map's GeoTIFF with another quality of JPEG, 1 to 100."""
-    import rasterio
-
-    with rasterio.open(file) as opened:
-        return _geotiff(np.moveaxis(opened.read(), 0, 2), opened.crs, opened.transform, quality)
-
-
-def _geotiff(pixels: NDArray[np.uint8], crs: Any, transform: Any, quality: int) -> bytes:
+def geotiff(pixels: NDArray[np.uint8], crs: Any, transform: Any, quality: int) -> bytes:
     """Encode a picture (h, w, 3) as a tiled GeoTIFF with overviews."""
     import rasterio
     from rasterio.enums import Resampling

@@ -16,7 +16,6 @@ from lpn.models import timm_networks
 from lpn.models.adapters import convnext, sdpl, transformers
 from lpn.models.adapters.denseuav import build_denseuav
 from lpn.models.adapters.entries import Entries
-from lpn.models.adapters.infogeo import build_infogeo
 from lpn.models.adapters.mfrgn import build_mfrgn
 from lpn.models.adapters.named import named_vector
 from lpn.models.adapters.network import MeanVector, PartBranch
@@ -210,11 +209,7 @@ def _one_vector(method: str, prefixes: tuple[tuple[str, ...], ...], entries: Ent
 
 
 def _network_of_timm(entries: Entries) -> _Network:
-    """Build a ConvNeXt, a vision transformer with rotary positions, a plain one, or any network of timm that the options name.
-
-    Raises:
-        ModelFileError: if the entries are of another network, and the options do not name it.
-    """
+    """Build a ConvNeXt, a vision transformer with rotary positions, a plain one, or any network of timm that the options name."""
     if "stages.0.blocks.0.conv_dw.weight" in entries.state:
         if "patch_embed.proj.weight" in entries.state:
             _refuse_two(entries, "stages.0.blocks.0.conv_dw.weight", "patch_embed.proj.weight")
@@ -294,7 +289,6 @@ _BUILDERS: dict[Kind, Callable[[Entries], PublishedParts]] = {
     "sues200": build_sues,
     "qdfl": build_qdfl,
     "mfrgn": build_mfrgn,
-    "infogeo": build_infogeo,
     "salad": build_salad,
     **{kind: partial(_one_vector, *of) for kind, of in _VECTORS.items()},
 }

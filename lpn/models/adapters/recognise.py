@@ -27,7 +27,6 @@ Kind = Literal[
     "sues200",
     "qdfl",
     "mfrgn",
-    "infogeo",
     "dmnil",
     "salad",
 ]
@@ -79,13 +78,6 @@ SIGNATURES: tuple[tuple[Recognised, Signature], ...] = (
         "mfrgn",
         Signature(
             "MFRGN", (r"backbone\.backbone\.", r"transformer_H\.layers\.", r"proj_gl\.0\.", r"proj_local\.weight$")
-        ),
-    ),
-    (
-        "infogeo",
-        Signature(
-            "InfoGeo",
-            (r"model\.backbone\.dino_model\.blocks\.", r"slot_mixvpr\.mix\.0\.", r"slot_mixvpr\.row_proj\.weight$"),
         ),
     ),
     (
@@ -159,7 +151,6 @@ _MARKS: tuple[tuple[str, tuple[Recognised, ...]], ...] = (
     (r"backbone\.backbone\.", ("denseuav", "mfrgn", "vit")),
     (r"components\.(AQEU|classifier\d)\.", ("qdfl",)),
     (r"(transformer_H|proj_gl|proj_local)\.", ("mfrgn",)),
-    (r"slot_mixvpr\.", ("infogeo",)),
     (r"aggregator\.(agg\.)?(dust_bin$|cluster_features\.)", ("salad",)),
     (r"(.*\.)?(embeddings\.patch_embeddings?\.(projection\.)?weight|class_embedding)$", ("vit",)),
     (r"(?!(model[_\d]*|backbone)\.)(.*\.)?blocks\.0\.ls1\.gamma$", ("vit",)),
@@ -277,11 +268,7 @@ def _marked(keys: Collection[str]) -> list[tuple[str, tuple[Recognised, ...]]]:
 
 
 def _refuse_mixed(keys: Collection[str], name: str) -> None:
-    """Refuse names that some kind fits beside names of another.
-
-    Raises:
-        ModelFileError: with a name of each kind.
-    """
+    """Refuse names that some kind fits beside names of another."""
     marks = _marked(keys)
     own = {kind: {key for key, kinds in marks if kind in kinds} for kind, _ in _fitting(keys)}
     # A kind that another one is built on is no second one.

@@ -110,9 +110,6 @@ def _lpn(entries: Entries) -> PublishedParts:
     """Build SUES-200's LPN: square rings of a SE-ResNet-50's map, each under a linear head without a BatchNorm.
 
     The stride of the last stage and the pooling are in no entry: `stride`, by default 1 as in the released code, and `pool`.
-
-    Raises:
-        ModelFileError: as for `build_sues`, and if rings are pooled by their maximum.
     """
     count = entries.count("classifier{}.add_block.0.weight")
     check_option(entries, "block", count)

@@ -283,11 +283,7 @@ def _add_front(state: dict[str, Tensor], front: Tensor) -> None:
 
 
 def _split_biases(state: dict[str, Tensor], name: str) -> None:
-    """Replace biases of queries, keys, and values by those of timm's rotary networks, which have none of keys.
-
-    Raises:
-        ModelFileError: if keys have biases.
-    """
+    """Replace biases of queries, keys, and values by those of timm's rotary networks, which have none of keys."""
     for key in [key for key in state if key.endswith(".attn.qkv.bias")]:
         bias = state.pop(key)
         third = len(bias) // 3

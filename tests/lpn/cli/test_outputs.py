@@ -36,7 +36,6 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
         (["evaluate", *MODEL], "--answers", "a.zip", ".txt"),
         (["evaluate", "flight", *FLOWN], "--json", "e.csv", ".json"),
         (SURVEYED, "--residuals", "r.json", ".csv"),
-        (["evaluate", "poses", "--data", "none"], "--json", "e.csv", ".json"),
         (COMPARED, "--markdown", "t.tex", ".md"),
         (COMPARED, "--csv", "t.md", ".csv"),
         (COMPARED, "--json", "t.csv", ".json"),

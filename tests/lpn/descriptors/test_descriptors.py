@@ -417,6 +417,24 @@ def test_descriptors_of_another_transform_are_refused(model: Model, folder: Path
         descriptors.describe(model, files, "drone", store, change=Change(shift=3))
 
 
+def test_a_picture_s_own_zoom_has_descriptors_of_its_own(model: Model, folder: Path, tmp_path: Path) -> None:
+    from lpn.datasets import Picture
+
+    files = descriptors.pictures_below(folder)[:5]
+    pictures = [Picture(file, 1, file.stem) for file in files]
+    made = {
+        (scale, zoom): descriptors.cached_descriptors(model, pictures, "drone", Change(scale=scale, zoom=zoom))
+        for scale, zoom in ((1, 1), (0.5, 2), (1, 2), (2, 1))
+    }
+    np.testing.assert_array_equal(made[1, 1], made[0.5, 2])
+    np.testing.assert_array_equal(made[1, 2], made[2, 1])
+    assert np.abs(made[1, 2] - made[1, 1]).max() > 1e-3
+    store = descriptors.describe(model, files, "drone", tmp_path / "store", change=Change(scale=2, zoom=2))
+    assert store.manifest.scale == 4
+    with pytest.raises(StoreError, match="these would be"):
+        descriptors.describe(model, files, "drone", tmp_path / "store", change=Change(scale=2))
+
+
 def test_cache_is_keyed_by_every_change_and_box(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ from lpn.core.demo import DEMO
 from lpn.explain import occlusion
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
-from tools.fixtures.faithfulness import curves
+from tools.fixtures.faithfulness import centre_first, curve, curves
 
 
 def test_a_square_s_loss_is_what_its_blurring_costs(model_file: Path) -> None:
@@ -50,11 +50,9 @@ def test_curves_begin_and_end_at_the_whole_and_the_blurred_picture(model_file: P
     model, weights = load(model_file), scoring.part_weights(4)
     picture = small_worlds.place(2)
     other = retrieval.describe_picture(model, small_worlds.place(1), "satellite").descriptor
-    order = occlusion.centre_first((4, 4))
+    order = centre_first((4, 4))
     assert set(order[:4]) == {5, 6, 9, 10}
-    out, back = (
-        occlusion.curve(model, picture, "drone", other, weights, order, (4, 4), 4, insert) for insert in (False, True)
-    )
+    out, back = (curve(model, picture, "drone", other, weights, order, (4, 4), 4, insert) for insert in (False, True))
     whole = (
         scoring.part_cosines(retrieval.describe_picture(model, picture, "drone").descriptor, other[None])[0] @ weights
     )

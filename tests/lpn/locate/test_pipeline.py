@@ -771,24 +771,6 @@ def test_the_sequence_names_the_windows_that_the_whole_flight_makes_likely(fligh
     assert len(set(frame.likely)) == 5
 
 
-def test_a_frame_says_where_the_path_of_the_whole_flight_passes_elsewhere(
-    flight: Flight, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]
-
-    def through_a_corner(*given: Any) -> Any:
-        track, *others = smoothed(*given)
-        return replace(track, path=np.array([12, 24, 12])), *others
-
-    monkeypatch.setattr(ranked_stages, "smoothed", through_a_corner)
-    said = [frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {})]
-    assert ["The most probable path of the whole flight passes 113 m from here." in one for one in said] == [
-        False, True, False,
-    ]  # fmt: skip
-    monkeypatch.undo()
-    assert not any("path" in frame.stages["sequence"].sentence for frame in _ranked(flight, scores, {}))
-
-
 def test_a_frame_beyond_the_map_is_refused_and_told_so(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
     smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]

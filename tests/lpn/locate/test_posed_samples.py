@@ -18,7 +18,6 @@ from lpn.doctor.sample_check import check_samples
 from lpn.flights import FlightOptions, make_flight, open_flight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
-from lpn.locate.pose_benchmark import measure, summarise
 from lpn.locate.pose_errors import pose_errors
 from lpn.maps import Map, MapOptions, MapPlace, open_map
 from lpn.maps.posed_scenes import build_scene
@@ -239,33 +238,3 @@ def test_samples_over_several_maps_are_no_flight(tmp_path: Path) -> None:
     np.savez(tmp_path / "other.npz", x=np.zeros(3))
     with pytest.raises(DataError, match="no sample of AnyVisLoc or OrthoLoC"):
         make_flight([tmp_path / "other.npz"], tmp_path / "flight")
-
-
-def test_the_benchmark_measures_each_photo_over_its_own_map_and_goes_on_where_it_stopped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    root = tmp_path / "test_inPlace"
-    for name in ("L01_R0001.npz", "L01_xDOP0001.npz", "L01_xDOP0002.npz"):
-        posed_samples.ortholoc(root / name)
-    (root / "L01_xDOP0002.npz").write_bytes(b"PK")
-    options, folders = LocateOptions(matcher="sift"), sample_folders(root)
-    photos = measure(folders, options=options)
-    assert [photo.group for photo in photos] == ["R", "xDOP", "xDOP"]
-    assert "cannot be read" in photos[2].reason
-    same, shifted, whole = summarise("OrthoLoC", photos)
-    assert (same.photos, same.poses, shifted.photos, shifted.poses, whole.photos) == (1, 1, 2, 1, 3)
-    assert (same.within["2 m, 2°"], shifted.within["2 m, 2°"]) == (100, 50)
-    assert whole.metres < 1
-    monkeypatch.setattr("lpn.locate.pose_benchmark.register_frame", None)
-    assert measure(folders, options=options) == photos
-
-
-def test_the_benchmark_of_anyvisloc_is_in_the_plane(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
-    posed_samples.anyvisloc(tmp_path / "Scene_01", 2)
-    photos = measure(sample_folders(tmp_path), limit=1, options=LocateOptions(matcher="sift"))
-    (scene,) = summarise("AnyVisLoc", photos)
-    assert (scene.group, scene.photos, scene.poses, scene.within["<= 3 m"]) == ("Scene_01", 1, 1, 100)
-    with pytest.raises(DataError, match="has no other map; it has aerial and satellite"):
-        measure(sample_folders(tmp_path), "other")

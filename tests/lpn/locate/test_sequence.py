@@ -90,8 +90,8 @@ def _brute(
     times: np.ndarray = TIMES,
     motion: MotionModel = MOTION,
     beyond: int = 0,
-) -> tuple[list[np.ndarray], list[tuple[int, int]], float]:
-    """Posteriors (5, K), the best path, and the log likelihood, from all paths."""
+) -> tuple[list[np.ndarray], float]:
+    """Posteriors (5, K) and the log likelihood, from all paths."""
     frames = len(emitted)
     matrices = [
         _transition(motion, float(times[t + 1] - times[t]), headings[t], headings[t + 1], beyond)
@@ -101,19 +101,16 @@ def _brute(
     posterior = [np.zeros(one.size) for one in emitted]
     begin = [_BEGIN / 2, 0.9 / 3] if beyond else [0.0, 1 / 5]
     start = np.repeat(np.where(np.arange(5) < 5 - beyond, begin[1], begin[0]), len(headings[0])) / len(headings[0])
-    best: tuple[float, tuple[int, ...]] = (-np.inf, ())
     total = 0.0
     for path in itertools.product(*(range(one.size) for one in emitted)):
         value = np.log(start[path[0]]) + flat[0][path[0]]
         for t in range(1, frames):
             value += np.log(matrices[t - 1][path[t - 1], path[t]]) + flat[t][path[t]]
-        best = max(best, (value, path))
         total += np.exp(value)
         for t, state in enumerate(path):
             posterior[t][state] += np.exp(value)
-    pairs = [divmod(state, len(own)) for state, own in zip(best[1], headings, strict=True)]
     shares = [one.reshape(own.shape) / total for one, own in zip(posterior, emitted, strict=True)]
-    return shares, pairs, float(np.log(total))
+    return shares, float(np.log(total))
 
 
 def _random(seed: int, headings: Sequence[np.ndarray], scale: float = 1.0) -> list[np.ndarray]:
@@ -123,9 +120,9 @@ def _random(seed: int, headings: Sequence[np.ndarray], scale: float = 1.0) -> li
 
 @pytest.mark.parametrize("headings", FLIGHTS)
 @pytest.mark.parametrize("motion", [MOTION, PAUSED])
-def test_posteriors_and_path_are_those_of_all_paths(motion: MotionModel, headings: list[np.ndarray]) -> None:
+def test_posteriors_are_those_of_all_paths(motion: MotionModel, headings: list[np.ndarray]) -> None:
     emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(0, headings)]
-    shares, pairs, total = _brute(emitted, headings, TIMES, motion)
+    shares, total = _brute(emitted, headings, TIMES, motion)
     posterior = np.array([one.sum(axis=1) for one in shares])
     found = smooth(
         emitted.__getitem__, headings, PLACES, TIMES, motion, keep=lambda one: np.argsort(-one, kind="stable")[:3]
@@ -134,8 +131,6 @@ def test_posteriors_and_path_are_those_of_all_paths(motion: MotionModel, heading
     np.testing.assert_allclose(found.positions, posterior @ PLACES, rtol=1e-9)
     np.testing.assert_array_equal(found.likeliest, posterior.argmax(axis=1))
     np.testing.assert_allclose(found.probabilities, posterior.max(axis=1), rtol=1e-9)
-    np.testing.assert_array_equal(found.path, [window for window, _ in pairs])
-    np.testing.assert_array_equal(found.path_headings, [headings[t][k] for t, (_, k) in enumerate(pairs)])
     best = [own[one[i].argmax()] for own, one, i in zip(headings, shares, found.likeliest, strict=True)]
     np.testing.assert_array_equal(found.headings, best)
     assert found.log_likelihood == pytest.approx(total, rel=1e-12)
@@ -150,11 +145,10 @@ def test_places_beyond_the_map_are_states_of_all_paths_and_no_positions(headings
     for one in emitted:
         np.testing.assert_allclose(np.exp(one[3:]) * 3 * one.shape[1], np.exp(1.5 * 0.8))
         assert np.exp(one[:3]).sum() == pytest.approx(1)
-    shares, pairs, total = _brute(emitted, headings, TIMES, PAUSED, 2)
+    shares, total = _brute(emitted, headings, TIMES, PAUSED, 2)
     posterior = np.array([one.sum(axis=1) for one in shares])
     found = smooth(emitted.__getitem__, headings, PLACES, TIMES, PAUSED, 50.0, beyond=2)
     assert found.log_likelihood == pytest.approx(total, rel=1e-12)
-    np.testing.assert_array_equal(found.path, [window for window, _ in pairs])
     np.testing.assert_array_equal(found.likeliest, posterior[:, :3].argmax(axis=1))
     np.testing.assert_allclose(found.probabilities, posterior[:, :3].max(axis=1), rtol=1e-9)
     far = np.linalg.norm(PLACES - found.positions[:, None], axis=2) > 50
@@ -195,7 +189,7 @@ def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
     headings = [MIXED[1], MIXED[2]]
     times = np.array([0.0, np.nan])
     emitted = [emissions(one) for one in _random(5, headings)]
-    shares, _, total = _brute(emitted, headings, times)
+    shares, total = _brute(emitted, headings, times)
     found = smooth(emitted.__getitem__, headings, PLACES, times, MOTION)
     assert found.log_likelihood == pytest.approx(total, rel=1e-12)
     np.testing.assert_allclose(found.probabilities, [one.sum(axis=1).max() for one in shares], rtol=1e-9)
@@ -255,9 +249,7 @@ def test_headings_tell_two_equal_places_apart() -> None:
     motion = MotionModel(5.0, 10.0, along=ALONG)
     found = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, motion)
     np.testing.assert_array_equal(found.headings, 90)
-    np.testing.assert_array_equal(found.path_headings, 90)
     np.testing.assert_array_equal(found.likeliest, 20 + 2 * np.arange(9))
-    np.testing.assert_array_equal(found.path, found.likeliest)
     assert found.probabilities.min() > 0.9
     anywhere = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, MotionModel(5.0, 10.0))
     assert anywhere.probabilities[1:].max() < 0.6
@@ -297,7 +289,7 @@ def test_motion_and_temperature_are_the_most_probable_of_all_paths(headings: lis
         scores = _random(seed, headings, 2)
 
         def likelihood(motion: MotionModel, temperature: float, scores: list[np.ndarray] = scores) -> float:
-            return _brute([emissions(one, temperature) for one in scores], headings, TIMES, motion)[2]
+            return _brute([emissions(one, temperature) for one in scores], headings, TIMES, motion)[1]
 
         ways = (0.0, ALONG) if headings is TOLD else (0.0,)
         motions = [MotionModel(speed, 20.0, along=along, usual=3.0) for along in ways for speed in SPEEDS]

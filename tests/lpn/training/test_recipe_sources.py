@@ -49,6 +49,20 @@ def test_a_paper_s_recipe_is_the_released_one_where_the_paper_is_silent() -> Non
                 assert value == done[setting], (paper, setting)
 
 
+def test_a_source_of_the_paper_states_the_value_of_its_recipe() -> None:
+    """Weights: section III-A shares those of satellite and drone alone. Drone pictures: IV-D. Flipping: IV-B says no more."""
+    for recipe, views in (("paper", "the satellite and the drone branch"), ("cvusa-paper", "satellite and drone")):
+        shared = source(recipe, "shared")
+        assert views in shared
+        assert ("CVUSA has no drone pictures" in shared) == (not find(recipe).shared)
+        assert "random flipping; horizontal" in source(recipe, "flip")
+        assert "wtyhub/LPN train.py:97, 107" in source(recipe, "flip")
+    assert "drone pictures are not rotated" in source("paper", "satellite_rotation")
+    assert source("cvusa-paper", "satellite_rotation") == (
+        "wtyhub/LPN train_cvusa.py:105: RandomAffine(90); the paper is silent"
+    )
+
+
 def test_the_released_code_s_other_methods_have_sources_too() -> None:
     expected = {(recipe, method, setting) for (recipe, method), of in recipes._OF_METHOD.items() for setting in of}
     assert set(recipe_sources._OF_METHOD) == expected
