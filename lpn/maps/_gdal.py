@@ -1,9 +1,10 @@
-"""Rasterio, imported on first use, with GDAL's cache bounded."""
+"""The one door to GDAL: rasterio, imported on first use, with few of GDAL's drivers, without network, its cache bounded."""
 
 from __future__ import annotations
 
 import logging
 import os
+import re
 import threading
 import warnings
 from collections.abc import Iterator
@@ -15,8 +16,25 @@ from typing import Any
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 
-# Megabytes of decoded blocks that GDAL keeps in a process; its own default is 5 % of the memory.
-_CACHE_MEGABYTES = "192"
+# Formats that surveys hand over. None of them opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
+_DRIVERS = [
+    *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF"),
+    *("AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
+]
+# GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
+_BESIDE = (".ovr", ".msk", ".aux")
+_TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
+# GDAL takes a file for one of these if such words stand at its beginning, or in its name.
+_NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS)")
+# The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
+# defence: a file that is opened all the same reaches no server, and runs no code.
+_ENVIRONMENT = {
+    "GDAL_CACHEMAX": "192",
+    "GDAL_SKIP": "WMS,WCS,WMTS,HTTP,EEDA,EEDAI,PLMOSAIC,DAAS,STACTA,STACIT",
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+    "PROJ_NETWORK": "OFF",
+}
 # A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
 _MAX_BANDS = 4096
 # `warnings.catch_warnings` changes the filters of all threads.
@@ -24,6 +42,11 @@ _opening = threading.Lock()
 
 # Files that people give as maps and GDAL does not read here: suffixes, how the file begins, what it is, and what to do.
 _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
+    ((".vrt",), b"<VRTDataset", "a VRT, which names other files", "give those files, or make one with gdal_translate"),
+    ((".wms",), b"<GDAL_WMS", "the address of a map server (WMS)", "save its map as GeoTIFF, such as with QGIS"),
+    ((), b"<WCS_GDAL", "the address of a map server (WCS)", "save its map as GeoTIFF, such as with QGIS"),
+    ((".ntf", ".nitf"), b"NITF", "a NITF file", "convert it to GeoTIFF, such as with gdal_translate"),
+    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
     ((), b"version https://git-lfs", "a Git LFS pointer, not the file itself", "fetch it with git lfs pull"),
     ((), b"<!DOCTYPE html", "a page of HTML, as a failed download leaves it", "download the file again"),
     ((), b"<html", "a page of HTML, as a failed download leaves it", "download the file again"),
@@ -36,7 +59,7 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
     ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
     ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
-    ((".kml", ".kmz"), b"", "a file of Google Earth without one picture on the ground", "export the map as GeoTIFF"),
+    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
     ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
     (
         (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"),
@@ -51,8 +74,9 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
 
 @cache
 def rasterio() -> Any:
-    """Import rasterio (the extra `maps`); GDAL_CACHEMAX in the environment takes precedence over our limit."""
-    os.environ.setdefault("GDAL_CACHEMAX", _CACHE_MEGABYTES)
+    """Import rasterio (the extra `maps`)."""
+    for name, value in _ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
     import rasterio
     import rasterio.shutil
     import rasterio.warp
@@ -71,27 +95,16 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
-def open_raster(path: Path) -> Any:
-    """Open a raster file for reading.
+def open_raster(path: Path, overviews: Path | None = None) -> Any:
+    """Open a raster file of a user for reading.
+
+    Args:
+        overviews: a TIFF of the file's overviews that lies elsewhere.
 
     Raises:
-        DataError: if it is missing, or no raster that GDAL reads.
+        DataError: if it is missing, has another format than is read here, or refers to other files.
     """
-    library = rasterio()
-    file_name = printable(str(path))
-    if not path.is_file():
-        raise DataError(f"There is no file {file_name}; check the path.")
-    with _opening, warnings.catch_warnings():
-        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
-        try:
-            file = library.open(path)
-        except failures() as error:
-            if other := _other(path):
-                raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
-            raise DataError(
-                f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
-                ".mbtiles of pictures."
-            ) from error
+    file, file_name = _checked(path), printable(str(path))
     if file.count > _MAX_BANDS:
         file.close()
         raise DataError(f"{file_name} would have {file.count} bands; it is damaged, so copy it again.")
@@ -103,7 +116,66 @@ def open_raster(path: Path) -> Any:
             if names
             else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
         )
+    return file if overviews is None else _with_overviews(file, path, overviews)
+
+
+def _checked(path: Path) -> Any:
+    """Open a file by the drivers of the list, after the files beside it that GDAL opens by any driver."""
+    library = rasterio()
+    file_name = printable(str(path))
+    if not path.is_file():
+        raise DataError(f"There is no file {file_name}; check the path.")
+    if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
+        raise DataError(f"{file_name} has XML in its name; rename it.")
+    names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
+    for beside in path.parent.iterdir():
+        if beside.name.lower() in names and beside.name != path.name:
+            _check_beside(beside)
+    with _opening, warnings.catch_warnings(), library.Env():
+        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+        try:
+            # From the root on it is a path, and no address or other name that GDAL knows.
+            file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
+        except failures() as error:
+            if other := _other(path):
+                raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
+            raise DataError(
+                f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
+                ".mbtiles of pictures."
+            ) from error
+    if file.tags(ns="OVERVIEWS"):
+        file.close()
+        raise DataError(
+            f"{file_name} names another file for its overviews; make a copy without, such as with gdal_translate."
+        )
     return file
+
+
+def _check_beside(path: Path) -> None:
+    """Refuse a file beside a raster that GDAL could take for more than overviews, a mask, or notes."""
+    head = _head(path)
+    if path.suffix.lower() == ".aux" and not head.startswith(b"EHFA"):
+        return
+    if not _TIFF_OR_IMAGINE.match(head):
+        raise DataError(
+            f"{printable(str(path))} holds neither overviews nor a mask as a TIFF; delete it, or make it again."
+        )
+    _checked(path).close()
+
+
+def _with_overviews(file: Any, path: Path, overviews: Path) -> Any:
+    """Return an open raster with the overviews of another file: a VRT in memory, which no file can change."""
+    library = rasterio()
+    if not overviews.is_file():
+        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
+    _check_beside(overviews)
+    if _NAMES_OTHERS.search(_head(path)):
+        raise DataError(f"{printable(str(path))} holds XML before its picture; save it again with another program.")
+    with library.Env(), file, library.MemoryFile(ext=".vrt") as made:
+        library.shutil.copy(file, made.name, driver="VRT")
+        with library.open(made.name, "r+", driver="VRT") as vrt:
+            vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
+        return library.io.DatasetReader(made.name, driver="VRT")
 
 
 @contextmanager
@@ -143,8 +215,7 @@ def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
 def _other(path: Path) -> tuple[str, str] | None:
     """Return what a file is that is no raster, and what to do; None if that is not known."""
     try:
-        with path.open("rb") as file:
-            head = file.read(64)
+        head = _head(path).lstrip()
     except OSError:
         return None
     if not head:
@@ -160,10 +231,15 @@ def _other(path: Path) -> tuple[str, str] | None:
     )
 
 
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4096)
+
+
 def _reason(error: Exception, path: Path) -> str:
     while isinstance(error.__cause__, Exception):  # which says more than "Read failed"
         error = error.__cause__
     if isinstance(error, UnicodeDecodeError):
         return "damaged text"
-    text = printable(str(error)).replace(str(path), path.name)
+    text = printable(str(error)).replace(str(path.absolute()), path.name)
     return text.removeprefix(f"'{path.name}' ").rstrip(".")[:200]
