@@ -37,6 +37,8 @@ _ENVIRONMENT = {
 }
 # A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
 _MAX_BANDS = 4096
+# Pixels of an empty file of three bands that overviews were made of in a minute, and the minutes above which a file is refused.
+PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads.
 _opening = threading.Lock()
 
@@ -190,6 +192,17 @@ def opened(path: Path) -> Iterator[Any]:
             yield file
         except failures() as error:
             raise damaged(path, error) from error
+
+
+def check_work(file: Any, path: Path) -> None:
+    """Refuse a raster of which a first look, at all pixels of its coarsest overview, would take too long."""
+    minutes = file.width * file.height / max(file.overviews(1), default=1) ** 2 / PIXELS_PER_MINUTE
+    if minutes > _MOST_MINUTES:
+        raise DataError(
+            f"{printable(str(path))} has {file.width} x {file.height} pixels without overviews, and to look at all of them would "
+            f"take {minutes:.0f} minutes or more; cut it to the ground that you need (gdal_translate -projwin), or add overviews "
+            "(gdaladdo)."
+        )
 
 
 def damaged(path: Path, error: Exception) -> DataError:

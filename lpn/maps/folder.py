@@ -513,7 +513,9 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
             driver = "GTiff" if copied else "VRT"
             with _gdal.opened(source) as file:
                 library.shutil.copy(file, str(part), driver=driver, **options)
-            on_progress(f"Making overviews of {printable(source.name)}.")
+            minutes = width * height / _gdal.PIXELS_PER_MINUTE
+            about = f", which takes about {minutes:.0f} minutes" if minutes >= 2 else ""
+            on_progress(f"Making overviews of {printable(source.name)}{about}.")
             with library.open(part, "r+", driver=driver) as file:
                 file.build_overviews(factors, method)
     except _gdal.failures() as error:
@@ -522,7 +524,10 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
             f"{printable(source.name)}."
         ) from error
     if copied:
-        os.replace(part, whole)
+        part.replace(whole)
         return whole, None
-    os.replace(f"{part}.ovr", whole)
+    made = Path(f"{part}.ovr")
+    if not made.exists():  # too small for any
+        return source, None
+    made.replace(whole)
     return source, whole

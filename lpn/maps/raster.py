@@ -124,6 +124,7 @@ class GdalRaster:
         self._lock = Lock()
         with self._handle() as file:
             self.width, self.height = int(file.width), int(file.height)
+            _gdal.check_work(file, self.path)
             self._palette = _palette(file)
             self.treatment = self._bands(file, bands)
             if treatment is not None:
