@@ -199,9 +199,9 @@ def check_work(file: Any, path: Path) -> None:
     minutes = file.width * file.height / max(file.overviews(1), default=1) ** 2 / PIXELS_PER_MINUTE
     if minutes > _MOST_MINUTES:
         raise DataError(
-            f"{printable(str(path))} has {file.width} x {file.height} pixels without overviews, and to look at all of them would "
-            f"take {minutes:.0f} minutes or more; cut it to the ground that you need (gdal_translate -projwin), or add overviews "
-            "(gdaladdo)."
+            f"{printable(str(path))} has {file.width} x {file.height} pixels, and a first look at it would take "
+            f"{minutes:.0f} minutes or more; cut it to the ground that you need (gdal_translate -projwin), or give it coarser "
+            "overviews (gdaladdo)."
         )
 
 
