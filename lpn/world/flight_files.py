@@ -239,7 +239,7 @@ def compressed_map(file: Path, quality: int) -> bytes:
     """Return a map's GeoTIFF with another quality of JPEG, 1 to 100."""
     import rasterio
 
-    with rasterio.open(file) as opened:
+    with rasterio.open(file, driver="GTiff") as opened:
         return _geotiff(np.moveaxis(opened.read(), 0, 2), opened.crs, opened.transform, quality)
 
 
