@@ -24,7 +24,7 @@ _DRIVERS = [
 # GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
 _BESIDE = (".ovr", ".msk", ".aux")
 _TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
-# GDAL takes a file for one of these if such words stand at its beginning, or in its name.
+# GDAL takes a file for one of these if such words stand before its first zero, or in its name.
 _NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS)")
 # The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
 # defence: a file that is opened all the same reaches no server, and runs no code.
@@ -37,6 +37,8 @@ _ENVIRONMENT = {
 }
 # A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
 _MAX_BANDS = 4096
+# Side of the coarsest overview.
+_COARSEST = 512
 # Pixels of an empty file of three bands that overviews were made of in a minute, and the minutes above which a file is refused.
 PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads.
@@ -118,7 +120,7 @@ def open_raster(path: Path, overviews: Path | None = None) -> Any:
             if names
             else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
         )
-    return file if overviews is None else _with_overviews(file, path, overviews)
+    return file if overviews is None else _with_overviews(file, overviews)
 
 
 def _checked(path: Path) -> Any:
@@ -127,8 +129,6 @@ def _checked(path: Path) -> Any:
     file_name = printable(str(path))
     if not path.is_file():
         raise DataError(f"There is no file {file_name}; check the path.")
-    if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
-        raise DataError(f"{file_name} has XML in its name; rename it.")
     names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
     for beside in path.parent.iterdir():
         if beside.name.lower() in names and beside.name != path.name:
@@ -145,10 +145,12 @@ def _checked(path: Path) -> Any:
                 f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
-    if file.tags(ns="OVERVIEWS"):
+    start = os.fsencode(path.absolute()) + _head(path).partition(b"\0")[0]
+    if _NAMES_OTHERS.search(start) or file.tags(ns="OVERVIEWS"):
         file.close()
         raise DataError(
-            f"{file_name} names another file for its overviews; make a copy without, such as with gdal_translate."
+            f"{file_name} names other files, in its own name, before its picture, or for its overviews; make a copy "
+            "without, such as with gdal_translate."
         )
     return file
 
@@ -165,19 +167,29 @@ def _check_beside(path: Path) -> None:
     _checked(path).close()
 
 
-def _with_overviews(file: Any, path: Path, overviews: Path) -> Any:
+def _with_overviews(file: Any, overviews: Path) -> Any:
     """Return an open raster with the overviews of another file: a VRT in memory, which no file can change."""
     library = rasterio()
     if not overviews.is_file():
         raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
     _check_beside(overviews)
-    if _NAMES_OTHERS.search(_head(path)):
-        raise DataError(f"{printable(str(path))} holds XML before its picture; save it again with another program.")
     with library.Env(), file, library.MemoryFile(ext=".vrt") as made:
         library.shutil.copy(file, made.name, driver="VRT")
         with library.open(made.name, "r+", driver="VRT") as vrt:
             vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
         return library.io.DatasetReader(made.name, driver="VRT")
+
+
+def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
+    """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
+    library = rasterio()
+    with (
+        library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"),
+        library.open(path, "r+", driver=driver) as file,
+    ):
+        side = max(file.width, file.height)
+        factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
+        file.build_overviews(factors, library.enums.Resampling[method])
 
 
 @contextmanager

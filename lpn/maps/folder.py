@@ -52,8 +52,8 @@ _MOST_NAMES = 10
 _ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
 # Endings of a copy, of overviews, and of the VRT that overviews are made of.
 _KINDS = (".tif", ".ovr", ".part.tif", ".part.vrt")
-# Sides above which a sheet gets overviews, and the side of the coarsest overview.
-_LARGE, _COARSEST = 2048, 512
+# Side above which a sheet gets overviews.
+_LARGE = 2048
 # Pixels above which a file that is not tiled is copied.
 _MAX_UNTILED = 25_000_000
 
@@ -390,7 +390,9 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
     raster = (
         TileRaster(path, record.treatment, keep_borders=True)
         if record.kind == "tiles"
-        else GdalRaster(path, record.treatment, overviews=record.overviews and folder / record.overviews)
+        else GdalRaster(
+            path, record.treatment, overviews=None if record.overviews is None else folder / record.overviews
+        )
     )
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
@@ -503,21 +505,18 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
             "COMPRESS": "DEFLATE",
             "BIGTIFF": "IF_SAFER",
         }
-    factors = [1 << i for i in range(1, 20) if max(width, height) >> (i - 1) > _COARSEST]
-    method = library.enums.Resampling.nearest if paletted else library.enums.Resampling.average
     try:
-        with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), warnings.catch_warnings():
+        with library.Env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
             if copied:
                 on_progress(f"Copying {printable(source.name)} into tiles: its own file is slow to read in windows.")
             driver = "GTiff" if copied else "VRT"
-            with _gdal.opened(source) as file:
+            with _gdal.open_raster(source) as file:
                 library.shutil.copy(file, str(part), driver=driver, **options)
             minutes = width * height / _gdal.PIXELS_PER_MINUTE
             about = f", which takes about {minutes:.0f} minutes" if minutes >= 2 else ""
             on_progress(f"Making overviews of {printable(source.name)}{about}.")
-            with library.open(part, "r+", driver=driver) as file:
-                file.build_overviews(factors, method)
+            _gdal.build_overviews(part, driver, "nearest" if paletted else "average")
     except _gdal.failures() as error:
         raise OutputError(
             f"{printable(str(whole))} cannot be written ({printable(str(error))[:200]}); free space, or check "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
@@ -11,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 from lpn.cli.main import main
 from lpn.core.demo import DEMO_FLIGHT
@@ -129,6 +131,15 @@ def overviews_of_overviews(folder: Path, address: str) -> Path:
     return write_geotiff(path, smooth(1200, 1200)[:, :, :1])
 
 
+def polyglot(folder: Path, address: str) -> Path:
+    """Write a JPEG with a VRT as its comment, which stands before any zero."""
+    path, packed = folder / "town.jpg", io.BytesIO()
+    Image.fromarray(smooth(600, 600)).save(packed, "JPEG")
+    comment = _VRT.format(address).encode().ljust(0x0401, b" ")
+    path.write_bytes(b"\xff\xd8\xff\xfe" + (len(comment) + 2).to_bytes(2, "big") + comment + packed.getvalue()[2:])
+    return path
+
+
 CASES: dict[str, Callable[[Path, str], Path]] = {
     "WMS": text(_WMS),
     "WMS as a picture": text(_WMS, ".png"),
@@ -141,6 +152,7 @@ CASES: dict[str, Callable[[Path, str], Path]] = {
     "notes that name overviews": beside(_NOTES, ".aux.xml"),
     "a tag that names overviews": inside,
     "overviews that name overviews": overviews_of_overviews,
+    "a JPEG that is a VRT, too": polyglot,
 }
 
 
@@ -284,7 +296,7 @@ def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
 
 def test_a_name_that_gdal_takes_for_xml_is_refused(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / "<VRTDataset>.tif")
-    with pytest.raises(DataError, match="has XML in its name; rename it"):
+    with pytest.raises(DataError, match="names other files, in its own name"):
         open_map(path)
 
 
