@@ -25,7 +25,7 @@ _DRIVERS = [
 _BESIDE = (".ovr", ".msk", ".aux")
 _TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
 # GDAL takes a file for one of these if such words stand before its first zero, or in its name.
-_NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS)")
+_NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
 # The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
 # defence: a file that is opened all the same reaches no server, and runs no code.
 _ENVIRONMENT = {
@@ -131,7 +131,7 @@ def _checked(path: Path) -> Any:
         raise DataError(f"There is no file {file_name}; check the path.")
     names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
     for beside in path.parent.iterdir():
-        if beside.name.lower() in names and beside.name != path.name:
+        if beside.name.lower() in names and beside.name != path.name and beside.is_file():
             _check_beside(beside)
     with _opening, warnings.catch_warnings(), library.Env():
         warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)

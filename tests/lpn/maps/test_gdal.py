@@ -196,6 +196,8 @@ def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Lis
         assert not said.startswith("opened"), name
         assert "\n" not in said, name
         assert not listener.heard(), name
+    main(["doctor", "--data", str(theirs)])
+    assert not listener.heard()
     # The second line of defence.
     from lpn.maps import _gdal
 
