@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -336,6 +337,7 @@ def test_bands_of_two_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     from lpn.maps import _gdal
 
     monkeypatch.setattr(_gdal, "_DRIVERS", ["VRT"])
+    monkeypatch.setattr(_gdal, "_NAMES_OTHERS", re.compile(rb"(?!)"))
     write(tmp_path / "colours.tif", PICTURE)
     write(tmp_path / "alpha.tif", (OPAQUE * 65_535).astype(np.uint16))
     bands = "".join(
