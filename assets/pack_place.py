@@ -23,7 +23,7 @@ from rasterio.io import MemoryFile
 from lpn.cli.map import MapCommand
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.files import write_atomic
-from lpn.maps import MapPlace, open_map
+from lpn.maps import MapPlace, _gdal, open_map
 from lpn.maps.folder import write_own_map
 
 PIXEL, WIDTH = 0.105, 800
@@ -84,7 +84,7 @@ def small_photo(file: Path) -> bytes:
 
 def small_map(file: Path) -> bytes:
     """Encode a map with transparency as a tiled GeoTIFF of WebP with overviews."""
-    with rasterio.open(file) as opened:
+    with _gdal.opened(file) as opened:
         across, down = round(opened.width * opened.res[0] / PIXEL), round(opened.height * opened.res[0] / PIXEL)
         pixels = opened.read(out_shape=(4, down, across), resampling=Resampling.average)
         transform = opened.transform * opened.transform.scale(opened.width / across, opened.height / down)

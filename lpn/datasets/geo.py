@@ -13,11 +13,14 @@ The columns from altitude on are optional and may be empty.
 
 from __future__ import annotations
 
+import codecs
 import csv
+import io
 import math
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -85,18 +88,15 @@ class Positions:
         source: the file that holds them, for messages.
 
     Raises:
-        DataError: if `geo.csv` is missing or malformed; the message names the line.
+        DataError: if `geo.csv` is missing or no text; what looks positions up raises it for a malformed line, and names it. Lines
+            of other pictures are read only if a picture has none.
     """
 
     def __init__(self, root: Path, by_path: Mapping[str, Position] | None = None, source: str = NAME) -> None:
         self._root = root
         self.source = source
-        self._by_path = _read(root / NAME) if by_path is None else by_path
-
-    @property
-    def paths(self) -> list[str]:
-        """The paths of the listed pictures, relative to the data set's folder, in the file's order."""
-        return list(self._by_path)
+        self._by_path = by_path
+        self._data = _read(root / NAME) if by_path is None else b""
 
     def of(self, pictures: Sequence[Picture]) -> list[Position]:
         """Return the position of each picture.
@@ -108,11 +108,21 @@ class Positions:
 
     def match(self, names: Sequence[str]) -> list[Position | None]:
         """Return positions by names below a described folder; see the function `match`."""
-        return match(self._by_path, names, f"{self.source} in {self._root}")
+        return match(self._listed(names), names, f"{self.source} in {self._root}")
 
     def below(self, names: Sequence[str]) -> list[Position]:
         """Return positions by paths below the data set's folder; raises DataError as `of` does."""
-        return find_positions(self._by_path, names, self.source)
+        return find_positions(self._listed(names), names, self.source)
+
+    def _listed(self, names: Sequence[str]) -> Mapping[str, Position]:
+        """Return the positions of these pictures if all are listed by their very names, else those of all lines."""
+        if self._by_path is not None:
+            return self._by_path
+        with suppress(DataError):  # whose line number would be wrong
+            some = read_positions(_lines_of(self._data, set(names)))
+            if all(name in some for name in names):
+                return some
+        return read_positions(self._data)
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
@@ -218,7 +228,7 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
                 raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
             positions[name] = position
     except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{file} is not a text file of comma-separated values in UTF-8; save it as such.") from error
+        raise _no_text(file) from error
     return positions
 
 
@@ -274,13 +284,31 @@ def _place(position: Position | None) -> tuple[float, float] | None:
     return None if position is None else (position.latitude, position.longitude)
 
 
-def _read(path: Path) -> dict[str, Position]:
+def _lines_of(data: bytes, names: Set[str]) -> bytes:
+    """Return the first line and the lines that begin with one of these paths; nothing for a file in which that is not clear."""
+    lines = io.BytesIO(data)
+    first = next(lines, b"")
+    if b'"' in data or not first.removeprefix(codecs.BOM_UTF8).lower().startswith(b"path,"):
+        return b""
+    wanted = {name.encode("utf-8", "surrogateescape") for name in names}
+    return b"".join([first, *(line for line in lines if line[: line.find(b",")] in wanted)])
+
+
+def _read(path: Path) -> bytes:
     try:
-        return read_positions(path.read_bytes())
+        data = path.read_bytes()
+        decode_text(data)
+    except UnicodeDecodeError as error:
+        raise _no_text(NAME) from error
     except OSError as error:
         raise DataError(
             f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
         ) from error
+    return data
+
+
+def _no_text(file: str) -> DataError:
+    return DataError(f"{file} is not a text file of comma-separated values in UTF-8; save it as such.")
 
 
 def _position(header: Sequence[str], values: Sequence[str], line: str, decimal_comma: bool) -> tuple[str, Position]:

@@ -1,9 +1,10 @@
-"""Rasterio, imported on first use, with GDAL's cache bounded."""
+"""The one door to GDAL: rasterio, imported on first use, with few of GDAL's drivers, without network, its cache bounded."""
 
 from __future__ import annotations
 
 import logging
 import os
+import re
 import threading
 import warnings
 from collections.abc import Iterator
@@ -15,15 +16,41 @@ from typing import Any
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 
-# Megabytes of decoded blocks that GDAL keeps in a process; its own default is 5 % of the memory.
-_CACHE_MEGABYTES = "192"
+# Formats that surveys hand over. None of them opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
+_DRIVERS = [
+    *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF"),
+    *("AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
+]
+# GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
+_BESIDE = (".ovr", ".msk", ".aux")
+_TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
+# GDAL takes a file for one of these if such words stand before its first zero, or in its name.
+_NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
+# The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
+# defence: a file that is opened all the same reaches no server, and runs no code.
+_ENVIRONMENT = {
+    "GDAL_CACHEMAX": "192",
+    "GDAL_SKIP": "WMS,WCS,WMTS,HTTP,EEDA,EEDAI,PLMOSAIC,DAAS,STACTA,STACIT",
+    "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
+    "GDAL_VRT_ENABLE_PYTHON": "NO",
+    "PROJ_NETWORK": "OFF",
+}
 # A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
 _MAX_BANDS = 4096
+# Side of the coarsest overview.
+_COARSEST = 512
+# Pixels of an empty file of three bands that overviews were made of in a minute, and the minutes above which a file is refused.
+PIXELS_PER_MINUTE, _MOST_MINUTES = 1.3e9, 10
 # `warnings.catch_warnings` changes the filters of all threads.
 _opening = threading.Lock()
 
 # Files that people give as maps and GDAL does not read here: suffixes, how the file begins, what it is, and what to do.
 _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
+    ((".vrt",), b"<VRTDataset", "a VRT, which names other files", "give those files, or make one with gdal_translate"),
+    ((".wms",), b"<GDAL_WMS", "the address of a map server (WMS)", "save its map as GeoTIFF, such as with QGIS"),
+    ((), b"<WCS_GDAL", "the address of a map server (WCS)", "save its map as GeoTIFF, such as with QGIS"),
+    ((".ntf", ".nitf"), b"NITF", "a NITF file", "convert it to GeoTIFF, such as with gdal_translate"),
+    ((".nc", ".h5", ".hdf"), b"\x89HDF", "a netCDF or HDF file", "export the right raster of it as GeoTIFF"),
     ((), b"version https://git-lfs", "a Git LFS pointer, not the file itself", "fetch it with git lfs pull"),
     ((), b"<!DOCTYPE html", "a page of HTML, as a failed download leaves it", "download the file again"),
     ((), b"<html", "a page of HTML, as a failed download leaves it", "download the file again"),
@@ -36,7 +63,7 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
     ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
     ((".shp", ".geojson", ".gpx", ".dxf", ".dwg"), b"", "a file of lines and points", "give a raster"),
-    ((".kml", ".kmz"), b"", "a file of Google Earth without one picture on the ground", "export the map as GeoTIFF"),
+    ((".kml", ".kmz"), b"", "a file of Google Earth", "give its picture with --corners, or export the map as GeoTIFF"),
     ((".tpk", ".tpkx", ".bundle"), b"", "a tile package of ArcGIS", "export the map as GeoTIFF"),
     (
         (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt"),
@@ -51,8 +78,9 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
 
 @cache
 def rasterio() -> Any:
-    """Import rasterio (the extra `maps`); GDAL_CACHEMAX in the environment takes precedence over our limit."""
-    os.environ.setdefault("GDAL_CACHEMAX", _CACHE_MEGABYTES)
+    """Import rasterio (the extra `maps`)."""
+    for name, value in _ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
     import rasterio
     import rasterio.shutil
     import rasterio.warp
@@ -71,27 +99,16 @@ def failures(*others: type[Exception]) -> tuple[type[Exception], ...]:
     return rasterio().errors.RasterioError, CPLE_BaseError, UnicodeDecodeError, *others
 
 
-def open_raster(path: Path) -> Any:
-    """Open a raster file for reading.
+def open_raster(path: Path, overviews: Path | None = None) -> Any:
+    """Open a raster file of a user for reading.
+
+    Args:
+        overviews: a TIFF of the file's overviews that lies elsewhere.
 
     Raises:
-        DataError: if it is missing, or no raster that GDAL reads.
+        DataError: if it is missing, has another format than is read here, or refers to other files.
     """
-    library = rasterio()
-    file_name = printable(str(path))
-    if not path.is_file():
-        raise DataError(f"There is no file {file_name}; check the path.")
-    with _opening, warnings.catch_warnings():
-        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
-        try:
-            file = library.open(path)
-        except failures() as error:
-            if other := _other(path):
-                raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
-            raise DataError(
-                f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
-                ".mbtiles of pictures."
-            ) from error
+    file, file_name = _checked(path), printable(str(path))
     if file.count > _MAX_BANDS:
         file.close()
         raise DataError(f"{file_name} would have {file.count} bands; it is damaged, so copy it again.")
@@ -103,7 +120,76 @@ def open_raster(path: Path) -> Any:
             if names
             else f"{file_name} holds no raster; expected a GeoTIFF, a picture, or an .mbtiles of pictures."
         )
+    return file if overviews is None else _with_overviews(file, overviews)
+
+
+def _checked(path: Path) -> Any:
+    """Open a file by the drivers of the list, after the files beside it that GDAL opens by any driver."""
+    library = rasterio()
+    file_name = printable(str(path))
+    if not path.is_file():
+        raise DataError(f"There is no file {file_name}; check the path.")
+    names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
+    for beside in path.parent.iterdir():
+        if beside.name.lower() in names and beside.name != path.name and beside.is_file():
+            _check_beside(beside)
+    with _opening, warnings.catch_warnings(), library.Env():
+        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+        try:
+            # From the root on it is a path, and no address or other name that GDAL knows.
+            file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
+        except failures() as error:
+            if other := _other(path):
+                raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
+            raise DataError(
+                f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
+                ".mbtiles of pictures."
+            ) from error
+    start = os.fsencode(path.absolute()) + _head(path).partition(b"\0")[0]
+    if _NAMES_OTHERS.search(start) or file.tags(ns="OVERVIEWS"):
+        file.close()
+        raise DataError(
+            f"{file_name} names other files, in its own name, before its picture, or for its overviews; make a copy "
+            "without, such as with gdal_translate."
+        )
     return file
+
+
+def _check_beside(path: Path) -> None:
+    """Refuse a file beside a raster that GDAL could take for more than overviews, a mask, or notes."""
+    head = _head(path)
+    if path.suffix.lower() == ".aux" and not head.startswith(b"EHFA"):
+        return
+    if not _TIFF_OR_IMAGINE.match(head):
+        raise DataError(
+            f"{printable(str(path))} holds neither overviews nor a mask as a TIFF; delete it, or make it again."
+        )
+    _checked(path).close()
+
+
+def _with_overviews(file: Any, overviews: Path) -> Any:
+    """Return an open raster with the overviews of another file: a VRT in memory, which no file can change."""
+    library = rasterio()
+    if not overviews.is_file():
+        raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
+    _check_beside(overviews)
+    with library.Env(), file, library.MemoryFile(ext=".vrt") as made:
+        library.shutil.copy(file, made.name, driver="VRT")
+        with library.open(made.name, "r+", driver="VRT") as vrt:
+            vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
+        return library.io.DatasetReader(made.name, driver="VRT")
+
+
+def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
+    """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
+    library = rasterio()
+    with (
+        library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"),
+        library.open(path, "r+", driver=driver) as file,
+    ):
+        side = max(file.width, file.height)
+        factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
+        file.build_overviews(factors, library.enums.Resampling[method])
 
 
 @contextmanager
@@ -118,6 +204,17 @@ def opened(path: Path) -> Iterator[Any]:
             yield file
         except failures() as error:
             raise damaged(path, error) from error
+
+
+def check_work(file: Any, path: Path) -> None:
+    """Refuse a raster of which a first look, at all pixels of its coarsest overview, would take too long."""
+    minutes = file.width * file.height / max(file.overviews(1), default=1) ** 2 / PIXELS_PER_MINUTE
+    if minutes > _MOST_MINUTES:
+        raise DataError(
+            f"{printable(str(path))} has {file.width} x {file.height} pixels, and a first look at it would take "
+            f"{minutes:.0f} minutes or more; cut it to the ground that you need (gdal_translate -projwin), or give it coarser "
+            "overviews (gdaladdo)."
+        )
 
 
 def damaged(path: Path, error: Exception) -> DataError:
@@ -143,8 +240,7 @@ def transform(source: Any, target: Any, x: Any, y: Any) -> tuple[Any, Any]:
 def _other(path: Path) -> tuple[str, str] | None:
     """Return what a file is that is no raster, and what to do; None if that is not known."""
     try:
-        with path.open("rb") as file:
-            head = file.read(64)
+        head = _head(path).lstrip()
     except OSError:
         return None
     if not head:
@@ -160,10 +256,15 @@ def _other(path: Path) -> tuple[str, str] | None:
     )
 
 
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4096)
+
+
 def _reason(error: Exception, path: Path) -> str:
     while isinstance(error.__cause__, Exception):  # which says more than "Read failed"
         error = error.__cause__
     if isinstance(error, UnicodeDecodeError):
         return "damaged text"
-    text = printable(str(error)).replace(str(path), path.name)
+    text = printable(str(error)).replace(str(path.absolute()), path.name)
     return text.removeprefix(f"'{path.name}' ").rstrip(".")[:200]

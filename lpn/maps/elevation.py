@@ -108,6 +108,7 @@ class ElevationSource:
             raise InputError(f"The unit of heights is {printable(given.unit)!r}; expected {', '.join(UNITS)}.")
         with _gdal.opened(given.path) as file:
             self._check(file)
+            _gdal.check_work(file, given.path)
             self.crs, self.matrix = file.crs, _matrix(file.transform)
             self.width, self.height = int(file.width), int(file.height)
             self.metres = UNITS[self._unit(file, given.unit)]

@@ -2,7 +2,7 @@
 
     map.json            format, frame, and for each sheet its file, CRS, transform, and treatment; names them when all are done
     coverage.png        share of each cell that is valid, 0 to 255
-    sheets/01.vrt       a large sheet without overviews, beside 01.vrt.ovr with its overviews
+    sheets/01.ovr       overviews of a large sheet without any
     sheets/02.tif       a tiled copy, with overviews, of a large sheet whose file must be read from its beginning
     sheets/elevation.tif  heights of the map's ground in metres, in the CRS and at the resolution of the file that was given
 
@@ -50,8 +50,10 @@ _ELEVATION = "elevation.tif"
 _MOST_NAMES = 10
 # Files that GDAL may write beside a raster.
 _ENDS = ("", ".ovr", ".aux.xml", ".msk", ".msk.ovr")
-# Sides above which a sheet gets overviews, and the side of the coarsest overview.
-_LARGE, _COARSEST = 2048, 512
+# Endings of a copy, of overviews, and of the VRT that overviews are made of.
+_KINDS = (".tif", ".ovr", ".part.tif", ".part.vrt")
+# Side above which a sheet gets overviews.
+_LARGE = 2048
 # Pixels above which a file that is not tiled is copied.
 _MAX_UNTILED = 25_000_000
 
@@ -68,6 +70,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
         width, height: in pixels.
         treatment: None for tiles without a border.
         notes: sentences about how it is read.
+        overviews: the file that holds them, if `file` does not.
     """
 
     name: str
@@ -79,6 +82,7 @@ class SheetRecord(msgspec.Struct, frozen=True):
     height: int
     treatment: Treatment | None
     notes: list[str]
+    overviews: str | None = None
 
 
 class ElevationRecord(msgspec.Struct, frozen=True):
@@ -223,10 +227,11 @@ def _build(
         if place is None:
             sheets.append(open_sheet(file, options))
             continue
-        path = _prepared(file, target, on_progress)
-        if path.parent == target.parent:
-            kept |= {f"{path.name}{end}" for end in _ENDS}
-        sheets.append(raster_sheet(file, path, *place, options))
+        path, overviews = _prepared(file, target, on_progress)
+        kept |= {
+            f"{own.name}{end}" for own in (path, overviews) if own and own.parent == target.parent for end in _ENDS
+        }
+        sheets.append(raster_sheet(file, path, *place, options, overviews=overviews))
         sheets[-1].raster.notes += notes
     if heights is not None:
         kept.add(_ELEVATION)
@@ -349,17 +354,13 @@ def _has(folder: Path) -> bool:
 
 
 def _record(sheet: Sheet, out: Path) -> SheetRecord:
-    path = sheet.raster.path.resolve()
-    try:
-        file = Path(os.path.relpath(path, out.resolve())).as_posix()
-    except ValueError:  # another drive
-        file = str(path)
+    overviews = getattr(sheet.raster, "overviews", None)
     code = sheet.crs.to_epsg()
     a, b, c, d, e, f = sheet.matrix.ravel().tolist()
     raster = sheet.raster
     return SheetRecord(
         sheet.name,
-        file,
+        _relative(sheet.raster.path, out),
         "tiles" if isinstance(raster, TileRaster) else "raster",
         f"EPSG:{code}" if code else sheet.crs.to_wkt(),
         (a, b, c, d, e, f),
@@ -367,7 +368,15 @@ def _record(sheet: Sheet, out: Path) -> SheetRecord:
         raster.height,
         raster.treatment,
         raster.notes,
+        overviews and _relative(overviews, out),
     )
+
+
+def _relative(path: Path, out: Path) -> str:
+    try:
+        return Path(os.path.relpath(path.resolve(), out.resolve())).as_posix()
+    except ValueError:  # another drive
+        return str(path.resolve())
 
 
 def _opened(folder: Path, record: SheetRecord) -> Sheet:
@@ -381,7 +390,9 @@ def _opened(folder: Path, record: SheetRecord) -> Sheet:
     raster = (
         TileRaster(path, record.treatment, keep_borders=True)
         if record.kind == "tiles"
-        else GdalRaster(path, record.treatment)
+        else GdalRaster(
+            path, record.treatment, overviews=None if record.overviews is None else folder / record.overviews
+        )
     )
     if (raster.width, raster.height) != (record.width, record.height):
         raise DataError(
@@ -399,9 +410,7 @@ def _write(out: Path, record: MapRecord) -> None:
 
 def _names(target: Path) -> set[str]:
     """Return the names of all files that a sheet's overviews or copy may leave in `sheets/`, also after a kill."""
-    return {
-        f"{target.name}{part}{suffix}{end}" for part in ("", ".part") for suffix in (".vrt", ".tif") for end in _ENDS
-    }
+    return {f"{target.name}{kind}{end}" for kind in _KINDS for end in _ENDS}
 
 
 def _check_inputs(files: Sequence[Path], out: Path) -> None:
@@ -470,8 +479,8 @@ def _check_places(
         heights.box(whole.frame, whole.bounds)
 
 
-def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) -> Path:
-    """Return the file to read a sheet from: the source, a tiled copy of it, or a VRT with overviews."""
+def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) -> tuple[Path, Path | None]:
+    """Return the file to read a sheet from, the source or a tiled copy of it, and the file of its overviews if it has none."""
     with _gdal.opened(source) as file:
         width, height = int(file.width), int(file.height)
         tiled = file.block_shapes[0][1] < width or len(file.overviews(1)) > 0
@@ -482,11 +491,11 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
         bound = clear or (is_jpeg(file) and "alpha" in [meaning.name for meaning in file.colorinterp])
     copied = not tiled and not bound and width * height > _MAX_UNTILED
     if has_overviews and not copied:
-        return source
+        return source, None
     library = _gdal.rasterio()
     target.parent.mkdir(parents=True, exist_ok=True)
-    suffix = ".tif" if copied else ".vrt"
-    part, whole = target.with_suffix(f".part{suffix}"), target.with_suffix(suffix)
+    part = target.with_suffix(".part.tif" if copied else ".part.vrt")
+    whole = target.with_suffix(".tif" if copied else ".ovr")
     options = {}
     if copied:
         options = {
@@ -496,23 +505,28 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
             "COMPRESS": "DEFLATE",
             "BIGTIFF": "IF_SAFER",
         }
-    factors = [1 << i for i in range(1, 20) if max(width, height) >> (i - 1) > _COARSEST]
-    method = library.enums.Resampling.nearest if paletted else library.enums.Resampling.average
     try:
-        with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), warnings.catch_warnings():
+        with library.Env(), warnings.catch_warnings():
             warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
             if copied:
                 on_progress(f"Copying {printable(source.name)} into tiles: its own file is slow to read in windows.")
-            library.shutil.copy(str(source.resolve()), str(part), driver="GTiff" if copied else "VRT", **options)
-            on_progress(f"Making overviews of {printable(source.name)}.")
-            with library.open(part, "r+") as file:
-                file.build_overviews(factors, method)
+            driver = "GTiff" if copied else "VRT"
+            with _gdal.open_raster(source) as file:
+                library.shutil.copy(file, str(part), driver=driver, **options)
+            minutes = width * height / _gdal.PIXELS_PER_MINUTE
+            about = f", which takes about {minutes:.0f} minutes" if minutes >= 2 else ""
+            on_progress(f"Making overviews of {printable(source.name)}{about}.")
+            _gdal.build_overviews(part, driver, "nearest" if paletted else "average")
     except _gdal.failures() as error:
         raise OutputError(
             f"{printable(str(whole))} cannot be written ({printable(str(error))[:200]}); free space, or check "
             f"{printable(source.name)}."
         ) from error
-    for end in (".ovr", ""):
-        with suppress(FileNotFoundError):
-            os.replace(f"{part}{end}", f"{whole}{end}")
-    return whole
+    if copied:
+        part.replace(whole)
+        return whole, None
+    made = Path(f"{part}.ovr")
+    if not made.exists():  # too small for any
+        return source, None
+    made.replace(whole)
+    return source, whole

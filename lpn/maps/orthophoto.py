@@ -40,8 +40,6 @@ _BLOCKS, _FAR, _OUTLIER = 5, 9.0, 4.45
 # A flight turns beyond this angle. Tags of one leg may share this error in metres, which their scatter does not show; the share
 # of the photos above which one leg is nearly all of the flight.
 _TURN, _SHARED, _MOST_OF_ONE_LEG = np.pi / 4, 5.0, 2 / 3
-# Side of the coarsest overview in pixels.
-_COARSEST = 512
 # Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
 _STEPS = {
     "Extracting features": "Step 1 of 3: looking for points to match in {photos} photos.",
@@ -94,7 +92,7 @@ def build_from_photos(
             report = lay_photos(photos, file)
         file.with_name(f"{name}_report.json").unlink()
         on_progress(f"Making overviews of {printable(file.name)}.")
-        _make_overviews(file)
+        _gdal.build_overviews(file)
         middles, known = middles_and_tags(report, photos, tags)
         own = place_error(middles, known)
         notes = [*_left_out(report), _limits(report["images_used"], middles, known, own)]
@@ -196,14 +194,6 @@ def _steps(photos: int, on_progress: Callable[[str], None]) -> Iterator[None]:
         log.removeHandler(teller)
         log.setLevel(level)
         log.propagate = True
-
-
-def _make_overviews(file: Path) -> None:
-    library = _gdal.rasterio()
-    with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), library.open(file, "r+") as raster:
-        side = max(raster.width, raster.height)
-        factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
-        raster.build_overviews(factors, library.enums.Resampling.average)
 
 
 def _left_out(report: dict[str, Any]) -> list[str]:

@@ -101,6 +101,7 @@ class GdalRaster:
         bands: numbers, from 1, of the bands to show, one or three; None takes those marked as colours.
         keep_borders: do not look for white and black borders.
         name: of the file in notes; by default its own.
+        overviews: a TIFF of the file's overviews that lies elsewhere.
 
     Raises:
         DataError: if it cannot be read, its numbers are complex, or it has no valid pixel.
@@ -114,14 +115,16 @@ class GdalRaster:
         bands: Sequence[int] | None = None,
         keep_borders: bool = False,
         name: str | None = None,
+        overviews: Path | None = None,
     ) -> None:
-        self.path = path
+        self.path, self.overviews = path, overviews
         self._called = name or path.name
         self.notes: list[str] = []
         self._handles: deque[Any] = deque()
         self._lock = Lock()
         with self._handle() as file:
             self.width, self.height = int(file.width), int(file.height)
+            _gdal.check_work(file, self.path)
             self._palette = _palette(file)
             self.treatment = self._bands(file, bands)
             if treatment is not None:
@@ -162,7 +165,7 @@ class GdalRaster:
         return self._rgb(values), valid
 
     def files(self) -> list[Path]:
-        """See `Raster.files`: the file, those that a .vrt refers to, overviews, and masks."""
+        """See `Raster.files`: the file, overviews, and masks."""
         with self._handle() as file:
             return sorted(Path(name) for name in file.files if not name.endswith(".aux.xml"))
 
@@ -181,7 +184,7 @@ class GdalRaster:
         try:
             handle = self._handles.pop()
         except IndexError:
-            handle = _gdal.open_raster(self.path)
+            handle = _gdal.open_raster(self.path, self.overviews)
         try:
             yield handle
         except _gdal.failures() as error:

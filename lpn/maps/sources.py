@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import zipfile
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,10 +25,8 @@ from lpn.maps.tiles import TileRaster
 _CONTROL_ERROR = 2.0
 # Files and folders of a tile cache.
 _ARCGIS = ("_alllayers", "conf.xml", "conf.cdi")
-# Bytes of a KML that are looked at.
-_MAX_KML = 1 << 20
 # Files of a folder that are taken as sheets.
-_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".vrt", ".mbtiles", ".sqlitedb", ".img")
+_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".mbtiles", ".sqlitedb", ".img")
 
 
 @dataclass(frozen=True)
@@ -93,10 +89,16 @@ def open_sheet(path: Path, options: MapOptions) -> Sheet:
 
 
 def raster_sheet(
-    source: Path, path: Path, crs: Any, matrix: Float64Array, options: MapOptions, treatment: Treatment | None = None
+    source: Path,
+    path: Path,
+    crs: Any,
+    matrix: Float64Array,
+    options: MapOptions,
+    treatment: Treatment | None = None,
+    overviews: Path | None = None,
 ) -> Sheet:
     """Open a sheet whose georeference is known; `path` is the source itself, or a copy of it."""
-    raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name)
+    raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name, overviews)
     return Sheet(source.name, raster, crs, matrix)
 
 
@@ -152,11 +154,18 @@ def parse_crs(text: str) -> Any:
     Raises:
         InputError: if it is none.
     """
-    library = _gdal.rasterio()
     try:
-        return library.crs.CRS.from_user_input(f"EPSG:{text}" if text.isdecimal() else text)
+        return _crs(f"EPSG:{text}" if text.isdecimal() else text)
     except _gdal.failures(ValueError) as error:
         raise InputError(f"There is no CRS {printable(text)[:100]!r}; expected one such as EPSG:32632.") from error
+
+
+def _crs(text: str, **options: bool) -> Any:
+    """Return the rasterio CRS of a text; `from_user_input` alone would open a text that is a path or an address."""
+    known = _gdal.rasterio().crs.CRS
+    if re.match(r"[A-Z]+:[A-Z0-9+]+$|\+proj=", text, re.IGNORECASE):
+        return known.from_user_input(text)
+    return known.from_wkt(text, **options)
 
 
 def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
@@ -194,7 +203,6 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
         )
     if options.crs is not None:
         return parse_crs(options.crs), matrix
-    _check_overlay(path)
     crs = file.crs or file.gcps[1] or _projection_file(path)
     if not crs:
         raise DataError(
@@ -233,41 +241,6 @@ def _matrix(path: Path, file: Any) -> Float64Array | None:
     return None if world is None else _world_file(world)
 
 
-def _check_overlay(path: Path) -> None:
-    """Refuse an overlay of Google Earth whose turn GDAL leaves out.
-
-    Raises:
-        DataError: if it is turned.
-    """
-    if path.suffix.lower() not in (".kml", ".kmz"):
-        return
-    try:
-        if zipfile.is_zipfile(path):
-            with zipfile.ZipFile(path) as archive:
-                names = [name for name in archive.namelist() if name.lower().endswith(".kml")]
-                with archive.open(names[0]) as member:
-                    data = member.read(_MAX_KML)
-        else:
-            with path.open("rb") as plain:
-                data = plain.read(_MAX_KML)
-    except (
-        OSError,
-        IndexError,
-        ValueError,
-        RuntimeError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise DataError(f"{printable(str(path))} holds no KML that can be read; export it again.") from error
-    turn = re.search(rb"<rotation>\s*([-+.0-9eE]+)", data)
-    if turn and turn[1].strip(b"-+.0eE"):
-        raise DataError(
-            f"{printable(str(path))} is turned by {turn[1].decode()} degrees about its middle, which is not read; export it as "
-            "GeoTIFF, such as with QGIS."
-        )
-
-
 def _world_file(path: Path) -> Float64Array:
     """Read a world file: the steps of x and y for a column, those for a row, and the centre of the first pixel."""
     try:
@@ -285,12 +258,8 @@ def _projection_file(path: Path) -> Any:
     file = _beside(path, [".prj"])
     if file is None:
         return None
-    library = _gdal.rasterio()
     try:
-        text = _text(file).strip()
-        if re.match(r"EPSG:[0-9]+$|\+proj", text, re.IGNORECASE):
-            return library.crs.CRS.from_user_input(text)
-        return library.crs.CRS.from_wkt(text, morph_from_esri_dialect=True)
+        return _crs(_text(file).strip(), morph_from_esri_dialect=True)
     except _gdal.failures(OSError, ValueError) as error:
         raise DataError(
             f"{printable(str(file))} holds no coordinate reference system that can be read; give --crs."

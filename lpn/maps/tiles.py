@@ -24,6 +24,8 @@ from lpn.maps.tile_sets import Extent, TileAddress, open_tiles
 # Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres; World Mercator uses it, too.
 _HALF = math.pi * 6_378_137.0
 _CACHED_TILES = 128
+# Pillow would run Ghostscript for a tile in PostScript.
+_FORMATS = ("PNG", "JPEG", "WEBP", "GIF", "BMP")
 # Pixels of a tile's side.
 _MIN_SIDE, _MAX_SIDE = 16, 4096
 # Tiles that are looked at for the size of all.
@@ -333,7 +335,7 @@ class TileRaster:
                 self.notes.append(note)
             return None
         try:
-            with Image.open(io.BytesIO(data)) as image:
+            with Image.open(io.BytesIO(data), formats=_FORMATS) as image:
                 if max(image.size) > _MAX_SIDE:
                     raise ValueError(f"{image.size[0]} x {image.size[1]} pixels")
                 pixels: AnyArray = np.asarray(image.convert("RGBA"))

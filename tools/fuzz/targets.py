@@ -756,11 +756,10 @@ def maps(folder: Path) -> list[FuzzCase]:
     (folder / "world.pgw").write_bytes(world)
     Image.fromarray(picture).save(folder / "listed.png")
     header = "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon\n"
-    Image.fromarray(picture).save(folder / "over.png")
-    overlay = (
-        '<kml xmlns="http://www.opengis.net/kml/2.2"><GroundOverlay><Icon><href>over.png</href></Icon><LatLonBox><north>48</north>'
-        "<south>47.999</south><east>9.0014</east><west>9</west><rotation>0</rotation></LatLonBox></GroundOverlay></kml>"
-    )
+    notes = b'<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">/vsicurl/http://127.0.0.1:9/a.tif</MDI></Metadata></PAMDataset>'
+    geotiff("beside.tif", 1, "uint8")
+    geotiff("beside.tif.ovr", 1, "uint8")
+    (folder / "beside.tif.aux.xml").write_bytes(b"<PAMDataset></PAMDataset>")
     metadata = {"bounds": small_tiles.bounds_text(), "scheme": "tms", "minzoom": "18"}
     databases = [
         small_tiles.write_mbtiles(folder / "a.mbtiles", tiles, metadata, side=32).read_bytes(),
@@ -777,7 +776,9 @@ def maps(folder: Path) -> list[FuzzCase]:
         file("world.pgw", world, "world.png"),
         file("world.prj", b"EPSG:32632", "world.png"),
         file("map.csv", (header + "listed.png,48.0,9.0,47.999,9.0014\n").encode(), "map.csv"),
-        file("over.kml", overlay.encode()),
+        file("beside.tif.ovr", (folder / "beside.tif.ovr").read_bytes(), "beside.tif"),
+        file("beside.tif.aux.xml", notes, "beside.tif"),
+        file("named.tif", b'<VRTDataset rasterXSize="64" rasterYSize="64"></VRTDataset>'),
         file("tiles/" + first.relative_to(folder / "tiles").as_posix(), first.read_bytes(), "tiles"),
         file("tiles/metadata.json", json.dumps(metadata).encode(), "tiles"),
         file("map/map.json", (folder / "map" / "map.json").read_bytes(), "map"),

@@ -108,9 +108,10 @@ def test_a_large_sheet_gets_overviews_beside_map_json(tmp_path: Path) -> None:
     messages: list[str] = []
     build_map([path], tmp_path / "map", on_progress=messages.append)
     assert "Making overviews of a.tif." in messages
-    assert sorted(file.name for file in (tmp_path / "map" / "sheets").iterdir()) == ["01.vrt", "01.vrt.ovr"]
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
     assert path.read_bytes() == before
     town = open_map(tmp_path / "map")
+    assert {file.name for file in town.sheets[0].raster.files()} == {"a.tif", "01.ovr"}
     same(town, open_map(path), 3)
     whole = (town.overview(400), open_map(path).overview(400))
     np.testing.assert_allclose(whole[0][0].astype(int), whole[1][0], atol=3)
@@ -185,7 +186,7 @@ def test_nothing_that_lpn_map_did_not_write_is_deleted_or_replaced(tmp_path: Pat
     # A folder that looks like one of a map, and holds a user's pictures.
     mine = tmp_path / "town" / "sheets"
     mine.mkdir(parents=True)
-    for name in ("a.tif", "01.vrt", "01.tif"):
+    for name in ("a.tif", "01.ovr", "01.tif"):
         write_geotiff(mine / name, smooth(60, 60))
     (mine / "notes.txt").write_text("mine")
     before = contents(tmp_path)
@@ -200,16 +201,16 @@ def test_nothing_that_lpn_map_did_not_write_is_deleted_or_replaced(tmp_path: Pat
     # A user's files in the folder of a map.
     build_map([large], tmp_path / "map")
     sheets = tmp_path / "map" / "sheets"
-    for name in ("02.vrt", "old.tif", "notes.txt"):
+    for name in ("02.ovr", "old.tif", "notes.txt"):
         (sheets / name).write_text("mine")
     (tmp_path / "map" / "readme.txt").write_text("mine")
     with pytest.raises(InputError, match="the folder that the map is written to"):
         build_map([sheets / "old.tif"], tmp_path / "map")
-    with pytest.raises(OutputError, match=r"02.vrt was not written by lpn map"):
+    with pytest.raises(OutputError, match=r"02.ovr was not written by lpn map"):
         build_map([small, large], tmp_path / "map")
     assert open_map(tmp_path / "map").name == "large"
     build_map([small], tmp_path / "map")
-    assert sorted(path.name for path in sheets.iterdir()) == ["02.vrt", "notes.txt", "old.tif"]
+    assert sorted(path.name for path in sheets.iterdir()) == ["02.ovr", "notes.txt", "old.tif"]
     assert (tmp_path / "map" / "readme.txt").read_text() == "mine"
 
 
@@ -227,7 +228,7 @@ def test_a_run_that_was_killed_is_no_map_and_is_done_again(tmp_path: Path, monke
     with pytest.raises(DataError, match="names no sheet"):
         open_map(tmp_path / "map")
     build_map([large], tmp_path / "map")
-    assert sorted(file.name for file in (tmp_path / "map" / "sheets").iterdir()) == ["01.vrt", "01.vrt.ovr"]
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
     assert open_map(tmp_path / "map").name == "a"
 
 

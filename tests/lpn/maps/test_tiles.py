@@ -1,18 +1,21 @@
 from __future__ import annotations
 
 import gzip
+import io
 import json
 import math
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pyproj
 import pytest
-from PIL import Image
+from PIL import EpsImagePlugin, Image
 
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
@@ -347,6 +350,20 @@ def test_changes_that_are_still_in_the_log_of_a_database_are_read(tmp_path: Path
     assert town.bounds[2] - town.bounds[0] == pytest.approx((same.bounds[2] - same.bounds[0]) / 2, abs=0.1)
     town.close()
     database.close()
+
+
+def test_a_tile_in_postscript_runs_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = MagicMock()
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran)
+    drawn = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"
+    with Image.open(io.BytesIO(drawn)) as picture, suppress(AttributeError, TypeError):
+        picture.load()
+    assert ran.called  # by Pillow itself
+    ran.reset_mock()
+    refused(
+        write_mbtiles(tmp_path / "a.mbtiles", PICTURE, METADATA, encode=lambda _: drawn), "cannot be read as a picture"
+    )
+    assert not ran.called
 
 
 def test_vector_tiles_are_named(tmp_path: Path) -> None:

@@ -1,0 +1,327 @@
+"""Files of users that would make GDAL read other files or ask servers."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.demo import DEMO_FLIGHT
+from lpn.core.errors import DataError, LPNError
+from lpn.maps import MapOptions, open_map
+from lpn.maps.elevation import ElevationFile, ElevationSource
+from lpn.maps.folder import build_map
+from tests.lpn.maps.small_maps import smooth, write_geotiff
+
+_LISTENER = """
+import socket, sys
+listener = socket.create_server(("127.0.0.1", 0))
+print(listener.getsockname()[1], flush=True)
+while True:
+    connection = listener.accept()[0]
+    connection.settimeout(60)
+    with connection, open(sys.argv[1], "ab") as heard:
+        heard.write(connection.recv(1000).split(b"\\r\\n")[0] + b"\\n")
+        heard.flush()
+        connection.sendall(b"HTTP/1.1 404 Not Found\\r\\nContent-Length: 0\\r\\nConnection: close\\r\\n\\r\\n")
+"""
+# Rasterio by itself, as it reads a map: overviews, then pixels.
+_PLAIN = """
+import sys, rasterio
+for path in sys.argv[1:]:
+    try:
+        with rasterio.open(path) as file:
+            file.overviews(1), file.read(1, out_shape=(8, 8)), file.crs
+    except Exception as error:
+        print(path, error)
+"""
+_WMS = (
+    '<GDAL_WMS><Service name="TMS"><ServerUrl>{}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service><DataWindow><UpperLeftX>0'
+    "</UpperLeftX><UpperLeftY>600</UpperLeftY><LowerRightX>600</LowerRightX><LowerRightY>0</LowerRightY><TileLevel>2</TileLevel>"
+    "<SizeX>600</SizeX><SizeY>600</SizeY></DataWindow><Projection>EPSG:3857</Projection><BandsCount>3</BandsCount></GDAL_WMS>"
+)
+_WCS = "<WCS_GDAL><ServiceURL>{}/wcs?</ServiceURL><Version>1.0.0</Version><CoverageName>a</CoverageName></WCS_GDAL>"
+_VRT = (
+    '<VRTDataset rasterXSize="600" rasterYSize="600"><VRTRasterBand dataType="Byte" band="1"><SimpleSource><SourceFilename>'
+    "/vsicurl/{}/a.tif</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+)
+_RAW = (
+    '<VRTDataset rasterXSize="20" rasterYSize="20"><GeoTransform>0,1,0,0,0,-1</GeoTransform>'
+    '<VRTRasterBand dataType="Byte" band="1" subClass="VRTRawRasterBand">'
+    '<SourceFilename relativeToVRT="1">secret.txt</SourceFilename><PixelOffset>1</PixelOffset><LineOffset>20</LineOffset>'
+    "</VRTRasterBand></VRTDataset>"
+)
+_NOTES = (
+    '<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">/vsicurl/{}/a.tif</MDI></Metadata></PAMDataset>'
+)
+
+
+class Listener:
+    """A server on loopback in a process of its own: GDAL holds Python's lock while it asks."""
+
+    def __init__(self, log: Path) -> None:
+        log.touch()
+        self._log = log
+        self._process = subprocess.Popen([sys.executable, "-c", _LISTENER, log], stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        self.address = f"http://127.0.0.1:{int(self._process.stdout.readline())}"
+
+    def heard(self) -> list[str]:
+        return self._log.read_text().splitlines()
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+@pytest.fixture
+def listener(tmp_path: Path) -> Iterator[Listener]:
+    made = Listener(tmp_path / "heard.txt")
+    yield made
+    made.close()
+
+
+def ask_plainly(*paths: Path, **environment: str) -> None:
+    """Open files by rasterio itself in a process of its own."""
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("GDAL", "CPL_"))}
+    subprocess.run([sys.executable, "-c", _PLAIN, *paths], env=plain | environment, check=True)
+
+
+def text(contents: str, suffix: str = ".tif") -> Callable[[Path, str], Path]:
+    def write(folder: Path, address: str) -> Path:
+        path = folder / f"town{suffix}"
+        path.write_text(contents.format(address))
+        return path
+
+    return write
+
+
+def beside(contents: str, end: str) -> Callable[[Path, str], Path]:
+    def write(folder: Path, address: str) -> Path:
+        path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
+        Path(f"{path}{end}").write_text(contents.format(address))
+        return path
+
+    return write
+
+
+def inside(folder: Path, address: str) -> Path:
+    """Write a whole GeoTIFF whose own tag names its overviews."""
+    import rasterio
+
+    path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
+    with rasterio.open(path, "r+") as file:
+        file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=f"/vsicurl/{address}/a.tif")
+    return path
+
+
+def overviews_of_overviews(folder: Path, address: str) -> Path:
+    """Write a GeoTIFF with overviews beside it, whose own notes name further ones."""
+    path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
+    inside(folder, address).rename(folder / "town.tif.ovr")
+    return write_geotiff(path, smooth(1200, 1200)[:, :, :1])
+
+
+def polyglot(folder: Path, address: str) -> Path:
+    """Write a JPEG with a VRT as its comment, which stands before any zero."""
+    path, packed = folder / "town.jpg", io.BytesIO()
+    Image.fromarray(smooth(600, 600)).save(packed, "JPEG")
+    comment = _VRT.format(address).encode().ljust(0x0401, b" ")
+    path.write_bytes(b"\xff\xd8\xff\xfe" + (len(comment) + 2).to_bytes(2, "big") + comment + packed.getvalue()[2:])
+    return path
+
+
+CASES: dict[str, Callable[[Path, str], Path]] = {
+    "WMS": text(_WMS),
+    "WMS as a picture": text(_WMS, ".png"),
+    "WCS": text(_WCS),
+    "VRT": text(_VRT),
+    "VRT by its name": text(_VRT, ".vrt"),
+    "VRT as heights": text(_VRT, ".asc"),
+    "overviews that are a WMS": beside(_WMS, ".ovr"),
+    "overviews that are a VRT": beside(_VRT, ".OVR"),
+    "notes that name overviews": beside(_NOTES, ".aux.xml"),
+    "a tag that names overviews": inside,
+    "overviews that name overviews": overviews_of_overviews,
+    "a JPEG that is a VRT, too": polyglot,
+}
+
+
+def doors(path: Path, out: Path) -> dict[str, Callable[[], Any]]:
+    """Return what opens rasters of users."""
+    flight = str(DEMO_FLIGHT[1])
+    town = write_geotiff(out / "ortho.tif", smooth(60, 60))
+    return {
+        "open_map": lambda: open_map(path).overview(8),
+        "open_map with corners": lambda: open_map(path, MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))).overview(8),
+        "build_map": lambda: build_map([path], out / "map"),
+        "elevation": lambda: ElevationSource(ElevationFile(path)),
+        "lpn map": lambda: main(["map", str(path), "--out", str(out / "map")]),
+        "lpn map --elevation": lambda: main(["map", str(town), "--elevation", str(path), "--out", str(out / "map")]),
+        "lpn locate": lambda: main(
+            ["locate", "--map", str(path), "--flight", flight, "--out", str(out / "track.geojson")]
+        ),
+        "lpn map --from-flight": lambda: main(
+            ["map", "--from-flight", flight, "--elevation", str(path), "--out", str(out / "own")]
+        ),
+    }
+
+
+def outcome(door: Callable[[], Any]) -> str:
+    """Return the sentence by which a door refuses a file, or what else came of it."""
+    try:
+        result = door()
+    except LPNError as error:
+        return str(error)
+    return "a command said it" if result == 2 else f"opened: {result}"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Listener, case: str) -> None:
+    theirs, ours = tmp_path / "theirs", tmp_path / "ours"
+    theirs.mkdir()
+    ours.mkdir()
+    path = CASES[case](theirs, listener.address)
+    for name, door in doors(path, ours).items():
+        said = outcome(door)
+        assert not said.startswith("opened"), name
+        assert "\n" not in said, name
+        assert not listener.heard(), name
+    main(["doctor", "--data", str(theirs)])
+    assert not listener.heard()
+    # The second line of defence.
+    from lpn.maps import _gdal
+
+    ask_plainly(path, **_gdal._ENVIRONMENT)
+    assert not listener.heard()
+    # The same file is a breach without both.
+    ask_plainly(path)
+    assert listener.heard()
+
+
+@pytest.mark.parametrize(
+    ("contents", "words"),
+    [
+        (_WMS, "is the address of a map server (WMS); save its map as GeoTIFF"),
+        (_WCS, "is the address of a map server (WCS); save its map as GeoTIFF"),
+        (_VRT, "is a VRT, which names other files; give those files"),
+        (f"\n {_VRT}", "is a VRT, which names other files; give those files"),
+    ],
+)
+def test_text_that_names_others_is_called_what_it_is(tmp_path: Path, contents: str, words: str) -> None:
+    path = text(contents)(tmp_path, "http://127.0.0.1:9")
+    with pytest.raises(DataError) as caught:
+        open_map(path)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".vrt"])
+def test_a_raw_band_over_a_text_file_is_refused(tmp_path: Path, suffix: str) -> None:
+    import rasterio
+
+    (tmp_path / "secret.txt").write_bytes(b"what no map shows. " * 30)
+    path = text(_RAW, suffix)(tmp_path, "")
+    with rasterio.open(path) as file:
+        assert file.read(1).tobytes().startswith(b"what no map shows.")
+    for name, door in doors(path, tmp_path).items():
+        said = outcome(door)
+        assert "is a VRT" in said or said == "a command said it", name
+    assert not (tmp_path / "map").exists()
+
+
+@pytest.mark.parametrize("change", ["a sheet", "overviews"])
+def test_a_folder_of_a_map_from_elsewhere_reads_no_text_file(tmp_path: Path, change: str) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    build_map([path], tmp_path / "map").close()
+    (tmp_path / "map" / "sheets" / "secret.txt").write_bytes(b"what no map shows. " * 30)
+    raw = text(_RAW)(tmp_path / "map" / "sheets", "")
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    assert known["sheets"][0]["overviews"] == "sheets/01.ovr"
+    known["sheets"][0] |= {"overviews": "sheets/town.tif"} if change == "overviews" else {"file": "sheets/town.tif"}
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match=r"town\.tif (is a VRT|holds neither overviews)"):
+        open_map(tmp_path / "map").overview(8)
+    assert raw.exists()
+
+
+def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file(
+    tmp_path: Path, listener: Listener
+) -> None:
+    from rasterio.crs import CRS
+
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    (tmp_path / "wkt.txt").write_text(CRS.from_epsg(32632).to_wkt())
+    plain = write_geotiff(tmp_path / "b.tif", smooth(60, 60), crs=None)
+    for crs in (f"{listener.address}/crs", str(tmp_path / "wkt.txt")):
+        assert main(["map", str(path), "--crs", crs, "--out", str(tmp_path / "map")]) == 2
+        plain.with_suffix(".prj").write_text(crs)
+        assert main(["map", str(plain), "--out", str(tmp_path / "map")]) == 2
+        build_map([path], tmp_path / "whole").close()
+        manifest = tmp_path / "whole" / "map.json"
+        known = json.loads(manifest.read_text())
+        known["sheets"][0]["crs"] = crs
+        manifest.write_text(json.dumps(known))
+        with pytest.raises(LPNError, match="There is no CRS"):
+            open_map(tmp_path / "whole")
+    assert not listener.heard()
+    # Rasterio itself does both.
+    assert CRS.from_user_input(str(tmp_path / "wkt.txt")).to_epsg() == 32632
+    asked = f"from rasterio.crs import CRS\ntry:\n    CRS.from_user_input('{listener.address}/crs')\nexcept ValueError:\n    pass"
+    subprocess.run([sys.executable, "-c", asked], check=True)
+    assert listener.heard()
+
+
+def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
+    import rasterio
+
+    path = write_geotiff(tmp_path / "a.tif", smooth(600, 600), tiled=True, blockxsize=256, blockysize=256)
+    with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as file:
+        file.build_overviews([2], rasterio.enums.Resampling.average)
+    (tmp_path / "a.aux").write_text(r"\relax")  # of LaTeX
+    assert (tmp_path / "a.tif.ovr").is_file()
+    files = {file.name for file in open_map(path).sheets[0].raster.files()}
+    assert files == {"a.tif", "a.tif.ovr"}
+    (tmp_path / "a.tif.ovr").write_bytes(b"")
+    with pytest.raises(DataError, match=r"a\.tif\.ovr holds neither overviews nor a mask as a TIFF; delete it"):
+        open_map(path)
+
+
+def test_a_name_that_gdal_takes_for_xml_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / "<VRTDataset>.tif")
+    with pytest.raises(DataError, match="names other files, in its own name"):
+        open_map(path)
+
+
+@pytest.mark.parametrize("fine_overviews", [False, True])
+def test_a_sparse_file_of_many_gigapixels_is_refused_before_any_work(tmp_path: Path, fine_overviews: bool) -> None:
+    import rasterio
+
+    path = tmp_path / "sparse.tif"
+    kind = {"driver": "GTiff", "count": 1, "dtype": "int16", "crs": "EPSG:32632", "sparse_ok": True, "bigtiff": "YES"}
+    place = rasterio.Affine(0.5, 0, 5e5, 0, -0.5, 5_316_000)
+    for file, side in ((path, 400_000 if fine_overviews else 200_000), (Path(f"{path}.ovr"), 200_000)):
+        if file == path or fine_overviews:
+            blocks = {"tiled": True, "blockxsize": 4096, "blockysize": 4096}
+            with rasterio.open(file, "w", width=side, height=side, transform=place, **blocks, **kind):
+                pass
+            assert file.stat().st_size < 200_000
+    for door in (
+        lambda: open_map(path),
+        lambda: build_map([path], tmp_path / "map"),
+        lambda: ElevationSource(ElevationFile(path)),
+    ):
+        with pytest.raises(
+            DataError, match=r"00000 pixels, and a first look at it would take 31 minutes or more; cut it"
+        ):
+            door()
+    assert not (tmp_path / "map").exists()
