@@ -56,11 +56,12 @@ class SweepOfSource(ABC):
     def run(self) -> None:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic
+        from lpn.drawing.plots import pyplot
 
         options = self.sweep
         check_outputs((options.csv, ".csv"), (options.png, ".png"))
         if options.png is not None:
-            import matplotlib  # noqa: F401 (fail before the long computation)
+            pyplot()  # fail before the long computation
         console = wide_console()
         with progress_bars() as on_progress:
             opened = self.source.open([options.query], part_values(options.weights), on_progress)
