@@ -370,12 +370,10 @@ class StoryCommand:
     """Speak the field's terms in place of plain words, where a step does not name its words."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from explorer.app import serve_in_background
         from explorer.stories import film
         from explorer.stories.library import stories_of
-        from lpn.core.consoles import stage_bars
+        from lpn.core.consoles import Console, stage_bars
 
         if self.record is not None and self.name is None:
             raise InputError("--record needs the name of a story; lpn story alone lists them.")

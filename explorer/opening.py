@@ -11,14 +11,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
 import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
+from lpn.core.consoles import Console
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.progress import Progress

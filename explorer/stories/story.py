@@ -20,6 +20,8 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from lpn.core.files import TYPED, printable
+
 LONGEST_NAME, LONGEST_CAPTION, LONGEST_NOTES, MOST_STEPS = 80, 400, 2000, 60
 # Parameters of an address that a step leaves out.
 _LEFT_OUT = ("show", "theme", "screen")
@@ -142,5 +144,4 @@ def rename(story: Story, name: str) -> Story:
 
 def printed(text: str) -> str:
     """Return a text without control characters other than line breaks, and without space around it."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n")
-    return "".join(letter for letter in lines if letter.isprintable() or letter == "\n").strip()
+    return printable(text.replace("\r\n", "\n").replace("\r", "\n"), TYPED, "").strip()

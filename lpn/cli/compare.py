@@ -27,10 +27,9 @@ from lpn.sources import (
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lpn.analysis.leaderboard import Leaderboard
     from lpn.analysis.model_table import ModelTable, RankedModel
+    from lpn.core.consoles import Console
     from lpn.models.base import Model
 
 
@@ -284,10 +283,8 @@ class CompareCommand(ComparisonOfSources):
             self._measure_page(self.page)
 
     def _measure_page(self, page: Path) -> None:
-        from rich.console import Console
-
         from lpn.analysis.leaderboard import leaderboard
-        from lpn.core.consoles import stage_bars
+        from lpn.core.consoles import Console, stage_bars
         from lpn.datasets import open_dataset
 
         if self.calibrate or self.csls or self.task or self.gallery != "full":

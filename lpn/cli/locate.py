@@ -21,8 +21,7 @@ from lpn.sources import KindOption, PoolingOption, ProviderOption
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rich.console import Console
-
+    from lpn.core.consoles import Console
     from lpn.flights import Flight
     from lpn.locate.located import LocatedFlight
     from lpn.locate.measures import ErrorSummary

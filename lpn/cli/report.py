@@ -59,11 +59,11 @@ class ReportOfSource(ABC):
     report: ReportOptions
 
     def run(self) -> None:
-        from rich.console import Console
         from rich.progress import Progress
 
         from lpn import report
         from lpn.cli.explain import part_values
+        from lpn.core.consoles import Console
         from lpn.core.files import check_outputs, write_atomic
 
         options = self.report

@@ -15,8 +15,7 @@ from lpn.sources import NAMED, Data, TaskSource
 from lpn.sources.opened import progress_bars, query_positions
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from lpn.core.consoles import Console
     from lpn.core.views import View
     from lpn.explain.sweeps import SweepPoint, SweepResult
     from lpn.models.base import Model

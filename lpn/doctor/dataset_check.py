@@ -10,9 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from lpn.core.consoles import Console
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable

@@ -95,9 +95,7 @@ def open_with_notes(
 @contextmanager
 def progress_bars(title: str = "Describing {}") -> Iterator[Progress]:
     """Show a bar on the terminal for each stage of an opening, see `stage_bars`."""
-    from rich.console import Console
-
-    from lpn.core.consoles import stage_bars
+    from lpn.core.consoles import Console, stage_bars
 
     # A notebook's console, which is no terminal, gets no animation.
     console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
