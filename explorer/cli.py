@@ -373,7 +373,7 @@ class StoryCommand:
         from explorer.app import serve_in_background
         from explorer.stories import film
         from explorer.stories.library import stories_of
-        from lpn.core.consoles import Console, stage_bars
+        from lpn.core.consoles import stage_bars
 
         if self.record is not None and self.name is None:
             raise InputError("--record needs the name of a story; lpn story alone lists them.")
@@ -398,7 +398,7 @@ class StoryCommand:
         film.check_film(self.record, chosen, self.size)
         with (
             serve_in_background(lambda: workspace) as page,
-            stage_bars(Console(stderr=True), "Recording {}") as on_progress,
+            stage_bars("Recording {}") as on_progress,
         ):
             takes = film.record(
                 page.url,

@@ -11,9 +11,8 @@ from markupsafe import Markup, escape
 
 from explorer.web.style import part_ink, verdict_ink
 from explorer.web.terms import term
-from lpn.core.files import TYPED, printable
 from lpn.core.numbers import SIGMA, distance
-from lpn.core.templates import environment
+from lpn.core.templates import environment, shown
 from lpn.drawing import charts, theme, words
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
@@ -39,13 +38,11 @@ def call(function: str, *arguments: object) -> str:
 def _shown(value: object) -> object:
     """Return a value of JSON without control characters in its texts: in a script they are escaped, which `Html` passes on."""
     match value:
-        case str():
-            return printable(value, TYPED)
         case Mapping():
             return {key: _shown(entry) for key, entry in value.items()}
         case list() | tuple():
             return [_shown(entry) for entry in value]
-    return value
+    return shown(str(value) if isinstance(value, str) else value)
 
 
 def run(script: str) -> str:

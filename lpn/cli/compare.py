@@ -221,11 +221,11 @@ class ComparisonOfFlights(ComparisonOfSources):
             super().run()
             return
         from lpn.analysis.leaderboard import task_leaderboard
-        from lpn.sources.opened import progress_bars
+        from lpn.core.consoles import stage_bars
 
         models, sizes = _networks(self.page, self.comparison, self.models)
         tasks = {}
-        with progress_bars() as on_progress:
+        with stage_bars() as on_progress:
             for name, options in self.models.options().items():
                 source = Flown(map=self.map, flight=self.flight, model=options)
                 tasks[name] = source.locate(on_progress=on_progress, loaded=models[name]).task
@@ -284,7 +284,7 @@ class CompareCommand(ComparisonOfSources):
 
     def _measure_page(self, page: Path) -> None:
         from lpn.analysis.leaderboard import leaderboard
-        from lpn.core.consoles import Console, stage_bars
+        from lpn.core.consoles import stage_bars
         from lpn.datasets import open_dataset
 
         if self.calibrate or self.csls or self.task or self.gallery != "full":
@@ -292,7 +292,7 @@ class CompareCommand(ComparisonOfSources):
                 "A page has all tasks and galleries, ranked plainly; leave --task, --gallery, --calibrate, and --csls out."
             )
         models, sizes = _networks(page, self.comparison, self.models)
-        with stage_bars(Console(stderr=True), "Taking {}") as on_progress:
+        with stage_bars("Taking {}") as on_progress:
             board = leaderboard(
                 models,
                 sizes,

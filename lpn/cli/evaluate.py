@@ -328,7 +328,6 @@ class EvaluationOfFlight:
             options,
             None,
             self.corrections,
-            console,
             pooling=self.pooling,
             on_opened=lambda basemap, flight: survey.extend(self._survey(basemap, flight, console)),
         )
@@ -405,7 +404,7 @@ class EvaluationOfPoses:
     """File to write the figures and the errors of each photo to, as JSON."""
 
     def run(self) -> None:
-        from lpn.core.consoles import counting_bar, wide_console
+        from lpn.core.consoles import counting_bar
         from lpn.core.files import check_outputs, printable, write_json
         from lpn.core.posed_samples import sample_folders
         from lpn.locate.options import LocateOptions
@@ -421,8 +420,7 @@ class EvaluationOfPoses:
             raise InputError(
                 f"{printable(str(self.data))} holds {what}; give the folder of one of them (docs/data.md)."
             )
-        console = wide_console()
-        with counting_bar("Registering photos", console, transient=True) as progress:
+        with counting_bar("Registering photos", transient=True) as progress:
             photos = measure(folders, self.reference, self.limit, LocateOptions(matcher=self.matcher), progress)
         summaries = summarise(folders[0].layout, photos)
         _print_poses(f"{printable(self.data.resolve().name)}: {len(photos):,} photos of {layouts[0]}", summaries)

@@ -67,11 +67,16 @@ def wide_console(least: int = 120) -> Console:
     return Console(width=max(least, Console().width))
 
 
+def terminal() -> Console:
+    """Return a console on standard error; a notebook's, which is no terminal, gets lines and no animation."""
+    return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
+
+
 @contextmanager
-def counting_bar(title: str, console: Console | None = None, transient: bool = False) -> Iterator[CountProgress]:
+def counting_bar(title: str, transient: bool = False) -> Iterator[CountProgress]:
     """Show a bar with the number of things that are done and the remaining time; a `transient` one is deleted at its end."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Bars(*columns, console=console or Console(), transient=transient) as bar:
+    with Bars(*columns, console=Console(), transient=transient) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -81,11 +86,12 @@ _LINES = 30.0
 
 
 @contextmanager
-def stage_bars(console: Console, title: str = "{}") -> Iterator[Progress]:
-    """Show a bar for each stage, with the stage in place of the braces of `title`; all are deleted at the end.
+def stage_bars(title: str = "Describing {}") -> Iterator[Progress]:
+    """Show a bar for each stage on standard error, with the stage in the braces of `title`; all are deleted at the end.
 
     Without a terminal, standard error gets a line about a stage every half minute.
     """
+    console = terminal()
     if not console.is_terminal:
         yield _stage_lines(title)
         return

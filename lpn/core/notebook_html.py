@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from markupsafe import Markup
 
-from lpn.core.files import TYPED, printable
+from lpn.core.templates import shown
 
 _CELL = Markup('<{0} style="text-align: {1}; padding: .2em .8em; vertical-align: middle">{2}</{0}>')
 _TABLE = Markup(
@@ -43,7 +43,7 @@ def _joined(tag: str, cells: Iterable[object]) -> Markup:
         _CELL.format(
             tag,
             "left" if isinstance(cell, str) and (tag == "th" or not isinstance(cell, Markup)) else "right",
-            printable(cell, TYPED) if isinstance(cell, str) and not isinstance(cell, Markup) else cell,
+            shown(cell),
         )
         for cell in cells
     )

@@ -90,7 +90,7 @@ def set_note(
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """
-    note = Note(parse_tags(tags), _clean(text))
+    note = Note(parse_tags(tags), typed(text))
     if not path or printable(path) != path:
         raise InputError(
             f"The query's path is {printable(path)!r}; expected the path of the picture relative to the data set's "
@@ -101,7 +101,7 @@ def set_note(
 
     def change(notes: dict[str, Note]) -> dict[str, Note]:
         stored = notes.pop(plain_path(path), Note())
-        if before is not None and stored not in (Note(before.tags, _clean(before.text)), note):
+        if before is not None and stored not in (Note(before.tags, typed(before.text)), note):
             raise ChangedNoteError(stored)
         return notes if note == Note() else notes | {plain_path(path): note}
 
@@ -184,7 +184,7 @@ def _decode(content: bytes, file: Path) -> dict[str, Note]:
                 f"Entry {number - 1} of {file} {problem}; expected one line per query, with {','.join(_HEADER)}."
             )
         try:
-            notes[path] = Note(parse_tags(values[1]), _clean(values[2]))
+            notes[path] = Note(parse_tags(values[1]), typed(values[2]))
         except InputError as error:
             raise DataError(f"Entry {number - 1} of {file} cannot be used: {error}") from error
     return notes
@@ -196,8 +196,8 @@ def _encode(notes: dict[str, Note]) -> bytes:
     )
 
 
-def _clean(text: str) -> str:
-    """Write every line break as a line feed, and remove control characters and those that turn the writing around."""
+def typed(text: str) -> str:
+    """Return what a person typed, each line break a line feed, without what is not `printable` and space around it."""
     return printable(_LINE_BREAK.sub("\n", text), TYPED, "").strip()
 
 
