@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+import os
 import shutil
+import subprocess
 import sys
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
@@ -148,6 +150,16 @@ def test_no_command_passes_on_what_a_terminal_obeys(
         assert SHOWN.partition("]")[0] in text or file.suffix in (".csv", ".html", ".tex")
 
 
+def test_no_other_console_prints() -> None:
+    """The log cleans each line by itself."""
+    root = Path(main.__file__).parents[2]
+    files = [file for package in ("lpn", "explorer") for file in sorted((root / package).rglob("*.py"))]
+    assert len(files) > 400
+    rich = "from rich.console import Console"
+    importing = [file.relative_to(root).as_posix() for file in files if rich in file.read_text("utf-8")]
+    assert importing == ["lpn/core/log.py"]
+
+
 def test_consoles_clean_texts_and_keep_colours_bars_and_lines() -> None:
     file = io.StringIO()
     console = Console(file=file, force_terminal=True, color_system="standard", width=200)
@@ -177,6 +189,15 @@ def test_streams_are_plain_but_for_a_library_that_prints_colours() -> None:
         assert (sys.stdout, sys.stderr) == (out, err)
     assert evil(err.getvalue()) == ""
     assert out.getvalue() == f"one{printable(NAME)}\ttwo\nthree\n\x1b[1mbold\x1b[0m?]0;title?\n"
+
+
+def test_a_stop_shows_the_cursor_that_a_bar_hid() -> None:
+    ours, its = os.openpty()
+    code = "from lpn.core import consoles, shutdown\nwith consoles.plain_streams():\n    shutdown.exit_now(3)"
+    assert subprocess.run([sys.executable, "-c", code], stdout=its, check=False).returncode == 3
+    assert os.read(ours, 100) == b"\x1b[?25h"
+    os.close(ours)
+    os.close(its)
 
 
 def test_a_notebooks_table_holds_none() -> None:
