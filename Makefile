@@ -59,8 +59,9 @@ $(VENV)/.browser: $(VENV)/.dev
 	  || { echo "The browser tests need Chromium; install it (Debian: apt-get install chromium)." >&2; exit 1; }
 	touch $@
 
-# An exported model needs no torch, nor does the demo's; any other does.
-EXPLORE_NEEDS := $(if $(filter-out %.onnx,$(MODEL) $(BESIDE)),$(VENV)/.train,$(VENV)/.base)
+# An exported model needs no torch, nor do those that ship; any other does.
+SHIPPED := $(basename $(notdir $(wildcard assets/models/*.json)))
+EXPLORE_NEEDS := $(if $(filter-out %.onnx $(SHIPPED),$(MODEL) $(BESIDE)),$(VENV)/.train,$(VENV)/.base)
 
 explore: $(EXPLORE_NEEDS)
 	@$(BIN)/lpn explore $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(BESIDE),--beside "$(BESIDE)") --host $(HOST) --port $(PORT)

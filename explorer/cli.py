@@ -370,8 +370,6 @@ class StoryCommand:
     """Speak the field's terms in place of plain words, where a step does not name its words."""
 
     def run(self) -> None:
-        from rich.console import Console
-
         from explorer.app import serve_in_background
         from explorer.stories import film
         from explorer.stories.library import stories_of
@@ -400,7 +398,7 @@ class StoryCommand:
         film.check_film(self.record, chosen, self.size)
         with (
             serve_in_background(lambda: workspace) as page,
-            stage_bars(Console(stderr=True), "Recording {}") as on_progress,
+            stage_bars("Recording {}") as on_progress,
         ):
             takes = film.record(
                 page.url,

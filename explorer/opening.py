@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import sys
 import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -11,14 +10,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from rich.console import Console
-
 import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
+from lpn.core.consoles import stage_bars, terminal
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.progress import Progress
@@ -35,7 +33,6 @@ from lpn.locate.relief import relief_model
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
-from lpn.sources.opened import progress_bars
 from lpn.tasks.opening import calibrated, choose_task, no_calibration, scored_tasks, shipped_calibration
 from lpn.tasks.task import Task
 from lpn.tasks.turned import changed
@@ -255,7 +252,7 @@ def open_source(source: TaskSource, query: str | None = None) -> Workspace:
     Raises:
         LPNError: when the source cannot be used, or there is no such query.
     """
-    with _status(f"Opening {source.title}"), progress_bars() as progress:
+    with _status(f"Opening {source.title}"), stage_bars() as progress:
         opened = source.open(on_progress=progress)
     workspace = _workspace(opened, with_city=opened.map is None)
     _print_notes(opened)
@@ -410,7 +407,7 @@ def _open_flown(
     """Open a flight without registration, under a name of its model."""
     with (
         _status(f"Opening {source.title}"),
-        progress_bars() if report is None else nullcontext(_counts(report)) as progress,
+        stage_bars() if report is None else nullcontext(_counts(report)) as progress,
     ):
         return source.locate(overlap, progress, shipped=shipped, loaded=loaded).named(name)
 
@@ -440,7 +437,7 @@ def _print_notes(source: OpenedSource) -> None:
 
 
 def _say(text: str) -> None:
-    _terminal().print(text, highlight=False, markup=False, soft_wrap=True)
+    terminal().print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Model, options: LocateOptions) -> None:
@@ -468,14 +465,9 @@ def _begin_ranking(task: Task) -> RankingJob:
     return ranking
 
 
-def _terminal() -> Console:
-    """Return a console on stderr; a notebook's, which is none, gets lines and no animation."""
-    return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
-
-
 def _status(text: str) -> AbstractContextManager[object]:
     """Show a line on the terminal while work goes on."""
-    return _terminal().status(f"{text} (Ctrl-C stops)")
+    return terminal().status(f"{text} (Ctrl-C stops)")
 
 
 def _relief(source: OpenedSource) -> CityModel | None:

@@ -29,6 +29,7 @@ so `import lpn` needs neither NumPy nor torch.
 
 from __future__ import annotations
 
+import os
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -50,6 +51,9 @@ if TYPE_CHECKING:
     from lpn.models.partition import Partition
     from lpn.retrieval.evaluate import evaluate
     from lpn.tasks.task import Task
+
+# As soon as it is imported, ONNX Runtime would write an identifier into the user's home, and tell Microsoft of its use.
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 __all__ = [
     "Answer",

@@ -58,11 +58,13 @@ class RateLimiter:
 
 
 def _network(address: str) -> str:
-    """Return an IPv4 address as it is, and the /64 network of an IPv6 address: a household has all of its addresses."""
+    """Return the guesser that an address stands for: this machine, an IPv4 address, or a household's IPv6 network (/64)."""
     try:
         ip = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
         return address
     if isinstance(ip, ipaddress.IPv6Address):
-        return str(ip.ipv4_mapped or ipaddress.ip_network((ip, 64), strict=False))
-    return str(ip)
+        ip = ip.ipv4_mapped or ip
+    if ip.is_loopback:  # a program here may choose any of 127.0.0.0/8
+        return "loopback"
+    return str(ip if ip.version == 4 else ipaddress.ip_network((ip, 64), strict=False))

@@ -115,7 +115,7 @@ def export(
         ),
         script=Markup(_read("js/exported_story.js")),
     )
-    return f"{safe_file_name(whole.name)}.html", page.encode("utf-8", "replace")
+    return f"{safe_file_name(whole.name)}.html", page.encode()
 
 
 def _go_on() -> None:

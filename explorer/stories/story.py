@@ -20,6 +20,8 @@ import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
+from lpn.tasks.notes import typed
+
 LONGEST_NAME, LONGEST_CAPTION, LONGEST_NOTES, MOST_STEPS = 80, 400, 2000, 60
 # Parameters of an address that a step leaves out.
 _LEFT_OUT = ("show", "theme", "screen")
@@ -121,8 +123,8 @@ def edit(story: Story, index: int, caption: str | None = None, notes: str | None
     step = story.steps[index]
     step = replace(
         step,
-        caption=step.caption if caption is None else printed(caption),
-        notes=step.notes if notes is None else printed(notes),
+        caption=step.caption if caption is None else typed(caption),
+        notes=step.notes if notes is None else typed(notes),
     )
     return replace(story, steps=(*story.steps[:index], step, *story.steps[index + 1 :]))
 
@@ -136,11 +138,5 @@ def point(story: Story, index: int, place: Focus) -> Story:
 
 def rename(story: Story, name: str) -> Story:
     """Give a story another name; an empty one changes nothing."""
-    name = " ".join(printed(name).split())
+    name = " ".join(typed(name).split())
     return replace(story, name=name) if name else story
-
-
-def printed(text: str) -> str:
-    """Return a text without control characters other than line breaks, and without space around it."""
-    lines = text.replace("\r\n", "\n").replace("\r", "\n")
-    return "".join(letter for letter in lines if letter.isprintable() or letter == "\n").strip()

@@ -5,13 +5,14 @@ from __future__ import annotations
 import json
 import re
 import uuid
+from collections.abc import Mapping
 
 from markupsafe import Markup, escape
 
 from explorer.web.style import part_ink, verdict_ink
 from explorer.web.terms import term
 from lpn.core.numbers import SIGMA, distance
-from lpn.core.templates import environment
+from lpn.core.templates import environment, shown
 from lpn.drawing import charts, theme, words
 
 SIGNS: dict[bool | None, str] = {True: "✓", False: "✗", None: "?"}
@@ -31,7 +32,17 @@ def press(button: str) -> Markup:
 
 def call(function: str, *arguments: object) -> str:
     """Return JavaScript that calls a function of the page's script."""
-    return f"lpn.{function}({','.join(json.dumps(argument) for argument in arguments)})"
+    return f"lpn.{function}({','.join(json.dumps(_shown(argument)) for argument in arguments)})"
+
+
+def _shown(value: object) -> object:
+    """Return a value of JSON without control characters in its texts: in a script they are escaped, which `Html` passes on."""
+    match value:
+        case Mapping():
+            return {key: _shown(entry) for key, entry in value.items()}
+        case list() | tuple():
+            return [_shown(entry) for entry in value]
+    return shown(str(value) if isinstance(value, str) else value)
 
 
 def run(script: str) -> str:

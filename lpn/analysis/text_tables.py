@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from lpn.core.files import printable
+
 _LATEX: Mapping[str, str] = {
     **{sign: f"\\{sign}" for sign in "&%$#_{}"},
     "\\": r"\textbackslash{}",
@@ -103,12 +105,12 @@ class TableSection:
 
 def markdown_text(text: str) -> str:
     """Return words for Markdown, which is HTML, too, also in a table's cell."""
-    return html.escape(text, quote=False).replace("|", "\\|")
+    return html.escape(printable(text), quote=False).replace("|", "\\|")
 
 
 def latex_text(text: str) -> str:
     """Return words for LaTeX's text mode, also in a table's cell; letters beyond ASCII are left to its UTF-8."""
-    return re.sub("-(?=-)", "-{}", "".join(_LATEX.get(letter, letter) for letter in text))
+    return re.sub("-(?=-)", "-{}", "".join(_LATEX.get(letter, letter) for letter in printable(text, "\n")))
 
 
 def latex_page(sections: Iterable[TableSection]) -> str:

@@ -6,6 +6,7 @@ lpn evaluate index --index tiles --model city-lpn --data ROOT
 
 from __future__ import annotations
 
+import sys
 import types
 from collections.abc import Iterator, Sequence
 from dataclasses import field, fields, is_dataclass, make_dataclass
@@ -13,6 +14,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
+from lpn.core.consoles import plain_streams
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.texts import listed
@@ -67,7 +69,10 @@ def _cli(command: type[Any], arguments: Sequence[str], program: str, more: str =
         shows = _without_folded(command)
         more = f"{more}\n\nRarely used, and explained in docs/evaluation.md: {folded}."
     description = f"{command.__doc__ or ''}\n\n{more}".strip()
-    return tyro.cli(shows, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,))
+    with plain_streams(colours=sys.stdout.isatty()):
+        return tyro.cli(
+            shows, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,)
+        )
 
 
 def _without_folded(command: type[Any]) -> type[Any]:

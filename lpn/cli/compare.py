@@ -27,10 +27,9 @@ from lpn.sources import (
 )
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lpn.analysis.leaderboard import Leaderboard
     from lpn.analysis.model_table import ModelTable, RankedModel
+    from lpn.core.consoles import Console
     from lpn.models.base import Model
 
 
@@ -222,11 +221,11 @@ class ComparisonOfFlights(ComparisonOfSources):
             super().run()
             return
         from lpn.analysis.leaderboard import task_leaderboard
-        from lpn.sources.opened import progress_bars
+        from lpn.core.consoles import stage_bars
 
         models, sizes = _networks(self.page, self.comparison, self.models)
         tasks = {}
-        with progress_bars() as on_progress:
+        with stage_bars() as on_progress:
             for name, options in self.models.options().items():
                 source = Flown(map=self.map, flight=self.flight, model=options)
                 tasks[name] = source.locate(on_progress=on_progress, loaded=models[name]).task
@@ -284,8 +283,6 @@ class CompareCommand(ComparisonOfSources):
             self._measure_page(self.page)
 
     def _measure_page(self, page: Path) -> None:
-        from rich.console import Console
-
         from lpn.analysis.leaderboard import leaderboard
         from lpn.core.consoles import stage_bars
         from lpn.datasets import open_dataset
@@ -295,7 +292,7 @@ class CompareCommand(ComparisonOfSources):
                 "A page has all tasks and galleries, ranked plainly; leave --task, --gallery, --calibrate, and --csls out."
             )
         models, sizes = _networks(page, self.comparison, self.models)
-        with stage_bars(Console(stderr=True), "Taking {}") as on_progress:
+        with stage_bars("Taking {}") as on_progress:
             board = leaderboard(
                 models,
                 sizes,

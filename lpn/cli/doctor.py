@@ -64,14 +64,14 @@ class DoctorCommand:
         if samples := sample_folders(self.data):
             from lpn.doctor.sample_check import check_samples
 
-            with counting_bar("Reading samples", console, transient=True) as progress:
+            with counting_bar("Reading samples", transient=True) as progress:
                 reports = check_samples(samples, self.quick, progress)
             for line in (line for one in reports for line in one.lines):
                 console.print(line, soft_wrap=True, markup=False, highlight=False)
             if self.json is not None:
                 write_json(self.json, [one.to_dict() for one in reports])
             return 1 if any(one.problems for one in reports) else 0
-        with counting_bar("Reading pictures", console, transient=True) as progress:
+        with counting_bar("Reading pictures", transient=True) as progress:
             report = check_dataset(open_dataset(self.data), not self.quick, progress)
         print_report(report, console)
         if self.json is not None:

@@ -19,9 +19,8 @@ from lpn.sources import Arrays, Data, Flown, Indexed, KindOption, PoolingOption,
 from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lpn.analysis.text_tables import TextTable
+    from lpn.core.consoles import Console
     from lpn.datasets import Dataset
     from lpn.flights import Flight
     from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
@@ -328,7 +327,6 @@ class EvaluationOfFlight:
             options,
             None,
             self.corrections,
-            console,
             pooling=self.pooling,
             on_opened=lambda basemap, flight: survey.extend(self._survey(basemap, flight, console)),
         )

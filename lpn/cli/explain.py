@@ -16,8 +16,7 @@ from lpn.core.views import View
 from lpn.sources import KindOption, PoolingOption
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from lpn.core.consoles import Console
     from lpn.drawing.part_areas import PartAreas
     from lpn.explain import Evidence
     from lpn.models.base import Model

@@ -19,9 +19,8 @@ from lpn.sources import NAMED, Data, TaskSource
 from lpn.sources.opened import open_first_task, open_with_notes
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
     from lpn.analysis.breakdown import Rate
+    from lpn.core.consoles import Console
     from lpn.core.tables import Table
     from lpn.tasks.task import Task
 

@@ -21,8 +21,7 @@ from lpn.sources import KindOption, PoolingOption, ProviderOption
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from rich.console import Console
-
+    from lpn.core.consoles import Console
     from lpn.flights import Flight
     from lpn.locate.located import LocatedFlight
     from lpn.locate.measures import ErrorSummary
@@ -103,7 +102,6 @@ class LocateCommand:
             options,
             self.limit,
             self.corrections,
-            console,
             self.index,
             self.pooling,
         )
@@ -146,7 +144,6 @@ def locate_files(
     options: LocateOptions,
     limit: int | None,
     corrected: bool,
-    console: Console,
     index: str | None = None,
     pooling: str | None = None,
     on_opened: Callable[[Map, Flight], None] | None = None,
@@ -185,7 +182,7 @@ def locate_files(
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind, pooling=pooling)
     indexed = None if index is None or network is None else WindowIndex(index, network, basemap)
-    with stage_bars(console) as report:
+    with stage_bars("{}") as report:
         return locate(basemap, flight, network, options, report, kept, indexed)
 
 

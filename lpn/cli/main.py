@@ -36,6 +36,7 @@ from lpn.cli.train import TrainCommand, parse_train
 from lpn.cli.verify import VerifyCommand
 from lpn.cli.world import WorldCommand
 from lpn.core import log
+from lpn.core.consoles import plain_streams
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.core.requirements import broken_package, missing_package
@@ -142,7 +143,7 @@ def _run_until_stopped(arguments: Sequence[str] | None, stopped: Callable[[int],
         return 2
     parsed: list[Any] = []
     stop = StopSignals(lambda number: _stopped(parsed, number))
-    with log.log_to_stderr(level), stop.listening():
+    with plain_streams(), log.log_to_stderr(level), stop.listening():
         try:
             return _run(words, parsed)
         except KeyboardInterrupt:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from lpn.core.consoles import Console
     from lpn.models.shipped import ModelCard
 
 

@@ -59,11 +59,11 @@ class ReportOfSource(ABC):
     report: ReportOptions
 
     def run(self) -> None:
-        from rich.console import Console
         from rich.progress import Progress
 
         from lpn import report
         from lpn.cli.explain import part_values
+        from lpn.core.consoles import Console
         from lpn.core.files import check_outputs, write_atomic
 
         options = self.report
@@ -126,16 +126,16 @@ class ReportOfFlight(ReportOfNetwork):
     def _graded(self, opened: OpenedSource) -> tuple[Task, Collection[int]]:
         import numpy as np
 
+        from lpn.core.consoles import stage_bars
         from lpn.locate.grades import doubtful_photos
         from lpn.locate.pipeline import registered
         from lpn.locate.task import stage_columns
-        from lpn.sources.opened import progress_bars
 
         task, located = opened.task, opened.located
         assert located is not None
         if not self.register:
             return task, ()
-        with progress_bars("{}") as on_progress:
+        with stage_bars("{}") as on_progress:
             located = registered(located, opened.network, on_progress=on_progress)
         best, first = task.retrieved.best, task.retrieved.first
         doubtful = set(np.flatnonzero(doubtful_photos(located, task, best, first)).tolist())

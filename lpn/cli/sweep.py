@@ -12,11 +12,10 @@ from lpn.cli.explain import part_values
 from lpn.core.errors import InputError
 from lpn.core.numbers import signed
 from lpn.sources import NAMED, Data, TaskSource
-from lpn.sources.opened import progress_bars, query_positions
+from lpn.sources.opened import query_positions
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from lpn.core.consoles import Console
     from lpn.core.views import View
     from lpn.explain.sweeps import SweepPoint, SweepResult
     from lpn.models.base import Model
@@ -54,15 +53,16 @@ class SweepOfSource(ABC):
     sweep: SweepOptions
 
     def run(self) -> None:
-        from lpn.core.consoles import wide_console
+        from lpn.core.consoles import stage_bars, wide_console
         from lpn.core.files import check_outputs, write_atomic
+        from lpn.drawing.plots import pyplot
 
         options = self.sweep
         check_outputs((options.csv, ".csv"), (options.png, ".png"))
         if options.png is not None:
-            import matplotlib  # noqa: F401 (fail before the long computation)
+            pyplot()  # fail before the long computation
         console = wide_console()
-        with progress_bars() as on_progress:
+        with stage_bars() as on_progress:
             opened = self.source.open([options.query], part_values(options.weights), on_progress)
         task, model = opened.task, opened.model
         if model is None:

@@ -1,17 +1,65 @@
-"""Consoles for tables, and progress bars."""
+"""Consoles for tables, progress bars, and streams: no text from outside commands the terminal through them."""
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
+from typing import Any, TextIO
 
-from rich.console import Console
+from rich import console as rich_console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
+from rich.segment import Segment
 
+from lpn.core.files import printable
 from lpn.core.progress import CountProgress, Progress, at_intervals
+
+_LAYOUT = "\n\t"
+_COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
+
+
+class Console(rich_console.Console):
+    """A console whose texts hold no control characters; its own colours and bars do."""
+
+    def render(self, renderable: Any, options: Any = None) -> Iterator[Segment]:
+        """Yield the segments of the base class, their texts by `printable`."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else printable(text, _LAYOUT), style, control)
+
+
+class _PlainStream:
+    """A stream that writes texts by `printable`; `rich`'s consoles write to the stream behind it.
+
+    Args:
+        colours: let the colours of a terminal through.
+    """
+
+    def __init__(self, stream: TextIO, colours: bool) -> None:
+        self.rich_proxied_file: TextIO = getattr(stream, "rich_proxied_file", stream)
+        self._colours = colours
+
+    def write(self, text: str) -> int:
+        pieces = _COLOUR.split(text) if self._colours else [text]
+        pieces[::2] = [printable(piece, _LAYOUT) for piece in pieces[::2]]
+        return self.rich_proxied_file.write("".join(pieces))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.rich_proxied_file, name)
+
+
+@contextmanager
+def plain_streams(colours: bool = False) -> Iterator[None]:
+    """Let no control character from a name, a path, or an error message reach the terminal while the context is open.
+
+    Args:
+        colours: let colours through, for a library that prints its own.
+    """
+    out, err = (stream and _PlainStream(stream, colours) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        yield
 
 
 def wide_console(least: int = 120) -> Console:
@@ -19,11 +67,16 @@ def wide_console(least: int = 120) -> Console:
     return Console(width=max(least, Console().width))
 
 
+def terminal() -> Console:
+    """Return a console on standard error; a notebook's, which is no terminal, gets lines and no animation."""
+    return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
+
+
 @contextmanager
-def counting_bar(title: str, console: Console | None = None, transient: bool = False) -> Iterator[CountProgress]:
+def counting_bar(title: str, transient: bool = False) -> Iterator[CountProgress]:
     """Show a bar with the number of things that are done and the remaining time; a `transient` one is deleted at its end."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Bars(*columns, console=console, transient=transient) as bar:
+    with Bars(*columns, console=Console(), transient=transient) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
@@ -33,11 +86,12 @@ _LINES = 30.0
 
 
 @contextmanager
-def stage_bars(console: Console, title: str = "{}") -> Iterator[Progress]:
-    """Show a bar for each stage, with the stage in place of the braces of `title`; all are deleted at the end.
+def stage_bars(title: str = "Describing {}") -> Iterator[Progress]:
+    """Show a bar for each stage on standard error, with the stage in the braces of `title`; all are deleted at the end.
 
     Without a terminal, standard error gets a line about a stage every half minute.
     """
+    console = terminal()
     if not console.is_terminal:
         yield _stage_lines(title)
         return

@@ -11,8 +11,11 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Iterator
+from functools import partial
 from types import SimpleNamespace
 from typing import NamedTuple
+
+from lpn.core.files import printable
 
 # The last four are the full-width forms of the first four, which some Asian editions of spreadsheets read as these.
 _SIGN = "=+\\-@\uff1d\uff0b\uff0d\uff20"
@@ -36,17 +39,20 @@ def unescape(text: str) -> str:
     return _ESCAPED.sub("", text)
 
 
-def csv_bytes(rows: Iterable[Iterable[object]], errors: str = "replace") -> bytes:
-    """Return rows as comma-separated values in UTF-8, texts by `escape_formula`, None as an empty cell.
+def csv_bytes(rows: Iterable[Iterable[object]], errors: str = "replace", keep: str = "\n\t") -> bytes:
+    """Return rows as comma-separated values in UTF-8, texts by `escape_formula` and `printable`, None as an empty cell.
 
     Args:
-        errors: of the encoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
+        errors: of the encoding; other than "replace" for a file of ours, which keeps all characters to be read back:
+            "surrogateescape" also keeps the bytes of a file name that is not UTF-8.
+        keep: see `printable`.
     """
+    shown = partial(printable, keep=keep) if errors == "replace" else str
     lines: list[str] = []
     # Only with this terminator does the writer quote a carriage return in a cell.
     writer = csv.writer(SimpleNamespace(write=lines.append), lineterminator="\r\n")
     for row in rows:
-        writer.writerow([escape_formula(cell) if isinstance(cell, str) else cell for cell in row])
+        writer.writerow([escape_formula(shown(cell)) if isinstance(cell, str) else cell for cell in row])
     return "".join(line.removesuffix("\r\n") + "\n" for line in lines).encode("utf-8", errors)
 
 

@@ -50,6 +50,8 @@ _OPEN_FILES_MACOS = 10_240
 _MAX_FOLDERS = 8
 # Zero-width non-joiner and joiner: parts of letters in Persian and in Indian scripts, and of emoji.
 _JOINERS = "\u200c\u200d"
+# What people type into a note besides: line breaks, tabs, and the marks that keyboards for Arabic and Hebrew have.
+TYPED = "\n\t\u061c\u200e\u200f"
 # Bytes of the name of a folder.
 _MAX_LINK = 255
 
@@ -302,11 +304,20 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
     return [printable(name) for name in names]
 
 
-def printable(name: str) -> str:
-    """Return a file's name with "?" for control characters and bytes that are not UTF-8; spaces of any width stay."""
-    if name.isprintable():
-        return name
-    return "".join(c if _shows(c) else "?" for c in name.encode("utf-8", "replace").decode())
+def printable(text: str, keep: str = "", instead: str = "?") -> str:
+    """Return a text, such as a file's name, with "?" for each character that is none to a reader.
+
+    These are control characters, separators of lines, what turns the direction of writing, and bytes that are not UTF-8. Spaces
+    of any width stay.
+
+    Args:
+        keep: such characters that stay, as line breaks do in our own layout.
+        instead: what replaces the others; may be empty.
+    """
+    if text.isprintable():
+        return text
+    hidden = {ord(c): instead for c in set(text) if not (c in keep or _shows(c))}
+    return text.translate(hidden) if hidden else text
 
 
 def first_few(texts: Sequence[str], most: int) -> str:

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from markupsafe import Markup
 
+from lpn.core.templates import shown
+
 _CELL = Markup('<{0} style="text-align: {1}; padding: .2em .8em; vertical-align: middle">{2}</{0}>')
 _TABLE = Markup(
     '<table style="border-collapse: collapse; font-variant-numeric: tabular-nums">'
@@ -39,7 +41,9 @@ def _percent(value: float) -> Markup:
 def _joined(tag: str, cells: Iterable[object]) -> Markup:
     return Markup().join(
         _CELL.format(
-            tag, "left" if isinstance(cell, str) and (tag == "th" or not isinstance(cell, Markup)) else "right", cell
+            tag,
+            "left" if isinstance(cell, str) and (tag == "th" or not isinstance(cell, Markup)) else "right",
+            shown(cell),
         )
         for cell in cells
     )

@@ -183,8 +183,8 @@ def exit_now(status: int, report: Callable[[], int] | None = None) -> None:
             if report is not None:
                 statuses.append(report())
             for stream in (sys.stdout, sys.stderr):
-                if stream.isatty():
-                    stream.write("\x1b[?25h")  # show the cursor, which a progress bar hides
+                if stream.isatty():  # show the cursor, which a progress bar hides; `plain_streams` would not write this
+                    getattr(stream, "rich_proxied_file", stream).write("\x1b[?25h")
                 stream.flush()
 
     # `tidy` may wait for a lock that another thread holds, so give it a thread and a time limit.

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from lpn.core.arrays import AnyArray, BoolArray, Float64Array, Int64Array, ObjectArray
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
-from lpn.core.files import printable
+from lpn.core.files import TYPED, printable
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "=": operator.eq,
@@ -206,7 +206,7 @@ class Table:
             for column in columns
         ]
         header = ["path", *(column.name for column in columns)]
-        return csv_bytes([header, *zip((self.paths[row] for row in rows), *cells, strict=True)])
+        return csv_bytes([header, *zip((printable(self.paths[row]) for row in rows), *cells, strict=True)], keep=TYPED)
 
 
 def _csv_number(value: float, limit: float | None) -> str:

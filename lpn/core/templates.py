@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 
+from lpn.core.files import TYPED, printable
 from lpn.core.numbers import rounded_to_sum, signed
 
 
-def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> Environment:
+def environment(package: str) -> Environment:
     """Return the templates in the folder `templates` of a package; an unknown name is an error.
 
-    They have the filters `signed` and `rounded_to_sum`.
-
-    Args:
-        finalize: applied to the value of each expression before it is escaped and written.
+    They have the filters `signed` and `rounded_to_sum`. Texts are written by `shown`.
     """
     templates = Environment(
         loader=PackageLoader(package),
@@ -24,7 +20,12 @@ def environment(package: str, finalize: Callable[[Any], Any] | None = None) -> E
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
-        finalize=finalize,
+        finalize=shown,
     )
     templates.filters |= {"signed": signed, "rounded_to_sum": rounded_to_sum}
     return templates
+
+
+def shown(value: object) -> object:
+    """Return what a page shows of a value: of a text that is no `Markup`, what is `printable`."""
+    return printable(value, TYPED) if isinstance(value, str) and not isinstance(value, Markup) else value

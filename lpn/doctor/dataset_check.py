@@ -6,18 +6,22 @@ import hashlib
 from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
+from lpn.core.consoles import Console
+from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, LeftOut, Picture, geo
+from lpn.datasets import Dataset, LeftOut, Picture, geo, metadata
 from lpn.datasets.folder import Folder
 from lpn.datasets.integrity import picture_errors
+from lpn.tasks import notes
+from lpn.tasks.query_outcomes import RESERVED
 from lpn.training.recipes import RECIPES
 from lpn.training.training_set import trainable
 
@@ -98,6 +102,7 @@ class DataSetReport:
         shared: places in both train and test.
         positions: what the positions cover, and where they are from; None without any.
         gap: what is wrong with them, or None.
+        refused: why a list of the queries, such as that of lpn failures, refuses a file beside the pictures.
         runs: what can be run, one sentence each.
     """
 
@@ -114,13 +119,14 @@ class DataSetReport:
     shared: tuple[int, ...]
     positions: str | None
     gap: str | None
+    refused: tuple[str, ...]
     runs: tuple[str, ...]
 
     @property
     def healthy(self) -> bool:
         """True if nothing is broken; a subset, gaps, duplicates, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
-        return not (self.broken or missing or self.lacking or self.shared or self.gap)
+        return not (self.broken or missing or self.lacking or self.shared or self.gap or self.refused)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of the JSON file."""
@@ -158,6 +164,7 @@ def check_dataset(
         shared=tuple(_shared(dataset, lists)),
         positions=positions,
         gap=gap,
+        refused=tuple(dict.fromkeys(message for message in _refused(dataset) if message != gap)),
         runs=tuple(_runs(dataset, lists)),
     )
 
@@ -293,6 +300,19 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     return f"Each of the {len(pictures)} test pictures has a position, {source}.", None
 
 
+def _refused(dataset: Dataset) -> Iterable[str]:
+    """Read what stands beside the queries as the commands do that list them; yield their errors."""
+    reads: list[Callable[[], object]] = [lambda: notes.read_notes(own_file(dataset.root, notes.NAME))]
+    for view in dict.fromkeys(views_of(task)[0] for task in dataset.tasks()):
+        paths = metadata.relative(dataset.root, dataset.queries(view))
+        reads.append(partial(metadata.columns, dataset.root, paths, RESERVED))
+    for read in reads:
+        try:
+            read()
+        except DataError as error:
+            yield str(error)
+
+
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     train = _train_labels(lists)
     places = len(trainable(train).places) if "satellite" in train and len(train) > 1 else 0
@@ -359,7 +379,7 @@ def print_report(report: DataSetReport, console: Console) -> None:
         lines += [f"  {line}" for item in report.gaps for line in _some(f"of {item.of} {item.what}", item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
     lines += _some("groups of files in one list are equal", [" = ".join(g) for g in report.duplicates])
-    lines += [text for text in (report.gap or report.positions,) if text]
+    lines += [text for text in (report.gap or report.positions, *report.refused) if text]
     lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
     for line in lines:

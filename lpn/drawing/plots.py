@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import io
+import os
 from typing import Any, cast
+
+from lpn.core.files import cache_folder
 
 
 def pyplot() -> Any:
-    """Return Matplotlib's pyplot with the backend that draws into memory."""
+    """Return Matplotlib's pyplot with the backend that draws into memory; its list of fonts is kept in our cache."""
+    os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
     import matplotlib
 
     matplotlib.use("Agg")

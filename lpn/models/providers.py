@@ -14,6 +14,8 @@ import onnxruntime as ort
 from lpn.core.errors import InputError, OutputError
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName
 
+ort.disable_telemetry_events()  # builds for apps of Windows do not read the variable that `lpn` sets
+
 # ONNX Runtime's name of each provider.
 EXECUTION_PROVIDERS: dict[ProviderName, str] = {
     "cpu": "CPUExecutionProvider",

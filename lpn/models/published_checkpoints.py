@@ -57,8 +57,8 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
 
     - one network for all three views, with University-1652's rings, if they are equal;
     - else satellite and street with the layout "cvusa" of the released CVUSA and CVACT models, since the released code trains
-      no other LPN of two views. So they are, even if equal, where the options `data_dir` or `name` mention these data sets, or
-      `model_2` says street.
+      no other LPN of two views. So they are, even if equal, where the options `data_dir` or `name` mention these data sets,
+      `model_2` says street, or `share` is false.
 
     How they are read is logged where no option confirms it, and so is the input size where none states it.
 
@@ -98,7 +98,7 @@ def infer_spec(state: StateDict, options: dict[str, Any], name: str = "the file"
     shared, panoramas = _branches_equal(state, views), False
     if views == ("satellite", "street"):
         stated = "model_2" in options or any(data in _trained_on(options) for data in _PANORAMAS)
-        panoramas = not shared or stated
+        panoramas = not shared or stated or options.get("share") is False
         _tell_views(options, name, panoramas)
         views = views if panoramas else VIEWS
     head = f"classifier{expected[0]}"
@@ -286,7 +286,7 @@ def read_options(path: Path) -> dict[str, Any]:
     rate = known.get("droprate", 0.5)
     if not isinstance(rate, int | float) or isinstance(rate, bool) or not 0 <= rate < 1:
         raise _invalid("droprate", rate, "a number from 0 up to 1")
-    for key in ("LPN", "use_vgg16"):
+    for key in ("LPN", "share", "use_vgg16"):
         if not isinstance(known.get(key, True), bool):
             if known[key] not in (0, 1):
                 raise _invalid(key, known[key], "true or false")

@@ -9,7 +9,6 @@ from jinja2 import Environment
 from markupsafe import Markup
 
 from lpn.core.arrays import UInt8Array
-from lpn.core.files import printable
 from lpn.core.templates import environment
 from lpn.drawing import charts, overlays, theme
 
@@ -35,13 +34,8 @@ def thumbnail(picture: UInt8Array) -> str:
 
 @cache
 def _environment() -> Environment:
-    templates = environment("lpn.report", finalize=_one_line)
+    templates = environment("lpn.report")
     templates.globals["part_colour"] = charts.part_colour
     templates.globals["evidence_colours"] = charts.EVIDENCE_COLOURS
     templates.filters["thousands"] = "{:,.0f}".format
     return templates
-
-
-def _one_line(value: object) -> object:
-    """Put a file's text on one line, with "?" for what cannot be printed."""
-    return printable(" ".join(value.split())) if isinstance(value, str) and not isinstance(value, Markup) else value

@@ -16,14 +16,13 @@ from typing import Any, get_type_hints
 import msgspec
 import numpy as np
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
 import lpn
 from lpn import descriptors
 from lpn.analysis.model_table import RESAMPLES, intervals
 from lpn.core.arrays import Float64Array, Int64Array
-from lpn.core.consoles import wide_console
+from lpn.core.consoles import Console, wide_console
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, fingerprint, printable, write_atomic, write_json
 from lpn.core.formats import decode_json

@@ -11,8 +11,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
-from rich.console import Console
-
+from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset

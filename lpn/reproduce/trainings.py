@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any, Literal, cast
 
 import msgspec
-from rich.console import Console
 
+from lpn.core.consoles import Console
 from lpn.core.errors import DivergedError, InputError, OutputError
 from lpn.core.files import exclusive_lock, fingerprint, write_json
 from lpn.core.formats import decode_json

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
@@ -12,7 +10,6 @@ from typing import TYPE_CHECKING, Protocol
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 
 if TYPE_CHECKING:
     from lpn.locate.located import LocatedFlight
@@ -66,7 +63,9 @@ def open_first_task(source: TaskSource, names: Sequence[str] = (), weights: Sequ
     Args:
         names, weights: see `TaskSource.open`.
     """
-    with progress_bars() as on_progress:
+    from lpn.core.consoles import stage_bars
+
+    with stage_bars() as on_progress:
         return source.open(names, weights, on_progress).task
 
 
@@ -81,28 +80,16 @@ def open_with_notes(
     Raises:
         DataError: also if the file is damaged.
     """
+    from lpn.core.consoles import stage_bars
     from lpn.core.demo import own_file
     from lpn.tasks import notes
 
     named = None if file is None else notes.read_notes(file)
-    with progress_bars() as on_progress:
+    with stage_bars() as on_progress:
         opened = source.open(names, weights, on_progress)
     first = opened.task
     read = notes.read_notes(own_file(first.root, notes.NAME)) if named is None else named
     return replace(opened, tasks=[replace(first, notes=read)])
-
-
-@contextmanager
-def progress_bars(title: str = "Describing {}") -> Iterator[Progress]:
-    """Show a bar on the terminal for each stage of an opening, see `stage_bars`."""
-    from rich.console import Console
-
-    from lpn.core.consoles import stage_bars
-
-    # A notebook's console, which is no terminal, gets no animation.
-    console = Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
-    with stage_bars(console, title) as report:
-        yield report
 
 
 class Named(Protocol):

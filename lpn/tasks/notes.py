@@ -12,14 +12,13 @@ from __future__ import annotations
 
 import csv
 import re
-import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.csv_cells import csv_bytes, decode_text, delimited, unescape
 from lpn.core.errors import DataError, InputError
-from lpn.core.files import printable
+from lpn.core.files import TYPED, printable
 from lpn.core.own_files import OwnFileFormat
 from lpn.core.tables import Column, text_column
 from lpn.datasets.listed_paths import plain_path
@@ -32,10 +31,6 @@ _HEADER = ["path", TAGS, NOTE]
 _TAG = re.compile(rf"\w[\w-]{{0,{LONGEST_TAG - 1}}}")
 _SEPARATORS = re.compile(r"[\s,;]+")
 _LINE_BREAK = re.compile("\r\n|[\r\v\f\x85\u2028\u2029]")
-# Categories of control characters and of bytes that are not UTF-8.
-_NO_TEXT = ("Cc", "Cs")
-# Embeddings, overrides, and isolates of a direction. The marks that a keyboard for Hebrew or Arabic types are none of these.
-_TURNS = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 
 
 @dataclass(frozen=True)
@@ -95,7 +90,7 @@ def set_note(
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """
-    note = Note(parse_tags(tags), _clean(text))
+    note = Note(parse_tags(tags), typed(text))
     if not path or printable(path) != path:
         raise InputError(
             f"The query's path is {printable(path)!r}; expected the path of the picture relative to the data set's "
@@ -106,7 +101,7 @@ def set_note(
 
     def change(notes: dict[str, Note]) -> dict[str, Note]:
         stored = notes.pop(plain_path(path), Note())
-        if before is not None and stored not in (Note(before.tags, _clean(before.text)), note):
+        if before is not None and stored not in (Note(before.tags, typed(before.text)), note):
             raise ChangedNoteError(stored)
         return notes if note == Note() else notes | {plain_path(path): note}
 
@@ -189,7 +184,7 @@ def _decode(content: bytes, file: Path) -> dict[str, Note]:
                 f"Entry {number - 1} of {file} {problem}; expected one line per query, with {','.join(_HEADER)}."
             )
         try:
-            notes[path] = Note(parse_tags(values[1]), _clean(values[2]))
+            notes[path] = Note(parse_tags(values[1]), typed(values[2]))
         except InputError as error:
             raise DataError(f"Entry {number - 1} of {file} cannot be used: {error}") from error
     return notes
@@ -201,10 +196,9 @@ def _encode(notes: dict[str, Note]) -> bytes:
     )
 
 
-def _clean(text: str) -> str:
-    """Write every line break as a line feed, and remove control characters and those that turn the writing around."""
-    lines = _LINE_BREAK.sub("\n", text)
-    return "".join(c for c in lines if c in "\n\t" or not (unicodedata.category(c) in _NO_TEXT or c in _TURNS)).strip()
+def typed(text: str) -> str:
+    """Return what a person typed, each line break a line feed, without what is not `printable` and space around it."""
+    return printable(_LINE_BREAK.sub("\n", text), TYPED, "").strip()
 
 
 _FORMAT = OwnFileFormat("notes", _decode, _encode, dict, "shorten other notes first")

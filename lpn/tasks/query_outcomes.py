@@ -37,6 +37,8 @@ OUTCOME_COLUMNS = (
     *("name", "rank", RANK_A, RANK_B, "margin", "part"),
     *("truth", "answer", "false", "distance", "overlap", "semi"),
 )
+# Names that no column of metadata.csv may have.
+RESERVED = (*OUTCOME_COLUMNS, *(f"margin_{part}" for part in range(1, 100)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,7 +216,7 @@ def table(
         *more,
     ]
     paths = metadata.relative(root, queries)
-    taken = [*(column.name for column in columns), RANK_A, RANK_B]
+    taken = [*RESERVED, *(column.name for column in more)]
     return Table(paths, columns).with_columns(metadata.columns(root, paths, taken))
 
 

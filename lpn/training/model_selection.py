@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from rich.console import Console
 
 from lpn import descriptors
 from lpn.core.arrays import Float32Array
+from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
 from lpn.descriptors.transforms import Change

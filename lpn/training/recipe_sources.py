@@ -12,9 +12,9 @@ from dataclasses import asdict
 from typing import cast
 
 from rich import box
-from rich.console import Console
 from rich.table import Table
 
+from lpn.core.consoles import Console
 from lpn.training.recipes import OF_BASELINE, find
 
 # Pairs of a recipe of a paper's text and the recipe of its released code.

@@ -7,9 +7,9 @@ import io
 from collections.abc import Sequence
 from pathlib import Path
 
-from rich.console import Console
 from tensorboardX import SummaryWriter
 
+from lpn.core.consoles import Console
 from lpn.core.errors import OutputError
 from lpn.core.files import space_remedy, write_atomic
 from lpn.training.model_selection import EpochMetrics

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, cast
 
 import torch
-from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 from torch import Tensor
 
+from lpn.core.consoles import Console
 from lpn.core.errors import DivergedError, InputError, ModelFileError
 from lpn.core.files import check_writable
 from lpn.core.shutdown import uninterrupted

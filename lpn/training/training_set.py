@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from rich.console import Console
 
 from lpn.core import images
 from lpn.core.arrays import Int64Array, UInt8Array
+from lpn.core.consoles import Console
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few
 from lpn.core.views import VIEWS, View, branch_of

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array
+from lpn.core.consoles import Console
 from lpn.core.errors import InputError, OutputError
 from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import UPGRADE, WORLD, is_newer, newer_version

@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 import lpn
 from lpn.cli.locate import print_summary
+from lpn.core.consoles import Console
 from lpn.core.files import write_atomic
 from lpn.flights import open_flight
 from lpn.locate.belief import TAG_RADIUS, disagreements

@@ -28,11 +28,11 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from PIL import Image
-from rich.console import Console
 from torch.utils.data import DataLoader, Dataset
 
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
+from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN

@@ -10,6 +10,7 @@ import json
 import logging
 import os
 import socket
+import sys
 import threading
 import urllib.error
 import urllib.request
@@ -425,6 +426,38 @@ def test_an_address_that_sends_many_wrong_tokens_is_blocked_until_it_stops(
     assert get(locked, "/?token=correct+horse+battery")[0] == 429, "its tokens are not compared"
     now[0] = 60.0
     assert get(locked, "/?token=correct+horse+battery")[0] == 200
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems answer at 127.0.0.1 alone")
+def test_guesses_from_all_addresses_of_this_machine_count_together(
+    locked: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now, compared = [0.0], []
+    monkeypatch.setattr(locked.gateway, "_rate_limiter", RateLimiter(lambda: now[0]))
+    check = Authenticator.check
+    monkeypatch.setattr(
+        Authenticator,
+        "check",
+        lambda rules, request, port: compared.append(request.address) or check(rules, request, port),
+    )
+
+    def status(source: str, token: str, **headers: str) -> int:
+        connection = http.client.HTTPConnection(
+            "127.0.0.1", locked.server.get_port(), timeout=TIMEOUT, source_address=(source, 0)
+        )
+        connection.request("GET", f"/?token={token}", headers=headers)
+        answer = connection.getresponse().status
+        connection.close()
+        return answer
+
+    sources = [f"127.{i % 3}.{i % 5}.{i + 1}" for i in range(60)]
+    statuses = [status(source, "wrong", **{"X-Forwarded-For": f"10.0.0.{i}"}) for i, source in enumerate(sources)]
+    assert statuses == [403] * int(GUESSES) + [429] * (60 - int(GUESSES))
+    assert compared == sources[: int(GUESSES)]
+    held = f"lpn-{locked.server.get_port()}={locked.authenticator.cookie_value}"
+    assert get(locked, cookie=held)[0] == 200, "browsers that are signed in stay so"
+    now[0] = 2.5
+    assert status("127.0.0.1", "correct+horse+battery") == 200, "also for a proxy's visitors"
 
 
 def test_an_unsupported_viser_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

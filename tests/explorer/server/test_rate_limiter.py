@@ -40,6 +40,15 @@ def test_addresses_of_one_ipv6_network_count_as_one() -> None:
     assert not limiter.blocked("::ffff:1.2.3.4"), "addresses of IPv4 count alone"
 
 
+def test_all_loopback_addresses_count_as_one() -> None:
+    for address in ("127.0.0.1", "127.255.3.4", "::1", "::ffff:127.9.9.9"):
+        limiter = RateLimiter(lambda: 0.0)
+        for number in range(int(GUESSES)):
+            limiter.wrong_token(f"127.0.{number}.9")
+        assert limiter.blocked(address)
+        assert not limiter.blocked("128.0.0.1")
+
+
 def test_few_addresses_are_remembered() -> None:
     limiter = RateLimiter(lambda: 0.0)
     for _ in range(int(GUESSES)):

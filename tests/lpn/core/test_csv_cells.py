@@ -9,6 +9,7 @@ from random import Random
 import pytest
 
 from lpn.core.csv_cells import csv_bytes, delimited, escape_formula, unescape
+from lpn.core.files import printable
 
 
 @pytest.mark.parametrize(
@@ -45,14 +46,20 @@ def test_numbers_stay_numbers(number: str) -> None:
 def test_any_text_is_read_back() -> None:
     rng, letters = Random(36), "=+-@'\t\r\n;,\"a1. \uff1d5e\x0b\u2028\0"
     rows = [["".join(rng.choices(letters, k=rng.randrange(8))) for _ in range(4)] for _ in range(2000)]
-    data = csv_bytes(rows)
+    data = csv_bytes(rows, "strict")
     assert list(csv.reader(io.StringIO(data.decode(), newline=""))) == [list(map(escape_formula, row)) for row in rows]
     read = [[unescape(cell) for cell in values] for _, values in delimited("a,b,c,d\n" + data.decode()).rows][1:]
     assert read == [row for row in rows if any(map(str.strip, row))]
+    # A table for others holds what a terminal would not obey, see `printable`.
+    shown = [[printable(cell, "\n\t") for cell in row] for row in rows]
+    assert csv_bytes(rows) == csv_bytes(shown, "strict")
+    assert not {"\r", "\x0b", "\u2028", "\0"} & set(csv_bytes(rows).decode())
 
 
 def test_numbers_unknown_values_and_other_bytes() -> None:
-    assert csv_bytes([["a\r b", None, -0.25, -3, True]]) == b'"a\r b",,-0.25,-3,True\n'
+    assert csv_bytes([["a\r b", None, -0.25, -3, True]], "strict") == b'"a\r b",,-0.25,-3,True\n'
+    assert csv_bytes([["a\r b", None, -0.25, -3, True]]) == b"a? b,,-0.25,-3,True\n"
+    assert csv_bytes([["\u200f(1)\x07"]], keep="\u200f") == "\u200f(1)?\n".encode()
     assert csv_bytes([["caf\udce9"]]) == b"caf?\n"
     assert csv_bytes([["caf\udce9"]], "surrogateescape") == b"caf\xe9\n"
     assert list(delimited('a,"b\nc"\n\nd\n').rows) == [(2, ["a", "b\nc"]), (4, ["d"])]

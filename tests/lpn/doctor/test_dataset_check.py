@@ -77,6 +77,37 @@ def test_positions_are_checked(tmp_path: Path) -> None:
     assert "no position for 1 of 12 pictures" in found["gap"]
 
 
+@pytest.mark.parametrize(
+    ("name", "text", "said"),
+    [
+        (
+            "metadata.csv",
+            'path,"=HYPERLINK(""x"")"\ntest/query_drone/0003/image-01.png,1\n',
+            "expected a name without any of",
+        ),
+        ("metadata.csv", "path,margin_2\ntest/query_drone/0003/image-01.png,1\n", "which there is already"),
+        ("metadata.csv", "path,weather\ntest/query_drone/0003/image-01.png\n", "has 1 values; expected 2"),
+        ("metadata.csv", "path,weather\nelsewhere.png,rain\n", "names none of the 2 queries"),
+        ("notes.csv", "path,note\n", "expected path,tags,note"),
+        ("notes.csv", "path,tags,note\na.png,!,\n", "cannot be used: The tag '!' is not a word"),
+    ],
+)
+def test_what_lists_of_queries_refuse_is_found(
+    name: str, text: str, said: str, tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = small_worlds.make_dataset(tmp_path / "places", train=2, test=2)
+    (root / name).write_text(text)
+    assert main.main(["failures", "--data", str(root), "--model", str(model_file)]) == 2
+    refused = capsys.readouterr().err
+    assert said in refused
+    status, found = doctor(root, tmp_path)
+    assert (status, found["healthy"]) == (1, False)
+    assert f"lpn: {found['refused'][0]}\n" == refused
+    assert said in " ".join(capsys.readouterr().out.split())
+    (root / name).unlink()
+    assert doctor(root, tmp_path)[1]["refused"] == []
+
+
 def test_equal_files_and_shared_places_are_found(tmp_path: Path) -> None:
     root = layouts.pairs(
         tmp_path / "mine",

@@ -10,7 +10,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from rich.console import Console
 
 from lpn.cli.locate import locate_files
 from lpn.core.arrays import Float32Array
@@ -221,9 +220,7 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
     for model, sizes in ((None, None), (tmp_path / "lpn.onnx", (60.0,))):
         with pytest.raises(InputError, match="give --index with --model and without --size"):
-            locate_files(
-                tmp_path, tmp_path, model, None, "auto", LocateOptions(sizes=sizes), None, True, Console(), "index"
-            )
+            locate_files(tmp_path, tmp_path, model, None, "auto", LocateOptions(sizes=sizes), None, True, "index")
 
 
 @pytest.mark.parametrize(("told", "most"), [(None, None), (90.0, None), (None, 60)])

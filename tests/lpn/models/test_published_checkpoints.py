@@ -201,6 +201,25 @@ def test_two_equal_branches_are_one_network_of_every_view(tmp_path: Path, caplog
     assert not caplog.records
 
 
+def test_two_equal_branches_that_share_nothing_are_those_of_panoramas(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    state = two_branches()
+    state |= {k.replace("model_1.", "model_2."): v.clone() for k, v in state.items() if k.startswith("model_1.")}
+    torch.save(state, tmp_path / "net_119.pth")
+    for text, views, layout in (
+        ("share: false", ("satellite", "street"), "cvusa"),
+        ("share: 0", ("satellite", "street"), "cvusa"),
+        ("share: true", ("satellite", "street", "drone"), "university"),
+    ):
+        caplog.clear()
+        (tmp_path / "opts.yaml").write_text(f"h: 64\nw: 64\nviews: 2\n{text}\n")
+        model = lpn.load(tmp_path / "net_119.pth", "cpu")
+        assert (model.views, model.spec.layout) == (views, layout)
+        (record,) = caplog.records
+        assert ("they are read as satellite and street" in record.getMessage()) == (layout == "cvusa")
+
+
 def test_an_option_names_the_second_branch_the_drones(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     torch.save(two_branches(), tmp_path / "net_119.pth")
     (tmp_path / "opts.yaml").write_text("h: 64\nw: 64\nviews: 2\nmodel_2: drone\n")
@@ -337,6 +356,7 @@ def test_a_path_in_another_encoding_does_not_hide_the_options(tmp_path: Path) ->
         ("droprate: '75%'", "says droprate: 75%; expected a number from 0 up to 1, so correct it."),
         ("use_vgg16: maybe", "says use_vgg16: maybe; expected true or false, so correct it."),
         ("LPN: 4", "says LPN: 4; expected true or false, so correct it."),
+        ("share: some", "says share: some; expected true or false, so correct it."),
     ],
 )
 def test_an_option_that_is_used_and_wrong_is_one_sentence(option: str, sentence: str, tmp_path: Path) -> None:

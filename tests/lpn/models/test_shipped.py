@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -148,3 +149,29 @@ def test_the_command_lists_the_cards_and_shows_one(tmp_path: Path, capsys: pytes
     assert "No model of the name city ships; " in capsys.readouterr().err
     with pytest.raises(InputError, match="the nearest is city-lpn"):
         shipped.model_card("city-lpm")
+
+
+@pytest.mark.skipif(
+    shutil.which("make") is None or not (ASSETS.parent / "Makefile").is_file(), reason="needs a checkout and make"
+)
+@pytest.mark.parametrize(
+    ("model", "beside", "torch"),
+    [
+        ("", "", False),
+        *((card.name, "", False) for card in model_cards()),
+        ("city-lpn", "city-baseline", False),
+        ("city-lpn", "runs/lpn.onnx", False),
+        ("city-lpn", "runs/last.safetensors", True),
+        ("net_last.pth", "city-lpn", True),
+        ("no-such-model", "", True),
+    ],
+)
+def test_make_explore_installs_torch_for_models_alone_that_need_it(
+    model: str, beside: str, torch: bool, tmp_path: Path
+) -> None:
+    given = [f"VENV={tmp_path / 'env'}", f"MODEL={model}", f"BESIDE={beside}"]
+    done = subprocess.run(
+        ["make", "-n", "explore", *given], cwd=ASSETS.parent, capture_output=True, text=True, check=True
+    )
+    assert "lpn explore" in done.stdout
+    assert ("torch==" in done.stdout) == torch
