@@ -53,6 +53,8 @@ MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
 SMALL_FRAME = 1024  # bytes
+# Seconds that a browser may take to read what is sent at once: 3 MB, of a city, at 25 kB/s.
+READ_TIMEOUT = 120.0
 
 # Beginnings of connections that are no requests, and what the terminal says of them.
 _FOREIGN = {
@@ -273,6 +275,11 @@ class _Connection(ServerConnection):
             self.transport.abort()
         else:
             super().process_event(event)
+
+    async def drain(self) -> None:
+        """Wait for the browser to read; on a timeout websockets aborts the connection. By itself it would wait without end."""
+        async with asyncio.timeout(READ_TIMEOUT):
+            await super().drain()
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that passes the filter, as bytes."""
