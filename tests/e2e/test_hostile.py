@@ -19,9 +19,10 @@ import pytest
 from PIL import ExifTags, Image, PngImagePlugin
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
+import lpn
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.service import FlightService
-from explorer.opening import open_model
+from explorer.opening import open_flight_over, open_model
 from explorer.stories import exported
 from explorer.stories.story import Step, Story
 from explorer.stories.windows import WindowSources
@@ -315,9 +316,9 @@ def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
 
 @pytest.mark.slow
 def test_no_text_runs_in_the_files_that_leave(
-    places: Path, model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
+    places: Path, flown: dict[str, Path], model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
 ) -> None:
-    """The report and an exported story as a browser shows them."""
+    """The report, exported stories, and a notebook's cell as a browser shows them."""
     page, alarms = file_page
     report = [
         "report",
@@ -331,29 +332,38 @@ def test_no_text_runs_in_the_files_that_leave(
         "rank > 0",
     ]
     assert main.main(report) == 0
-    workspace = open_model(places, model_file)
-    sources = WindowSources(workspace, FailureLab(workspace), FlightService(workspace))
-    first = next(iter(workspace.tasks.values())).query_names[0]
-    shows = urlencode({"query": first, "lab": "1", "columns": "weather,note"})
-    told = Story(NAMES[0], tuple(Step(shows if number else "", f"{TEXT} {name}") for number, name in enumerate(NAMES)))
-    _, story = exported.export(sources, UrlState(workspace), told, dark=True)
-    (tmp_path / "story.html").write_bytes(story)
-    for name in ("report", "story"):
+    shows = {"story": {"lab": "1", "columns": "weather,note"}, "flight": {"flight": "1"}}
+    for name, windows in shows.items():
+        workspace = open_model(places, model_file)
+        if name == "flight":
+            workspace = open_flight_over(flown["map"], flown["flight"], flown["model"], register=False)
+        sources = WindowSources(workspace, FailureLab(workspace), FlightService(workspace))
+        first = next(iter(workspace.tasks.values())).query_names[0]
+        steps = [
+            Step(urlencode({"query": first} | windows) if number else "", f"{TEXT} {text}")
+            for number, text in enumerate(NAMES)
+        ]
+        _, story = exported.export(sources, UrlState(workspace), Story(NAMES[0], tuple(steps)), dark=True)
+        (tmp_path / f"{name}.html").write_bytes(story)
+    tiles = lpn.Gallery.of_folder(places / "tiles", flown["model"])
+    answer = tiles.search(small_worlds.place(1), weights=[1, 0])
+    (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{answer._repr_html_()}")
+    for name in ("report", "notebook", *shows):
         page.goto((tmp_path / f"{name}.html").as_uri())
         page.wait_for_load_state("networkidle")
         shown = page.locator("body").inner_text()
-        if name == "report":
-            assert all(text in shown for text in NAMES)
+        if name not in shows:
+            assert all(text in shown for text in (NAMES if name == "report" else (NAMES[1], NAMES[4])))
         else:
             for number, text in enumerate(NAMES):
                 expect(page.locator(".slide:not([hidden]) .caption")).to_have_text(f"{TEXT} {text}")
                 if number + 1 < len(NAMES):
                     page.keyboard.press("ArrowRight")
             assert page.title() == NAMES[0]
-        assert TEXT[:40] in page.locator("body").inner_text()
+        assert name == "notebook" or TEXT[:40] in page.locator("body").inner_text()
         page.evaluate("document.querySelectorAll('*').forEach(e => e.click && e.tagName !== 'A' && e.click())")
         assert page.evaluate("window.hurt") is None
-        assert page.evaluate("document.querySelectorAll('iframe').length") == 0
+        assert not page.locator(INJECTED).count()
     assert not alarms
 
 
