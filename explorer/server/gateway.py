@@ -202,7 +202,17 @@ class Gateway:
         return self._secured(await pictures.respond(path, request.address), request)
 
     def _secured(self, response: Response, request: HttpRequest) -> Response:
-        return _add_security_headers(response, request.only("host"), self._embedders)
+        """Let the page load resources only from its own server, and only the embedders show it in a frame."""
+        host, frames = request.only("host"), " ".join(("'self'", *self._embedders))
+        own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
+        response.headers["Content-Security-Policy"] = (
+            "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+            f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
+            f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {frames}"
+        )
+        response.headers["X-Content-Type-Options"] = "nosniff"
+        response.headers["Referrer-Policy"] = "no-referrer"
+        return response
 
 
 class _RequestReader(StreamReader):
@@ -388,23 +398,6 @@ def _select_subprotocol(
     if PROTOCOL in offered:
         return Subprotocol(PROTOCOL)
     return None if select is None else select(connection, offered)
-
-
-def _add_security_headers(response: Response, host: str, embedders: Sequence[str]) -> Response:
-    """Add security headers to a response.
-
-    The page may load resources only from its own server. Only the embedders may show it in a frame.
-    """
-    frames = " ".join(("'self'", *embedders))
-    own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
-    response.headers["Content-Security-Policy"] = (
-        "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
-        f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
-        f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {frames}"
-    )
-    response.headers["X-Content-Type-Options"] = "nosniff"
-    response.headers["Referrer-Policy"] = "no-referrer"
-    return response
 
 
 def _unsupported(what: str) -> MissingPackageError:
