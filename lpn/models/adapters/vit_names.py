@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import torch
@@ -329,8 +329,3 @@ def _transformers_format(state: Mapping[str, Tensor]) -> VitFormat:
     if any(".layer_scale1." in key for key in state):
         return VitFormat("DINOv2")
     return VitFormat("ViT", epsilon=1e-12, normalisation=(_HALF, _HALF))
-
-
-def with_facts(form: VitFormat, epsilon: float | None, activation: str | None) -> VitFormat:
-    """Return a format with what a configuration beside the file says."""
-    return replace(form, epsilon=epsilon or form.epsilon, activation=activation or form.activation)
