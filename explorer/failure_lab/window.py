@@ -232,8 +232,10 @@ class FailureLabWindow:
                     what = say("query", len(rows))
                     result = f"{len(rows):,} {what} {'is' if len(rows) == 1 else 'are'} tagged in {self._service.notes_place}."
                 case messages.SaveView(name):
-                    self._service.save_view(state.to_view(findings, lab, name))
-                    result = f"Saved in {self._service.views_place}."
+                    view = state.to_view(findings, lab, name)
+                    again = any(other.name == view.name for other in self._service.views(view.task))
+                    self._service.save_view(view)
+                    result = f"Saved in {self._service.views_place}{', in place of the view of this name' if again else ''}."
                 case messages.RemoveView(name):
                     self._service.remove_view(lab.task, name)
                     result = ""

@@ -17,7 +17,7 @@ from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
-from lpn.core.errors import DataError, LPNError, PictureError
+from lpn.core.errors import DataError, InputError, LPNError, PictureError
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement, map_agreement
 from lpn.locate.belief import Belief, Disagreement, FlightVerdicts, best_track
@@ -132,13 +132,18 @@ class FlightService:
             corners: of the picture in metres of the map's frame, (4, 2).
 
         Raises:
-            LPNError: when the corners are not those of a picture, or the file cannot be written; then nothing has changed.
+            LPNError: when the corners are not those of a picture, another program has corrected the frame meanwhile, or the
+                file cannot be written; then nothing has changed.
         """
         with self._lock:  # otherwise an older state of the file could be assigned last
             view = self.view()
             name, basemap = view.flight.frames[frame].frame.name, view.flight.basemap
             correction = None if corners is None else Correction.of(corners, basemap.frame)
-            kept = corrections.set_correction(self.corrections_file, name, correction)
+            try:
+                kept = corrections.set_correction(self.corrections_file, name, correction, view.corrections)
+            except InputError:
+                self._view = None  # the next one has what the other program wrote
+                raise
             self._view = replace(view, corrections=kept, corrections_error="")
         self.watchers.tell()
 

@@ -53,6 +53,8 @@ MAX_ADDRESS, MAX_REQUEST_HEAD = 20_000, 1 << 16
 # A browser sends hardly any.
 SMALL_FRAME_RATE, SMALL_FRAME_BURST = 20.0, 400.0
 SMALL_FRAME = 1024  # bytes
+# Seconds that a browser may take to read what is sent at once: 3 MB, of a city, at 25 kB/s.
+READ_TIMEOUT = 120.0
 
 # Beginnings of connections that are no requests, and what the terminal says of them.
 _FOREIGN = {
@@ -200,7 +202,17 @@ class Gateway:
         return self._secured(await pictures.respond(path, request.address), request)
 
     def _secured(self, response: Response, request: HttpRequest) -> Response:
-        return _add_security_headers(response, request.only("host"), self._embedders)
+        """Let the page load resources only from its own server, and only the embedders show it in a frame."""
+        host, frames = request.only("host"), " ".join(("'self'", *self._embedders))
+        own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
+        response.headers["Content-Security-Policy"] = (
+            "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+            f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
+            f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {frames}"
+        )
+        response.headers["X-Content-Type-Options"] = "nosniff"
+        response.headers["Referrer-Policy"] = "no-referrer"
+        return response
 
 
 class _RequestReader(StreamReader):
@@ -273,6 +285,11 @@ class _Connection(ServerConnection):
             self.transport.abort()
         else:
             super().process_event(event)
+
+    async def drain(self) -> None:
+        """Wait for the browser to read; on a timeout websockets aborts the connection. By itself it would wait without end."""
+        async with asyncio.timeout(READ_TIMEOUT):
+            await super().drain()
 
     async def recv(self, decode: bool | None = None) -> Any:
         """Return the next message that passes the filter, as bytes."""
@@ -381,23 +398,6 @@ def _select_subprotocol(
     if PROTOCOL in offered:
         return Subprotocol(PROTOCOL)
     return None if select is None else select(connection, offered)
-
-
-def _add_security_headers(response: Response, host: str, embedders: Sequence[str]) -> Response:
-    """Add security headers to a response.
-
-    The page may load resources only from its own server. Only the embedders may show it in a frame.
-    """
-    frames = " ".join(("'self'", *embedders))
-    own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
-    response.headers["Content-Security-Policy"] = (
-        "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
-        f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
-        f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {frames}"
-    )
-    response.headers["X-Content-Type-Options"] = "nosniff"
-    response.headers["Referrer-Policy"] = "no-referrer"
-    return response
 
 
 def _unsupported(what: str) -> MissingPackageError:

@@ -90,22 +90,29 @@ def read_corrections(file: Path) -> dict[str, Correction]:
     return _FORMAT.read(file)
 
 
-def set_correction(file: Path, name: str, correction: Correction | None) -> dict[str, Correction]:
+def set_correction(
+    file: Path, name: str, correction: Correction | None, known: Mapping[str, Correction] | None = None
+) -> dict[str, Correction]:
     """Replace one frame's correction on disk and keep all others; None removes its line.
 
     Args:
         file: usually `corrections.csv` in the flight's folder.
         name: of the frame.
+        known: the corrections that the person has seen; None replaces any.
 
     Returns:
         All corrections after the change.
 
     Raises:
+        InputError: when the frame's correction is not the known one; it is not changed.
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """
 
     def change(corrections: dict[str, Correction]) -> dict[str, Correction]:
+        stored, seen = ({name: all_of[name]} if name in all_of else {} for all_of in (corrections, known or {}))
+        if known is not None and _encode(stored) != _encode(seen):
+            raise InputError("Somebody else has corrected this photo meanwhile; save again to replace that.")
         corrections.pop(name, None)
         return corrections if correction is None else corrections | {name: correction}
 

@@ -7,6 +7,9 @@ from typing import Generic, TypeVar
 
 import msgspec
 
+from lpn.core.errors import OutputError
+from lpn.core.files import space_remedy
+
 Kept = TypeVar("Kept", bound=msgspec.Struct)
 
 
@@ -38,8 +41,14 @@ class LineRecords(Generic[Kept]):
         return self._records.get(key)
 
     def append(self, key: str, record: Kept) -> None:
-        """Write a record."""
-        self._file.parent.mkdir(parents=True, exist_ok=True)
-        with self._file.open("ab") as file:
-            # A line that was cut short must not swallow this one.
-            file.write(b"\n" + msgspec.json.encode((key, record)) + b"\n")
+        """Write a record; OutputError if that cannot be."""
+        try:
+            self._file.parent.mkdir(parents=True, exist_ok=True)
+            with self._file.open("ab") as file:
+                # A line that was cut short must not swallow this one.
+                file.write(b"\n" + msgspec.json.encode((key, record)) + b"\n")
+        except OSError as error:
+            raise OutputError(
+                f"{self._file} cannot be written ({error.strerror or error}); {space_remedy(error)}set LPN_CACHE to a folder "
+                "that can be written."
+            ) from error

@@ -118,14 +118,30 @@ def test_a_note_a_view_and_a_story_are_not_lost_while_the_disk_is_full(
     assert json.loads((places / "views.json").read_bytes())["views"][0]["name"] == "dark roofs"
 
 
+@pytest.fixture(scope="module")
+def second_app(
+    places: Path, model_file: Path, small_app: RunningApp, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[RunningApp]:
+    """A second server over the same folder."""
+    assert small_app.data == places
+    with started(places, model_file, tmp_path_factory.mktemp("second") / "cache") as running:
+        yield running
+
+
 @pytest.mark.slow
+@pytest.mark.parametrize(("apps", "row"), [(("small_app", "small_app"), 4), (("small_app", "second_app"), 5)])
 def test_two_browsers_that_write_one_note_lose_neither(
-    places: Path, small_app: RunningApp, contexts: Callable[[], BrowserContext]
+    places: Path,
+    apps: tuple[str, str],
+    row: int,
+    request: pytest.FixtureRequest,
+    contexts: Callable[[], BrowserContext],
 ) -> None:
+    """They use one server, or two over the same folder."""
     first, second = (LabPage(contexts().new_page()) for _ in range(2))
-    for lab in (first, second):
-        lab.enter(small_app.url)
-        path = open_row(lab, 4)
+    for lab, app in zip((first, second), apps, strict=True):
+        lab.enter(request.getfixturevalue(app).url)
+        path = open_row(lab, row)
     note, message = "#lpn-lab-note", "#lpn-lab-message"
     first.page.locator(note).press_sequentially("mine")
     second.page.locator(note).fill("theirs")
@@ -142,6 +158,19 @@ def test_two_browsers_that_write_one_note_lose_neither(
     first.page.locator(note).blur()
     expect(first.page.locator(message)).to_contain_text("Saved in")
     assert read_notes(places / "notes.csv")[path].text == "theirs, and mine"
-    open_row(second, 3)
-    open_row(second, 4)
-    expect(second.page.locator(note)).to_have_value("theirs, and mine")
+    if apps[0] == apps[1]:
+        open_row(second, 3)
+        open_row(second, row)
+        expect(second.page.locator(note)).to_have_value("theirs, and mine")
+    else:
+        second.page.locator(note).fill("theirs again")
+        second.page.locator(note).blur()
+        expect(second.page.locator(message)).to_contain_text("it is now 'theirs, and mine'; save again to replace it.")
+        expect(second.page.locator(note)).to_have_value("theirs again")
+    # A view of one name: the second is told that it stands in place of the first.
+    for lab, place in ((first, ""), (second, ", in place of the view of this name")):
+        lab.page.locator(".lab-summary a", has_text="Views").click()
+        lab.page.locator("#lpn-lab-view-name").fill(f"roofs {row}")
+        lab.page.locator("#lpn-lab-views a.button").click()
+        saved = f"Saved in views.json, beside the data, on the computer that runs this page{place}."
+        expect(lab.page.locator("#lpn-lab-views .dim", has_text="Saved in")).to_have_text(saved)

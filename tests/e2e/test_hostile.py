@@ -14,13 +14,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlencode, urlsplit
 
+import onnx
 import pytest
-from PIL import Image, PngImagePlugin
-from playwright.sync_api import Browser, BrowserContext, Page, expect
+from PIL import ExifTags, Image, PngImagePlugin
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
+import lpn
 from explorer.failure_lab.service import FailureLab
 from explorer.flight_window.service import FlightService
-from explorer.opening import open_model
+from explorer.opening import open_flight_over, open_model
 from explorer.stories import exported
 from explorer.stories.story import Step, Story
 from explorer.stories.windows import WindowSources
@@ -28,10 +30,25 @@ from explorer.url_state import UrlState
 from lpn.cli import main
 from lpn.core.files import printable
 from lpn.locate.tracks import TrackPoint, write_track
+from lpn.maps import MapPlace
+from lpn.maps.folder import build_map
+from lpn.models.contract import Contract
+from lpn.models.contract_metadata import to_metadata
 from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, empty_context, started
-from tools.fixtures import small_worlds
+from tests.lpn.locate.scenery import land, write_map
+from tools.fixtures import small_models, small_worlds
 from tools.fixtures.chromium import returning
+from tools.fixtures.photos import dji_xmp, exif, write_photo
 
+# Elements that only a foreign text could have put into the page.
+INJECTED = ", ".join(
+    (
+        "img[src='x']",
+        "iframe",
+        "[href^='javascript' i]",
+        *(f"[on{on}^='window.hurt']" for on in ("error", "load", "click")),
+    )
+)
 # Without slashes, so that a folder can have such a name.
 NAMES = [
     "<img src=x onerror=window.hurt=1>",
@@ -41,6 +58,7 @@ NAMES = [
     "[x](javascript:window.hurt=5)",
     "&lt;img src=x onerror=window.hurt=6&gt;",
     "`+(window.hurt=7)+`${window.hurt=7}",
+    "{{7*7}}{%raw%}<i onclick=window.hurt=16>",
 ]
 TEXT = (
     "</textarea></style><script>window.hurt=8</script><img src=x onerror=window.hurt=9>\"'>"
@@ -121,6 +139,7 @@ def visit(walk: Walk, folder: Path) -> None:
         explorer.settle()
         shown = page.locator("body").inner_text()
         walk.seen |= {text for text in (*NAMES, TEXT[:40]) if text in shown}
+        assert not page.locator(INJECTED).count()
 
     explorer.open(walk.url)
     look()
@@ -191,6 +210,95 @@ def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(walk: Walk) -> 
     assert walk.seen >= set(NAMES)
 
 
+def hostile_model(file: Path) -> Path:
+    """Write a tiny model whose own description is of scripts."""
+    made = onnx.load_model_from_string(small_models.onnx_file(sealed=False))
+    parts = (f"1 {NAMES[1]}", NAMES[4])
+    described = Contract(
+        NAMES[0],
+        TEXT,
+        ("satellite", "drone"),
+        (32, 32),
+        2,
+        4,
+        "exact, with held",
+        NAMES[2],
+        part_names={"satellite": parts},
+    )
+    del made.metadata_props[:]
+    onnx.helper.set_model_props(made, to_metadata(described))
+    file.write_bytes(made.SerializeToString())
+    return file
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """A map, a flight of photos from a camera, and models, whose names and descriptions are scripts."""
+    folder = tmp_path_factory.mktemp("flown") / NAMES[0]
+    folder.mkdir()
+    write_map(folder / "town.tif", land()).close()
+    place = MapPlace(NAMES[0], "spring", NAMES[2], f"https://x.org/{NAMES[1]}")
+    town = build_map([folder / "town.tif"], folder / NAMES[1], place=place)
+    camera = {ExifTags.Base.Make: NAMES[0], ExifTags.Base.Model: TEXT, ExifTags.Base.Software: TEXT}
+    spots = [(20.0 * number - 60, 0.0) for number in range(len(NAMES))]
+    for name, (latitude, longitude) in zip(NAMES, town.frame.degrees(spots).tolist(), strict=True):
+        angles = {"GimbalYawDegree": 0, "GimbalPitchDegree": -90, "GimbalRollDegree": 0, "RelativeAltitude": 30}
+        told = exif(latitude, longitude, camera)
+        write_photo(folder / "photos" / f"{name}.jpg", told, dji_xmp(**angles), size=(96, 72))
+    town.close()
+    (folder / "photos").rename(folder / NAMES[2])
+    model, other = (hostile_model(folder / f"{name}.onnx") for name in NAMES[3:5])
+    return {"map": folder / NAMES[1], "flight": folder / NAMES[2], "model": model, "beside": other}
+
+
+@pytest.mark.slow
+def test_a_flight_a_map_and_models_are_shown_as_text_too(
+    flown: dict[str, Path], tmp_path: Path, contexts: Callable[..., BrowserContext]
+) -> None:
+    options = ["flight", "--no-register", *(text for name, file in flown.items() for text in (f"--{name}", str(file)))]
+    with started(Path(), Path(), tmp_path / "cache", default=True, options=options) as running:
+        walked = Walk(contexts().new_page(), running.url)
+        explorer, page = ExplorerPage(walked.page), walked.page
+        page.on("dialog", lambda dialog: (walked.alarms.append(dialog.message), dialog.dismiss()))
+        page.on("pageerror", lambda error: walked.alarms.append(str(error)))
+
+        def look(room: Locator) -> None:
+            expect(room).to_be_visible()
+            explorer.settle()
+            walked.seen.add(page.locator("body").inner_text())
+            assert not page.locator(INJECTED).count()
+
+        page.goto(running.url)
+        expect(page.locator(".credit a")).to_have_attribute("href", f"https://x.org/{NAMES[1]}")
+        look(page.locator(".place", has_text=NAMES[0]))
+        explorer.open(f"{running.url}/?screen=all")
+        for number in range(1, len(NAMES)):
+            explorer.key("n")
+            explorer.expect_status("query", str(number))
+        look(page.locator("#lpn-matches"))
+        for key, room in (("w", "#lpn-flight-verdict"), ("m", "#lpn-stage-map"), ("b", "#lpn-lab-table tr.chosen")):
+            explorer.key(key)
+            look(page.locator(room))
+            explorer.key(key)
+        explorer.key("y")
+        expect(page.get_by_role("tab", name="Two models")).to_be_visible()
+        for tab in page.get_by_role("tab").all():
+            tab.click()
+            look(tab)
+        shown = "\n".join(walked.seen)
+        told = (
+            f"{NAMES[2]} over town",
+            f"{NAMES[3]}.onnx",
+            f"{NAMES[4]}.onnx",
+            TEXT,
+            f"with {NAMES[2]} held",
+            NAMES[1],
+        )
+        assert all(text in shown for text in (*told, *(f"{name}.jpg" for name in NAMES)))
+        assert page.evaluate("window.hurt") is None
+        assert not walked.alarms
+
+
 @pytest.fixture
 def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
     """A page for files, and what must not happen in it: requests for anything else, dialogs, and errors."""
@@ -208,9 +316,9 @@ def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
 
 @pytest.mark.slow
 def test_no_text_runs_in_the_files_that_leave(
-    places: Path, model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
+    places: Path, flown: dict[str, Path], model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
 ) -> None:
-    """The report and an exported story as a browser shows them."""
+    """The report, exported stories, and a notebook's cell as a browser shows them."""
     page, alarms = file_page
     report = [
         "report",
@@ -224,29 +332,38 @@ def test_no_text_runs_in_the_files_that_leave(
         "rank > 0",
     ]
     assert main.main(report) == 0
-    workspace = open_model(places, model_file)
-    sources = WindowSources(workspace, FailureLab(workspace), FlightService(workspace))
-    first = next(iter(workspace.tasks.values())).query_names[0]
-    shows = urlencode({"query": first, "lab": "1", "columns": "weather,note"})
-    told = Story(NAMES[0], tuple(Step(shows if number else "", f"{TEXT} {name}") for number, name in enumerate(NAMES)))
-    _, story = exported.export(sources, UrlState(workspace), told, dark=True)
-    (tmp_path / "story.html").write_bytes(story)
-    for name in ("report", "story"):
+    shows = {"story": {"lab": "1", "columns": "weather,note"}, "flight": {"flight": "1"}}
+    for name, windows in shows.items():
+        workspace = open_model(places, model_file)
+        if name == "flight":
+            workspace = open_flight_over(flown["map"], flown["flight"], flown["model"], register=False)
+        sources = WindowSources(workspace, FailureLab(workspace), FlightService(workspace))
+        first = next(iter(workspace.tasks.values())).query_names[0]
+        steps = [
+            Step(urlencode({"query": first} | windows) if number else "", f"{TEXT} {text}")
+            for number, text in enumerate(NAMES)
+        ]
+        _, story = exported.export(sources, UrlState(workspace), Story(NAMES[0], tuple(steps)), dark=True)
+        (tmp_path / f"{name}.html").write_bytes(story)
+    tiles = lpn.Gallery.of_folder(places / "tiles", flown["model"])
+    answer = tiles.search(small_worlds.place(1), weights=[1, 0])
+    (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{answer._repr_html_()}")
+    for name in ("report", "notebook", *shows):
         page.goto((tmp_path / f"{name}.html").as_uri())
         page.wait_for_load_state("networkidle")
         shown = page.locator("body").inner_text()
-        if name == "report":
-            assert all(text in shown for text in NAMES)
+        if name not in shows:
+            assert all(text in shown for text in (NAMES if name == "report" else (NAMES[1], NAMES[4])))
         else:
             for number, text in enumerate(NAMES):
                 expect(page.locator(".slide:not([hidden]) .caption")).to_have_text(f"{TEXT} {text}")
                 if number + 1 < len(NAMES):
                     page.keyboard.press("ArrowRight")
             assert page.title() == NAMES[0]
-        assert TEXT[:40] in page.locator("body").inner_text()
+        assert name == "notebook" or TEXT[:40] in page.locator("body").inner_text()
         page.evaluate("document.querySelectorAll('*').forEach(e => e.click && e.tagName !== 'A' && e.click())")
         assert page.evaluate("window.hurt") is None
-        assert page.evaluate("document.querySelectorAll('iframe').length") == 0
+        assert not page.locator(INJECTED).count()
     assert not alarms
 
 

@@ -13,6 +13,8 @@ import pytest
 
 from lpn.cli import main
 from lpn.core.errors import OutputError
+from lpn.locate.line_records import LineRecords
+from lpn.locate.located import StageRecord
 from lpn.locate.tracks import TrackPoint, write_track
 from lpn.tasks import notes
 from tools.fixtures import saves
@@ -79,6 +81,20 @@ def test_the_commands_that_write_files_for_others_say_so(
     assert shown.count("\n") == 1
     assert "failures.csv cannot be written (No space left on device); free space or choose another place." in shown
     assert table.read_text() == "an older table"
+
+
+def test_answers_of_a_flight_that_cannot_be_kept_are_told_and_those_before_stay(disk: Path) -> None:
+    file, answer = disk / "answers.jsonl", StageRecord("accepted", "40 matches agree. " * 400)
+    LineRecords(file, StageRecord).append("a.jpg", answer)
+    filler = fill(disk)
+    with pytest.raises(
+        OutputError, match=r"jsonl cannot be written \(No space left on device\); free space or set LPN_CACHE"
+    ):
+        LineRecords(file, StageRecord).append("b.jpg", answer)
+    filler.unlink()
+    LineRecords(file, StageRecord).append("c.jpg", answer)
+    kept = LineRecords(file, StageRecord)
+    assert [kept.get(name) for name in ("a.jpg", "b.jpg", "c.jpg")] == [answer, None, answer]
 
 
 def _set_notes(file: Path, name: str) -> None:

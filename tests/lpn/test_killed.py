@@ -13,7 +13,7 @@ import signal
 import sys
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from random import Random
 
@@ -25,6 +25,8 @@ from lpn import descriptors, index
 from lpn.core.errors import DataError, StoreError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
+from lpn.flights import write_flight
+from tests.lpn.locate.scenery import land, small_flight, write_map
 from tools.fixtures import saves, small_models, small_worlds
 from tools.fixtures.killed_commands import Killer
 
@@ -188,6 +190,25 @@ def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
             opened(file)
 
     survives(Command(arguments, whole, written), killer, out, FEW)
+
+
+@pytest.mark.slow
+def test_locate(tiny: Path, tmp_path: Path, killer: Killer) -> None:
+    """Retrieval, sequence, and registration, whose windows, map features, and photos are kept in the cache."""
+    out = tmp_path / "out"
+    town = write_map(tmp_path / "town.tif", land()[::2, ::2])
+    (tmp_path / "photos").mkdir()
+    flight = small_flight(tmp_path / "photos", town)
+    write_flight(replace(flight, frames=flight.frames[:6]), tmp_path / "flight")
+    where = ["--map", str(tmp_path / "town.tif"), "--flight", str(tmp_path / "flight"), "--out", str(out / "track.csv")]
+
+    def track() -> bytes | None:
+        return (out / "track.csv").read_bytes() if (out / "track.csv").exists() else None
+
+    def whole() -> None:
+        assert (track() or b"\n").endswith(b"\n")
+
+    survives(Command(["locate", *where, "--model", str(tiny), "--matcher", "sift"], whole, track), killer, out)
 
 
 @pytest.mark.slow

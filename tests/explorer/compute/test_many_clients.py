@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import itertools
 import re
+import socket
 import sys
 import threading
 import time
@@ -15,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from random import Random
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -22,6 +25,7 @@ import numpy as np
 import pytest
 import viser
 from viser import GuiApi, SceneApi
+from websockets.exceptions import ConnectionClosed
 
 import explorer.app
 import lpn
@@ -37,6 +41,7 @@ from explorer.failure_lab.window import FailureLabWindow
 from explorer.layout import ScreenLayout
 from explorer.opening import open_model, open_source
 from explorer.panels.panels import Panels
+from explorer.server import gateway
 from explorer.server.gateway import _Connection
 from explorer.server.message_filter import MessageFilter
 from explorer.server.viser_compat import SendBuffer
@@ -133,9 +138,9 @@ def url(app: App) -> str:
 class Browser(WebSocketClient):
     """A page that records the states that it was shown, in order."""
 
-    def __init__(self, url: str) -> None:
+    def __init__(self, url: str, **options: Any) -> None:
         self.shown: list[tuple[int, float]] = []
-        super().__init__(url)
+        super().__init__(url, **options)
 
     def _take(self, data: bytes | str) -> None:
         super()._take(data)
@@ -516,6 +521,50 @@ def settled() -> Counter[str]:
 def picture(size: int = 700) -> bytes:
     noise = np.random.default_rng(0).integers(0, 255, (size, size, 3), np.uint8)
     return cv2.imencode(".png", noise)[1].tobytes()
+
+
+class DeafBrowser(Browser):
+    """A page that stops reading when `deaf` is set, while its socket takes next to nothing."""
+
+    def __init__(self, url: str) -> None:
+        self.deaf, self.hears = threading.Event(), threading.Event()
+        own = socket.socket()
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        own.connect(("127.0.0.1", int(url.rpartition(":")[2])))
+        super().__init__(url, sock=own, ping_interval=None)
+
+    def _take(self, data: bytes | str) -> None:
+        if self.deaf.is_set():
+            self.hears.wait(TIMEOUT)
+        super()._take(data)
+
+
+@pytest.mark.slow
+def test_a_browser_that_never_reads_is_bounded_and_let_go_while_others_are_answered(
+    app: App, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gateway, "READ_TIMEOUT", 5.0)
+    clients = app.server._websock_server._client_state_from_id
+    with Browser(url(app)) as other, DeafBrowser(url(app)) as deaf:
+        other.greet()
+        deaf.greet()
+        number = max(clients)
+        buffer = clients[number].message_buffer
+        deaf.deaf.set()
+
+        def gone() -> bool:
+            with contextlib.suppress(ConnectionClosed):
+                for angle in range(-9, 9):
+                    deaf.set("Rotate", angle)
+                deaf.upload("mine.svg", b"<svg>", transfer=f"{time.monotonic()}")
+            assert len(buffer.message_from_id) < 300
+            other.turn(-int(other.status("angle") or 0) or 7)
+            return number not in clients
+
+        wait_until(gone)
+        wait_until(lambda: number not in app._sessions)
+        other.turn(33)
+        deaf.hears.set()
 
 
 def leave_after_an_answer(app: App) -> None:

@@ -138,6 +138,9 @@ def test_the_chosen_queries_are_tagged_and_kept_as_a_view(
     handle("lab-view-save", "nine")
     assert [view.name for view in service.views(TASK)] == ["nine"]
     assert service.views("satellite-to-drone") == ()
+    assert "in place of" not in window._drawer_message[0]
+    handle("lab-view-save", " nine")
+    assert window._drawer_message[0].endswith(", in place of the view of this name.")
     handle("lab-clear", None)
     assert window._lab.name_search == ""
     handle("lab-view", "nine")

@@ -120,8 +120,8 @@ def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeyp
     begun, may_end = threading.Event(), threading.Event()
     write = corrections.set_correction
 
-    def slow(file: Path, name: str, correction: Any) -> dict[str, Any]:
-        found = write(file, name, correction)
+    def slow(file: Path, name: str, *given: Any) -> dict[str, Any]:
+        found = write(file, name, *given)
         if not begun.is_set():  # the first has read and written, and is the last to assign unless others wait
             begun.set()
             may_end.wait(0.3)
@@ -136,6 +136,25 @@ def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeyp
     service.correct(1, CORNERS)
     first.join(60)
     assert sorted(service.view().corrections) == ["photo0.png", "photo1.png"]
+
+
+def test_two_servers_that_correct_one_photo_lose_neither_correction(flight: LocatedFlight, tmp_path: Path) -> None:
+    workspace = SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of)
+    first, second = FlightService(workspace), FlightService(workspace)  # type: ignore[arg-type]
+    assert not first.view().corrections
+    assert not second.view().corrections
+    first.correct(0, CORNERS)
+    second.correct(1, CORNERS)
+    stored = (tmp_path / NAME).read_bytes()
+    with pytest.raises(InputError, match="Somebody else has corrected this photo meanwhile; save again to replace"):
+        first.correct(1, CORNERS + 5)
+    assert (tmp_path / NAME).read_bytes() == stored
+    assert first.view().corrected(1) == pytest.approx((20.0, 15.0), abs=1e-3)
+    first.correct(1, CORNERS + 5)
+    with pytest.raises(InputError, match="Somebody else"):
+        second.correct(1, None)
+    second.correct(1, None)
+    assert corrections.read_corrections(tmp_path / NAME).keys() == {"photo0.png"}
 
 
 def test_a_refused_correction_changes_nothing(service: FlightService, tmp_path: Path) -> None:
