@@ -9,7 +9,7 @@ PORT   ?= 8080
 # Processes of tests. One more than CI's two cores: tests wait for browsers, servers, and other processes.
 JOBS   ?= 3
 
-.PHONY: explore setup test test-all check check-types check-style bench fuzz soak demo format audit clean
+.PHONY: explore setup test test-all wheel check check-types check-style bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -70,18 +70,23 @@ setup: $(VENV)/.train
 
 # One thread a process: the tests' networks are so small that threads cost more than they save, on a busy machine many times.
 # Bytecode is kept: hundreds of processes that the tests start would each compile the same files again.
-PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS)
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS)
 
 # Every module and the browser, in minutes. A process that has nothing left to do takes over half of what another still has.
-test: check $(VENV)/.browser $(VENV)/.milvus
-	$(PYTEST) --dist worksteal
+test: check $(VENV)/.browser
+	$(PYTEST) --dist worksteal --durations 40
 
 # Everything: with the tests marked slow, a short fuzz run, and a short soak. A whole file goes to one process, which shares its
 # servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
 test-all: check $(VENV)/.browser $(VENV)/.milvus
-	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
+	LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) \
+	  $(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
+
+# What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
+wheel: $(VENV)/.browser
+	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
 
 # mypy takes as long as all other checks together.
 check: $(VENV)/.javascript
