@@ -9,7 +9,7 @@ PORT   ?= 8080
 # Processes of tests. One more than CI's two cores: tests wait for browsers, servers, and other processes.
 JOBS   ?= 3
 
-.PHONY: explore setup test test-all wheel check check-types check-style bench fuzz soak demo format audit clean
+.PHONY: explore setup test test-all check check-types check-style bench fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -79,12 +79,13 @@ test: check $(VENV)/.browser
 # Everything: with the tests marked slow, a short fuzz run, and a short soak. A whole file goes to one process, which shares its
 # servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
+test-all: export LPN_MILVUS_PYTHON := $(abspath $(VENV)/milvus/bin/python)
 test-all: check $(VENV)/.browser $(VENV)/.milvus
-	LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) \
-	  $(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
+	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
 # What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
+.PHONY: wheel
 wheel: $(VENV)/.browser
 	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
 
