@@ -84,11 +84,6 @@ test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
-# What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
-.PHONY: wheel
-wheel: $(VENV)/.browser
-	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
-
 # mypy takes as long as all other checks together.
 check: $(VENV)/.javascript
 	$(MAKE) -j2 check-types check-style
@@ -105,6 +100,11 @@ check-style: $(VENV)/.javascript
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
+.PHONY: wheel
+wheel: $(VENV)/.browser
+	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m tools.bench $(BENCH)
