@@ -71,15 +71,16 @@ setup: $(VENV)/.train
 
 # One thread a process: the tests' networks are so small that threads cost more than they save, on a busy machine many times.
 # Bytecode is kept: hundreds of processes that the tests start would each compile the same files again.
-PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= LPN_MILVUS_PYTHON=$(abspath $(VENV)/milvus/bin/python) $(BIN)/python -m pytest -n $(JOBS)
+PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n $(JOBS)
 
 # Every module and the browser, in minutes. A process that has nothing left to do takes over half of what another still has.
-test: check $(VENV)/.browser $(VENV)/.milvus
-	$(PYTEST) --dist worksteal
+test: check $(VENV)/.browser
+	$(PYTEST) --dist worksteal --durations 40
 
 # Everything: what must not get worse, all tests, a short fuzz run, and a short soak. A whole file goes to one process, which shares
 # its servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
+test-all: export LPN_MILVUS_PYTHON := $(abspath $(VENV)/milvus/bin/python)
 test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(MAKE) keep
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
@@ -101,6 +102,11 @@ check-style: $(VENV)/.javascript
 format: $(VENV)/.dev
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
+.PHONY: wheel
+wheel: $(VENV)/.browser
+	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m tools.bench $(BENCH)

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-import http.server
 import re
-import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable
-from functools import partial
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import BrowserContext, expect
 
-from tests.e2e.conftest import PATIENCE
+from tests.e2e.conftest import PATIENCE, served_folder
 
 nbclient = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel, of the extra dev")
 pytest.importorskip("ipykernel", reason="needs nbclient and ipykernel, of the extra dev")
@@ -56,16 +53,13 @@ def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
 def show(html: str, folder: Path, contexts: Callable[[], BrowserContext]) -> None:
     """Show the output of a cell in a page of another server of this machine, as a notebook does."""
     (folder / "cell.html").write_text(f"<!doctype html><title>notebook</title>{html}")
-    handler = partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
+    with served_folder(folder) as address:
         page = contexts().new_page()
-        page.goto(f"http://localhost:{server.server_port}/cell.html")
+        page.goto(f"{address}/cell.html")
         frame = page.frame_locator("iframe")
         expect(frame.locator("#lpn-status")).not_to_have_attribute("data-seq", "0")
         expect(frame.locator("canvas[data-engine]")).to_be_visible()
         page.close()
-        server.shutdown()
 
 
 def answers(url: str) -> bool:

@@ -33,10 +33,13 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
             connection.close()
         entered = f"{url}/?token=correct+horse+battery"
         with WebSocketClient(entered) as one:
-            one.greet("?query=0003")  # a page that greets late has shown another picture before
-            explorer.until(lambda: "Browser 0: answer 1" in explorer.err)
+            one.greet("?query=0003")
+            one.wait(lambda: one.status("name") == "0003")  # a page that greets late has shown another picture before
+            opened = f"Browser 0: answer {one.status('seq')}: drone-to-satellite, query 0003, turn 0"
+            explorer.until(lambda: opened in explorer.err)
         with WebSocketClient(entered) as other:
             other.greet("?query=0004")
+            other.wait(lambda: other.status("name") == "0004")
             other.set("Rotate", 30)
             other.wait(lambda: other.status("angle") == "30")
             other.send("ShareUrlRequest")
@@ -56,7 +59,6 @@ def test_requests_are_a_line_each_at_debug_and_no_token_is_in_them(
         r"Browser 1: answer \d+: drone-to-satellite, query 0004\S*, turn 30, shift 0 0, zoom 1: computed in \d+ ms, "
     )
     assert re.search(turned, said)
-    assert "Browser 0: answer 1: drone-to-satellite, query 0003" in said
     assert re.search(r"Browser 1: dropped a message of kind 'ShareUrlRequest' and \d+ bytes", said)
     assert "Browser 1 sent a text frame" in said
     assert "Refused 127.0.0.1, 403: Wrong token" in said
