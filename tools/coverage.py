@@ -71,7 +71,7 @@ def show(rooms: Rooms) -> None:
 
 def main(arguments: list[str]) -> None:
     """Run the tests, print the table, and write it; exits as pytest does."""
-    parser = argparse.ArgumentParser(prog="python -m tools.coverage", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.coverage", description=__doc__, allow_abbrev=False)
     parser.add_argument("--out", type=Path, default=OUT, help="the JSON file")
     options, given = parser.parse_known_args(arguments)
     with TemporaryDirectory() as folder:
