@@ -9,7 +9,7 @@ PORT   ?= 8080
 # Processes of tests. One more than CI's two cores: tests wait for browsers, servers, and other processes.
 JOBS   ?= 3
 
-.PHONY: explore setup test test-all check check-types check-style bench keep keep-slow fuzz soak demo format audit clean
+.PHONY: explore setup test test-all check check-types check-style coverage mutations bench keep keep-slow wheel fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -85,6 +85,15 @@ test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(MAKE) keep
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
+
+# Lines and branches by room, into tools/coverage.json: make coverage TESTS="-m ''" with the slow tests, TESTS="--out FILE tests/lpn/core"
+# of some tests elsewhere.
+coverage: $(VENV)/.browser $(VENV)/.milvus
+	$(subst -m pytest,-m tools.coverage,$(PYTEST)) --dist worksteal $(TESTS)
+
+# Each planted fault must be noticed: make mutations NAMES="swapped-views" for some of tools/mutations.txt.
+mutations: $(VENV)/.dev
+	$(BIN)/python -m tools.mutations $(NAMES)
 
 # mypy takes as long as all other checks together.
 check: $(VENV)/.javascript

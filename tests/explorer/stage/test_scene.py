@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ import pytest
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.stage import scene
+from lpn.drawing.part_areas import PartAreas
+from lpn.models.partition import Partition
 from tools.fixtures.websocket_client import WebSocketClient
 
 
@@ -68,3 +71,14 @@ def test_no_two_lines_between_pulled_parts_meet() -> None:
         for part, (_, top, _, bottom) in enumerate(boxes):
             assert 0.5 - bottom < scene._line_height(part, 4, boxes) < 0.5 - top
     assert scene._line_height(0, 1, [(0.0, 0.0, 1.0, 1.0)]) == 0
+
+
+@pytest.mark.parametrize("outside_in", [False, True])
+def test_the_smaller_a_pulled_ring_the_nearer_it_stands_to_the_camera(outside_in: bool) -> None:
+    areas = PartAreas.of_partition(Partition("rings", 4, outside_in=outside_in), (16, 16))
+    picture, blank = scene.StagePicture(MagicMock(), "query", 4), np.zeros((64, 64, 3), np.uint8)
+    picture.show(blank, blank, areas, True, 1.0)
+    widths = [right - left for left, _, right, _ in areas.boxes]
+    assert widths == sorted(widths, reverse=outside_in)
+    depths = [picture.depth(part, True) for part in range(4)]
+    assert depths == sorted(depths, reverse=not outside_in)

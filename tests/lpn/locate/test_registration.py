@@ -170,9 +170,13 @@ def test_matches_in_too_few_cells_are_refused(ground: Ground, monkeypatch: pytes
     assert "cells of the photo" in found.reason
 
 
-def test_a_centre_off_the_map_is_refused(ground: Ground) -> None:
-    photo, _ = _photo((40.0, 0.0), 0.0, 90.0)
-    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=(-100.0, -100.0, 10.0, 100.0))
+@pytest.mark.parametrize(("side", "centre"), [(0, (-40.0, 0.0)), (1, (0.0, -40.0)), (2, (40.0, 0.0)), (3, (0.0, 40.0))])
+def test_a_centre_off_the_map_is_refused(ground: Ground, side: int, centre: tuple[float, float]) -> None:
+    photo, _ = _photo(centre, 0.0, 90.0)
+    bounds = [-100.0, -100.0, 100.0, 100.0]
+    assert register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=tuple(bounds)).accepted
+    bounds[side] /= 10
+    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=tuple(bounds))
     assert found.reason == "The centre of the photo would lie off the map."
 
 

@@ -103,6 +103,16 @@ def test_tiles_are_zoomed_where_drone_pictures_show_less(model: Model, wide: Pat
     assert min(found.zooms["drone"].values()) == 1
 
 
+def test_a_zoom_that_gains_nothing_is_not_chosen(model: Model, tmp_path: Path) -> None:
+    shades = np.random.default_rng(0).integers(0, 256, (20, 1, 1, 3), np.uint8)
+    for i, shade in enumerate(shades.repeat(64, 1).repeat(64, 2)):
+        for folder in ("query_drone", "gallery_satellite"):
+            small_worlds.write(tmp_path / "test" / folder / f"{i:04d}/1.png", shade)
+    found = calibrate(model, sides(tmp_path), cached_descriptors)
+    assert len(found.levels) > 1
+    assert set(found.zooms["drone"].values()) == set(found.zooms["satellite"].values()) == {1.0}
+
+
 def test_a_training_takes_the_same_ratio(model: Model, wide: Path) -> None:
     (drones,), (tiles,) = sides(wide).values()
     assert ground_ratio(model, drones, tiles, cached_descriptors) == pytest.approx(STEP**2)

@@ -5,7 +5,7 @@ import pytest
 
 from lpn.core.errors import InputError
 from lpn.models.base import normalise
-from lpn.retrieval import csls, metrics
+from lpn.retrieval import csls, metrics, scoring
 from lpn.retrieval.protocol import Protocol
 
 
@@ -32,6 +32,18 @@ def test_parts_add_up_to_the_score(sides: tuple[np.ndarray, np.ndarray]) -> None
     moved_query, moved_tiles = csls.scaled(query, tiles, 2)
     by_part = np.einsum("qnd,gnd->qgn", query, tiles) - csls.hubness(query, tiles, 2)
     assert np.allclose(by_part.sum(axis=2), moved_query.reshape(11, -1) @ moved_tiles.reshape(7, -1).T, atol=1e-6)
+
+
+def test_contributions_add_up_to_the_squared_distance_by_the_published_score(
+    sides: tuple[np.ndarray, np.ndarray],
+) -> None:
+    query, tiles = sides
+    products = query.reshape(11, -1) @ tiles.reshape(7, -1).T
+    near_tiles, near_query = np.sort(products, axis=0)[-4:].mean(axis=0), np.sort(products[0])[-4:].mean()
+    cosines = scoring.part_cosines(query[0], tiles)
+    terms = csls.CslsTerms.of_query(cosines, 3 * csls.hubness(query, tiles, 4), 4)
+    shares = scoring.contributions(cosines, scoring.part_weights(3), terms=terms.query + terms.tiles)
+    assert np.allclose(shares.sum(axis=1), 2 - (2 * products[0] - near_tiles - near_query), atol=1e-6)
 
 
 def test_blocks_change_nothing(sides: tuple[np.ndarray, np.ndarray], monkeypatch: pytest.MonkeyPatch) -> None:
