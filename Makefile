@@ -113,7 +113,6 @@ format: $(VENV)/.dev
 	$(BIN)/ruff format .
 
 # What people install: the sdist, the wheel of it, and the demo of an environment that has the wheel and the base packages alone.
-.PHONY: wheel
 wheel: $(VENV)/.browser
 	$(PYTEST) -n 0 -m '' tests/e2e/test_installed.py
 
