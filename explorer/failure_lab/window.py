@@ -235,7 +235,9 @@ class FailureLabWindow:
                     view = state.to_view(findings, lab, name)
                     again = any(other.name == view.name for other in self._service.views(view.task))
                     self._service.save_view(view)
-                    result = f"Saved in {self._service.views_place}{', in place of the view of this name' if again else ''}."
+                    result = (
+                        f"Saved in {self._service.views_place}{', in place of the view of this name' if again else ''}."
+                    )
                 case messages.RemoveView(name):
                     self._service.remove_view(lab.task, name)
                     result = ""
