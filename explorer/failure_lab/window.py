@@ -233,11 +233,10 @@ class FailureLabWindow:
                     result = f"{len(rows):,} {what} {'is' if len(rows) == 1 else 'are'} tagged in {self._service.notes_place}."
                 case messages.SaveView(name):
                     view = state.to_view(findings, lab, name)
-                    again = any(other.name == view.name for other in self._service.views(view.task))
+                    names = [other.name for other in self._service.views(view.task)]
                     self._service.save_view(view)
-                    result = (
-                        f"Saved in {self._service.views_place}{', in place of the view of this name' if again else ''}."
-                    )
+                    replaced = ", in place of the view of this name" if view.name in names else ""
+                    result = f"Saved in {self._service.views_place}{replaced}."
                 case messages.RemoveView(name):
                     self._service.remove_view(lab.task, name)
                     result = ""
