@@ -80,7 +80,7 @@ test: check $(VENV)/.browser
 # Everything: what must not get worse, all tests, a short fuzz run, and a short soak. A whole file goes to one process, which shares
 # its servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
-test-all: export LPN_MILVUS_PYTHON := $(abspath $(VENV)/milvus/bin/python)
+test-all coverage: export LPN_MILVUS_PYTHON := $(abspath $(VENV)/milvus/bin/python)
 test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(MAKE) keep
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
