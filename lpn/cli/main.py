@@ -34,7 +34,6 @@ from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
 from lpn.cli.sweep import SweepCommand
 from lpn.cli.train import TrainCommand, parse_train
 from lpn.cli.verify import VerifyCommand
-from lpn.cli.world import WorldCommand
 from lpn.core import log
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
@@ -62,7 +61,6 @@ COMMANDS: dict[str, type[Any]] = {
     "models": ModelsCommand,
     "doctor": DoctorCommand,
     "verify": VerifyCommand,
-    "world": WorldCommand,
     "reproduce": ReproduceCommand,
 }
 
