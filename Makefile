@@ -37,7 +37,7 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 
 # Blender as a Python module, which renders the demo's city: about 1 GB, Python 3.11 only.
 $(VENV)/.world: $(VENV)/.train
-	$(PIP) 'bpy>=5.0,<5.1'
+	$(PIP) -e '.[train]' 'bpy>=5.0,<5.1'
 	touch $@
 
 # TypeScript's checker and eslint, which read the page's scripts. Node.js and npm come with the development tools.

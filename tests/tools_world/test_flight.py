@@ -326,7 +326,7 @@ def test_impossible_settings_are_refused(tmp_path: Path, change: dict[str, int],
     assert not (tmp_path / "x").exists()
 
 
-@pytest.mark.parametrize(("package", "wanted"), [("bpy", "bpy>=5.0,<5.1"), ("rasterio", "lpn-explorer[maps]")])
+@pytest.mark.parametrize(("package", "wanted"), [("bpy", "-e . 'bpy>=5.0,<5.1'"), ("rasterio", "'lpn-explorer[maps]'")])
 def test_missing_packages_are_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], package: str, wanted: str
 ) -> None:
@@ -334,7 +334,7 @@ def test_missing_packages_are_named(
     monkeypatch.delitem(sys.modules, "tools.world.render", raising=False)
     assert main(["--flight", "--out", str(tmp_path / "w")]) == 2
     assert capsys.readouterr().err.strip() == (
-        f"This needs the package {package}, which is not installed; pip install '{wanted}'."
+        f"This needs the package {package}, which is not installed; pip install {wanted}."
     )
     assert not (tmp_path / "w").exists()
 

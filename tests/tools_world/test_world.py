@@ -38,7 +38,7 @@ from tools.world.variety import FACTORS, Materials
 SETTINGS = Settings(seed=5, buildings=24, views=4, pixels=48, tile_pixels=64, samples=1)
 
 rendering = pytest.mark.skipif(
-    importlib.util.find_spec("bpy") is None, reason="needs Blender: pip install 'bpy>=5.0,<5.1'"
+    importlib.util.find_spec("bpy") is None, reason="needs Blender: pip install -e . 'bpy>=5.0,<5.1'"
 )
 
 
@@ -376,7 +376,7 @@ def test_without_blender_the_command_says_what_to_install(tmp_path: Path) -> Non
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert done.stderr == "This needs the package bpy, which is not installed; pip install 'bpy>=5.0,<5.1'.\n"
+    assert done.stderr == "This needs the package bpy, which is not installed; pip install -e . 'bpy>=5.0,<5.1'.\n"
     assert not (tmp_path / "w").exists()
 
 

@@ -21,11 +21,10 @@ from tools.world.variety import FACTORS, Factor
 # Options of the pictures of places, and those of --flight.
 _OF_PLACES = ("views", "pixels", "tile_pixels", "vary", "part")
 _OF_FLIGHTS = ("frames", "width", "map_pixel", "oblique")
-_BLENDER = "bpy>=5.0,<5.1"
 
 
 @dataclass
-class Arguments:
+class Rendering:
     """Plan and render a fictional city as a data set with exact positions; resumable."""
 
     out: Path
@@ -81,13 +80,15 @@ class Arguments:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, and return the exit status: 2 after an error of the user, 130 after Ctrl-C."""
     try:
-        tyro.cli(Arguments, args=arguments, prog="python -m tools.world").run()
+        tyro.cli(Rendering, args=arguments, prog="python -m tools.world").run()
     except LPNError as error:
         print(printable(str(error)), file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
         if error.name == "bpy":
-            print(f"This needs the package bpy, which is not installed; pip install '{_BLENDER}'.", file=sys.stderr)
+            print(
+                "This needs the package bpy, which is not installed; pip install -e . 'bpy>=5.0,<5.1'.", file=sys.stderr
+            )
         else:
             print(missing_package(error), file=sys.stderr)
         return 2
