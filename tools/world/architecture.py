@@ -142,19 +142,7 @@ class Dress:
         self, outline: tuple[Corner, ...], eaves: float, roof: RoofShape = "flat", rise: float = 0.0, base: float = 0.0
     ) -> Volume:
         """Make a volume of these materials."""
-        return Volume(
-            outline,
-            base,
-            eaves,
-            roof,
-            rise,
-            self.wall,
-            self.wall_tint,
-            self.cover,
-            self.cover_tint,
-            self.bay,
-            self.storey,
-        )
+        return Volume(outline, base, eaves, roof, rise, **vars(self))
 
 
 def _dress(

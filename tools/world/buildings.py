@@ -376,29 +376,11 @@ def _pitched(
     return lambda rng: make(rng, True)
 
 
+_BLOCKS = (slab, lshape, ushape, tshape, courtyard, tower, hall, church, shop, stand, pavilion, barn, tank, container)
+_HOMES = (terrace, dormitory, house, townhouse)
 MAKERS: dict[str, Callable[[np.random.Generator], Architecture]] = {
-    "slab": slab,
-    "lshape": lshape,
-    "ushape": ushape,
-    "tshape": tshape,
-    "courtyard": courtyard,
-    "old lshape": _pitched(lshape),
-    "old ushape": _pitched(ushape),
-    "old tshape": _pitched(tshape),
-    "old courtyard": _pitched(courtyard),
-    "tower": tower,
-    "hall": hall,
+    **{make.__name__: make for make in (*_BLOCKS, *_HOMES)},
+    **{f"old {make.__name__}": _pitched(make) for make in (lshape, ushape, tshape, courtyard)},
     "round": rotunda,
-    "terrace": terrace,
-    "dormitory": dormitory,
-    "house": house,
-    "townhouse": townhouse,
-    "church": church,
-    "shop": shop,
-    "stand": stand,
-    "pavilion": pavilion,
-    "barn": barn,
     "shed": outhouse,
-    "tank": tank,
-    "container": container,
 }
