@@ -35,8 +35,9 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(BIN)/python
 	$(TIMM)
 	touch $@ $(VENV)/.train $(VENV)/.base
 
+# Blender as a Python module, which renders the demo's city: about 1 GB, Python 3.11 only.
 $(VENV)/.world: $(VENV)/.train
-	$(PIP) -e '.[train,world]'
+	$(PIP) -e '.[train]' 'bpy>=5.0,<5.1'
 	touch $@
 
 # TypeScript's checker and eslint, which read the page's scripts. Node.js and npm come with the development tools.
@@ -139,11 +140,11 @@ soak: $(VENV)/.browser
 # it stopped. INIT=file: ImageNet weights of a ResNet-18, with torchvision's names; without it networks start from random weights.
 DEMO_TRAIN = $(BIN)/lpn train --data runs/world --recipe world $(if $(INIT),--init "$(INIT)",--from-scratch)
 demo: $(VENV)/.world
-	$(BIN)/lpn world --out runs/world --seed 0 --buildings 460 --views 8 --tile-pixels 384 --samples 4
+	$(BIN)/python -m tools.world --out runs/world --seed 0 --buildings 460 --views 8 --tile-pixels 384 --samples 4
 	$(DEMO_TRAIN) --out runs/demo/lpn $(if $(wildcard runs/demo/lpn/state.pt),--resume)
 	$(DEMO_TRAIN) --out runs/demo/baseline --n-parts 1 $(if $(wildcard runs/demo/baseline/state.pt),--resume)
 	test -d runs/demo/packed \
-	  || $(BIN)/python assets/pack.py runs/world runs/demo/lpn/last.safetensors runs/demo/baseline/last.safetensors runs/demo/packed
+	  || $(BIN)/python -m assets.pack runs/world runs/demo/lpn/last.safetensors runs/demo/baseline/last.safetensors runs/demo/packed
 
 # Known weaknesses of the packages that people install, and their licenses. It needs the network, so no test calls it.
 $(VENV)/.audit: | $(BIN)/python

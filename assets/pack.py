@@ -1,4 +1,4 @@
-"""Makes `assets/demo` from a rendered world and two models: `python assets/pack.py WORLD LPN BASELINE OUT`.
+"""Makes `assets/demo` from a rendered world and two models: `python -m assets.pack WORLD LPN BASELINE OUT`.
 
 LPN and BASELINE are the `last.safetensors` of two trainings, with n = 4 and n = 1. The demo holds the test split's drone pictures
 and tiles, each as queries and as gallery, and their positions. It holds each model as `.onnx` for the explorer and as
@@ -40,8 +40,8 @@ from lpn.models.export import export
 from lpn.retrieval.calibration import Calibration
 from lpn.tasks.opening import calibrated
 from lpn.tasks.shipped_calibration import FOLDER, NAME
-from lpn.world.atlas import Settings, make_atlas
-from lpn.world.model3d import city_model, test_window
+from tools.world.atlas import Settings, make_atlas
+from tools.world.model3d import city_model, test_window
 
 QUALITY = {"drone": 62, "satellite": 72}
 """Quality of WebP; sensor noise does not survive it, and is most of what a better one would cost."""

@@ -1,6 +1,6 @@
-"""Makes `assets/demo-flight` from a rendered flight: `python assets/pack_flight.py FLIGHT OUT`.
+"""Makes `assets/demo-flight` from a rendered flight: `python -m assets.pack_flight FLIGHT OUT`.
 
-FLIGHT is what `lpn world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF and XMP,
+FLIGHT is what `python -m tools.world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF and XMP,
 because neighbours in time correct each other; `map-in-spring`, the folder of the map with stronger compression; `truth.csv`
 with the rows of these photos; and `flight_world.json`, which says that all of it is rendered.
 """
@@ -22,8 +22,8 @@ from lpn.core.files import write_atomic
 from lpn.datasets.rendered import FLIGHT_PLAN, TRUTH, UNFINISHED
 from lpn.maps import MapPlace
 from lpn.maps.folder import write_own_map
-from lpn.world.flight import MAP
-from lpn.world.flight_files import geotiff
+from tools.world.flight import MAP
+from tools.world.flight_files import geotiff
 
 COUNT, FIRST = 40, 0.57
 """Photos that are packed, and where they begin as a share of the flight: shortly before the free path, a photo a second."""
@@ -41,7 +41,7 @@ def main() -> None:
     if out.exists():
         sys.exit(f"{out} is there already; delete it or choose another place.")
     if (flight / UNFINISHED).is_file():
-        sys.exit(f"{flight} is not rendered to its end; lpn world --flight with the same settings goes on.")
+        sys.exit(f"{flight} is not rendered to its end; the command that renders it goes on.")
     whole, out = out, out.with_name(out.name + ".part")
     shutil.rmtree(out, ignore_errors=True)
     pack(flight, out)

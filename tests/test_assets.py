@@ -32,8 +32,8 @@ from lpn.flights import open_flight
 from lpn.flights.sources import make_flight
 from lpn.maps import open_map
 from lpn.models.checkpoints import save
-from lpn.world.flight import FlightSettings, build_flight
 from tools.fixtures import painting, seeded, small_worlds
+from tools.world.flight import FlightSettings, build_flight
 
 
 def _program(name: str) -> ModuleType:
@@ -202,7 +202,7 @@ def test_a_packed_flight_keeps_its_metadata_and_its_map_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rasterio = pytest.importorskip("rasterio")
-    monkeypatch.setitem(sys.modules, "lpn.world.render", painting)
+    monkeypatch.setitem(sys.modules, "tools.world.render", painting)
     made, packed = tmp_path / "made", tmp_path / "packed"
     build_flight(FlightSettings(seed=1, buildings=2, frames=9, width=64, samples=1, map_pixel=2.0), made)
     monkeypatch.setattr(pack_flight, "COUNT", 3)

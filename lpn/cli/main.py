@@ -34,7 +34,6 @@ from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
 from lpn.cli.sweep import SweepCommand
 from lpn.cli.train import TrainCommand, parse_train
 from lpn.cli.verify import VerifyCommand
-from lpn.cli.world import WorldCommand
 from lpn.core import log
 from lpn.core.consoles import plain_streams
 from lpn.core.errors import LPNError
@@ -63,7 +62,6 @@ COMMANDS: dict[str, type[Any]] = {
     "models": ModelsCommand,
     "doctor": DoctorCommand,
     "verify": VerifyCommand,
-    "world": WorldCommand,
     "reproduce": ReproduceCommand,
 }
 

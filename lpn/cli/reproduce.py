@@ -37,8 +37,7 @@ class ReproduceCommand:
     what: Annotated[tuple[str, ...], tyro.conf.Positional]
     """table1 to table6, figure1, figure5, figure7, figure8, or all, in which rows say why they cannot be made."""
     data: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
-    """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world), or the word world for the demo's;
-    once for each data set."""
+    """A data set's folder (University-1652, CVUSA, Oxford5k, Paris6k, or a rendered world); once for each data set."""
     out: Path = Path("runs/reproduce")
     """Folder for trainings, measurements, and the tables."""
     recipe: _Scale = "auto"
@@ -143,12 +142,12 @@ def print_plan(data: Sequence[str]) -> None:
 
 def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:
     """Return the scale of a recipe; auto is chosen by the data."""
-    from lpn.reproduce.sources import is_world
+    from lpn.datasets.rendered import is_rendered
     from lpn.reproduce.tables import SCALES
 
     if recipe != "auto":
         return SCALES[recipe]
-    rendered = {is_world(folder) for folder in data}
+    rendered = {is_rendered(Path(folder)) for folder in data}
     if len(rendered) > 1:
         raise InputError(
             "A rendered world and other data sets are given; say with --recipe of lpn reproduce whether it is paper, released, "

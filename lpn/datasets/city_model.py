@@ -5,7 +5,7 @@ of its scene or asset record the latitude and longitude (WGS 84 degrees) of its 
 
     "scenes": [{"nodes": [0], "extras": {"latitude": 46.2, "longitude": -31.4}}]
 
-`lpn world` writes one; any other program may.
+Any program may write one.
 """
 
 from __future__ import annotations

@@ -15,7 +15,6 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, read_rows, warn_left_out
 from lpn.datasets.listed_paths import FilesBelow, listed_path
-from lpn.datasets.rendered import is_rendered
 
 CvusaSplit = Literal["train", "val"]
 
@@ -44,8 +43,6 @@ class CVUSA(ListedDataset):
     panoramas = True
 
     def __init__(self, root: Path) -> None:
-        # A rendered world stores its panoramas in this layout, in any number.
-        rendered = is_rendered(root.parent)
         listed: dict[CvusaSplit, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
         left_out: list[LeftOut] = []
@@ -74,7 +71,7 @@ class CVUSA(ListedDataset):
             root, pictures["train"], pictures["val"], pictures["val"], "a split of CVUSA, splits/val-19zl.csv"
         )
         self.left_out = left_out
-        self.published_sizes = {} if rendered else FULL
+        self.published_sizes = FULL
         warn_left_out(self.root.name, self.left_out, "files named in splits cannot be used", "their pairs are left out")
 
 

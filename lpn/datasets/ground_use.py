@@ -5,7 +5,7 @@
 
 `path` is relative to the folder, with forward slashes. `uses` has a word for each row of a grid over the tile, from the top, and
 in it a letter for each column, from the left: b building, r road, p car park, t trees, w water, g grass, s sports ground,
-f field, y paved yard, and a dot where nothing is known. `lpn world` writes one from its plan.
+f field, y paved yard, and a dot where nothing is known.
 """
 
 from __future__ import annotations

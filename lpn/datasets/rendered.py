@@ -19,24 +19,24 @@ UNFINISHED = "unfinished.txt"
 
 
 def is_rendered(root: Path) -> bool:
-    """Return whether `lpn world` made a folder; raises DataError while its pictures are incomplete."""
+    """Return whether a folder is a rendered city; raises DataError while its pictures are incomplete."""
     if not (root / PLAN).is_file():
         return False
     if (root / UNFINISHED).is_file():
         raise DataError(
-            f"{printable(str(root))} is not rendered to its end; run lpn world again with the same settings, which goes on "
+            f"{printable(str(root))} is not rendered to its end; give the command that renders it again, which goes on "
             "where it was stopped."
         )
     return True
 
 
 def shows_rendered(root: Path) -> bool:
-    """Return whether `lpn world` made a folder of pictures or photos; see both functions."""
+    """Return whether a folder of pictures or photos is rendered; see both functions."""
     return is_rendered(root) or is_rendered_flight(root)
 
 
 def is_rendered_flight(photos: Path) -> bool:
-    """Return whether `lpn world --flight` made a folder of photos; its plan lies beside the folder."""
+    """Return whether a folder of photos is of a rendered flight; its plan lies beside the folder."""
     return (photos.parent / FLIGHT_PLAN).is_file()
 
 
@@ -75,7 +75,7 @@ def true_poses(photos: Path) -> dict[str, TruePose]:
                 return {}  # somebody's own file of this name
             return {row["file"]: TruePose(*(float(row[name]) for name in names)) for row in rows}
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        command = "lpn world --flight" if rendered else "lpn flight"
+        command = "the rendering" if rendered else "lpn flight"
         raise DataError(
             f"{printable(str(file))} has no exact poses; expected the file that {command} wrote, so delete it or bring it back."
         ) from error

@@ -23,7 +23,6 @@ Severity = Literal["OK", "note", "problem"]
 HOST, PORT = "127.0.0.1", 8080
 _USES = {
     "train": "training, export, reading .pth and .safetensors",
-    "world": "rendering a world with Blender",
     "data": "CVACT, and results saved by the published code",
     "search": "searching 8- and 16-bit indexes quickly",
     "faiss": "approximate search of millions of tiles",

@@ -31,7 +31,7 @@ class Reproduction:
     """One call of `lpn reproduce`.
 
     Args:
-        data: data set folders, or "world".
+        data: data set folders.
         out: folder for runs, measurements, and tables.
         models: given networks, by the name of the training they replace.
         init: files of pretrained weights, one for each backbone.
@@ -107,7 +107,7 @@ class Reproduction:
         wanted = [find(key, self.scale) for key in keys if key in tables(self.scale) or key not in DRAWN]
         with exclusive_lock(self.out, wait=True):
             self._store = MeasurementStore(self.out / "measured.json")
-            self._sources: Sources = open_sources(self.data, self.out)
+            self._sources: Sources = open_sources(self.data)
         self._starts = pretrained.by_backbone(self.init)
         drawn = self._drawn(keys)
         uses = self._uses(wanted, drawn)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.util
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,7 +15,6 @@ from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
 from lpn.datasets.rendered import is_rendered
-from lpn.reproduce import world
 from lpn.reproduce.tables import DataRole, Measure
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.training.training_set import TrainingSet
@@ -143,10 +141,7 @@ class Sources:
         """
         if measure == "landmarks":
             if not self.landmarks:
-                raise InputError(
-                    "Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data, or a world rendered with "
-                    "--streets 4."
-                )
+                raise InputError("Table VI needs landmarks as in Oxford5k or Paris6k; give them with --data.")
             return sorted(self.landmarks, key=lambda source: source.dataset.kind)
         return [self.role("panoramas" if measure == "ground" else "places")]
 
@@ -159,10 +154,7 @@ class Sources:
         if role not in self.roles:
             if role == "places":
                 raise InputError("Places as in University-1652 are needed; give them with --data.")
-            raise InputError(
-                "Panoramas and tiles as in CVUSA are needed; give them with --data, or a world rendered with "
-                "--panoramas 1."
-            )
+            raise InputError("Panoramas and tiles as in CVUSA are needed; give them with --data.")
         return self.roles[role]
 
     def add(self, role: DataRole, source: Source) -> None:
@@ -182,55 +174,20 @@ def counted(count: int, full: int | None) -> str:
     return f"{count:,}" if full is None else f"{count:,} of {full:,}"
 
 
-def is_world(data: str) -> bool:
-    """Return whether an argument of --data is a rendered world, or its panoramas."""
-    root = Path(data)
-    panoramas = root.name == "cvusa" and is_rendered(root.parent)
-    return panoramas or is_rendered(root) or (data == "world" and not root.is_dir())
-
-
-def open_sources(data: Sequence[str], out: Path) -> Sources:
-    """Open the data sets of --data; a world is laid out in `out`/data, and "world" is rendered into `out`/world.
+def open_sources(data: Sequence[str]) -> Sources:
+    """Open the data sets of --data.
 
     Raises:
         LPNError: when an argument is not a data set, two have one role, or a world is not completely rendered.
     """
     sources = Sources()
-    for where in data:
-        root = Path(where)
-        if where == "world" and not root.is_dir():
-            root = _rendered(out)
-        if is_rendered(root):
-            made = world.prepare(root, out / "data")
-            sources.add("places", Source(open_dataset(made["places"]), True))
-            if "panoramas" in made:
-                sources.add("panoramas", Source(open_dataset(made["panoramas"]), True))
-            if "landmarks" in made:
-                sources.landmarks.append(Source(open_dataset(made["landmarks"]), True))
-            continue
-        source = Source(open_dataset(root), is_world(where))
+    for folder in data:
+        source = Source(open_dataset(folder), is_rendered(Path(folder)))
         if "street-to-street" in source.dataset.tasks():
             sources.landmarks.append(source)
         else:
             sources.add("panoramas" if source.dataset.panoramas else "places", source)
     return sources
-
-
-def _rendered(out: Path) -> Path:
-    """Render the demo's world with street pictures and panoramas into `out`/world, if Blender's package is installed."""
-    root = out / "world"
-    if importlib.util.find_spec("bpy") is None:
-        if not is_rendered(root):
-            raise InputError(
-                f"There is no rendered world in {root}, and rendering one needs the package bpy: pip install "
-                "'lpn-explorer[world]', or give a world's folder with --data."
-            )
-        return root
-    from lpn.world.atlas import Settings
-    from lpn.world.build import RenderShare, build_world
-
-    build_world(Settings(0, 460, 8, 256, 384, 4, 4, 1), root, RenderShare.parse("1/1"), 0)
-    return root
 
 
 def _digest(root: Path, lists: dict[str, list[Picture]], truth: object) -> str:

@@ -224,7 +224,6 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["world", "--out", "OUT"], "The pictures in OUT are kept; the same command goes on."),
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
         (["gather", "--shards", "s", "--out", "OUT"], "What OUT has by now is kept; the same command goes on."),
         (["export", "--model", "m", "--out", "OUT"], "Nothing is half-written; give the same command again."),

@@ -80,8 +80,3 @@ def test_other_damage_is_said(tmp_path: Path) -> None:
     (root / "bingmap").rename(root / "bing")
     with pytest.raises(DataError, match="lists 7 pairs in splits, but has none of them whole"):
         open_dataset(root)
-
-
-def test_a_rendered_world_is_compared_with_no_published_count(tmp_path: Path) -> None:
-    (tmp_path / "world.json").write_text("{}")
-    assert open_dataset(layouts.cvusa(tmp_path / "cvusa")).published_sizes == {}
