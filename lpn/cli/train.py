@@ -79,31 +79,24 @@ class TrainCommand:
             return
         trainer = import_module("lpn.training.trainer").Trainer
         source = self._source()
-        group = import_module("lpn.training.multi_process").join()
         settings = self.settings
         if self.calibrate:
-            settings = replace(settings, ground_ratio=group.run_on_leader(lambda: self._ground_ratio(source)))
-        run = group.run_on_all(
-            lambda: trainer(
-                source,
-                self.out,
-                settings,
-                self.init,
-                self.resume,
-                self.evaluate_every,
-                workers=self.workers,
-                validate=self.validate,
-                group=group,
-                compiled=self.compile,
-                from_scratch=self.from_scratch,
-                window_sizes=self.window_sizes,
-            )
+            settings = replace(settings, ground_ratio=self._ground_ratio(source))
+        run = trainer(
+            source,
+            self.out,
+            settings,
+            self.init,
+            self.resume,
+            self.evaluate_every,
+            workers=self.workers,
+            validate=self.validate,
+            compiled=self.compile,
+            from_scratch=self.from_scratch,
+            window_sizes=self.window_sizes,
         )
         run.console.print(f"Recipe {self.recipe}: {settings.to_json()}")
-        model = run.run()
-        group.leave()
-        if group.is_leader:
-            print(f"The model is in {model}.")
+        print(f"The model is in {run.run()}.")
 
     def _ground_ratio(self, dataset: Any) -> float:
         """Return the ratio of ground that the model of --init finds, or that a run to be resumed has found."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from lpn.reproduce.sources import Source, Sources, open_sources
 from lpn.reproduce.tables import DRAWN, SCALES, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import transfer
+from lpn.training.trainer import check_single_process
 
 # All tables and figures that can be reproduced.
 KEYS = tuple(dict.fromkeys((*tables(SCALES["paper"]), *DRAWN)))
@@ -66,10 +66,7 @@ class Reproduction:
         Raises:
             LPNError: when data, models, or settings do not fit, before anything is trained.
         """
-        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-            raise InputError(
-                "lpn reproduce is one process; train with torchrun -m lpn train, and give it with --model."
-            )
+        check_single_process("lpn reproduce")
         check_writable(self.out / "measured.json")
         wanted, drawn, uses = self._prepare(keys)
         left = self._check_work(uses)

@@ -44,10 +44,10 @@ class TrainingBatch:
     """The input of one step.
 
     Attributes:
-        sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last; or what
+        sets: for each picture set, its rows of the batch: (B, 3, H, W) float32, normalised, channels last; or what
             `Branch.frozen_output` returned for it.
-        labels: for each picture set, the class of each row of the whole batch, (B,) int64.
-        overlaps: of windows of a map, which rows of the whole batch share ground, (B, B) bool; else None.
+        labels: for each picture set, the class of each row, (B,) int64.
+        overlaps: of windows of a map, which rows share ground, (B, B) bool; else None.
     """
 
     sets: dict[str, Tensor]
@@ -56,7 +56,7 @@ class TrainingBatch:
 
     @property
     def pictures(self) -> int:
-        """Number of pictures of the whole batch, in all sets."""
+        """Number of pictures in all sets."""
         return sum(len(labels) for labels in self.labels.values())
 
 
@@ -77,9 +77,7 @@ class Loader:
     changes no result.
 
     Args:
-        share: the rows of every batch that this process prepares.
         workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
-        processes: number of processes that share the machine.
 
     Attributes:
         frozen: the outputs of frozen blocks, which are loaded in place of pictures if the recipe has variants.
@@ -93,9 +91,7 @@ class Loader:
         places: TrainingSet | MapWindows,
         recipe: Recipe,
         device: torch.device,
-        share: slice = slice(None),
         workers: int = 0,
-        processes: int = 1,
     ) -> None:
         if len(places) < 2:
             raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
@@ -120,11 +116,10 @@ class Loader:
             raise InputError(
                 f"The number of workers is {workers}; expected 1 or more, or 0 to choose it automatically."
             )
-        self.places, self.recipe, self.device, self.share = places, recipe, device, share
-        self.workers = workers or choose_workers(device, processes)
+        self.places, self.recipe, self.device = places, recipe, device
+        self.workers = workers or choose_workers(device)
         self.frozen: FrozenOutputs | None = None
-        rows = len(range(recipe.batch)[share])
-        self._prefetch = max(_PREFETCH, -(-2 * self.workers // rows))
+        self._prefetch = max(_PREFETCH, -(-2 * self.workers // recipe.batch))
         self._scale, self._offset = (
             torch.from_numpy(values).to(device)[:, None, None] for values in images.scale_and_offset()
         )
@@ -159,12 +154,12 @@ class Loader:
             pool.shutdown(wait=True, cancel_futures=True)
 
     def _batches(self, epoch: int) -> Iterator[tuple[_Labels, BoolArray | None, list[_Row]]]:
-        """Yield each batch's labels of each set, its windows that share ground, and the work for this process's rows."""
+        """Yield each batch's labels of each set, its windows that share ground, and the work for its rows."""
         rows: list[_Row]
         labels: _Labels
         if isinstance(self.places, MapWindows):
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                rows = [partial(self._draw_window, self.places, int(place), epoch) for place in places[self.share]]
+                rows = [partial(self._draw_window, self.places, int(place), epoch) for place in places]
                 yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
             return
         if self.recipe.sampling == "places":
@@ -175,7 +170,7 @@ class Loader:
                 }
                 rows = [
                     self._row(self.places, int(places[row]), drawn, {n: int(of[row]) for n, of in labels.items()})
-                    for row in range(len(places))[self.share]
+                    for row in range(len(places))
                 ]
                 yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
             return
@@ -189,10 +184,7 @@ class Loader:
             rows = []
             for number, ((name, pictures), chunk) in enumerate(zip(self._pictures.items(), chunks, strict=True)):
                 labels[name] = np.array([pictures[index][1] for index in chunk], np.int64)
-                rows += [
-                    partial(self._draw_picture, self.places, name, number, int(index), epoch)
-                    for index in chunk[self.share]
-                ]
+                rows += [partial(self._draw_picture, self.places, name, number, int(index), epoch) for index in chunk]
             yield labels, None, rows
 
     def _chunks(self, count: int, seed: list[int]) -> list[Int64Array]:
@@ -276,10 +268,10 @@ class Loader:
         return moved.to(torch.float32).mul_(self._scale).add_(self._offset)
 
 
-def choose_workers(device: torch.device, processes: int = 1) -> int:
-    """Choose the number of worker threads for each of the processes that share the machine.
+def choose_workers(device: torch.device) -> int:
+    """Choose the number of worker threads.
 
     With a GPU these are all cores but one, at most 16. Otherwise a quarter of the cores, as the network needs the others.
     """
-    own = usable_cores() // processes
-    return max(1, min(_MAX_WORKERS, own - 1 if device.type == "cuda" else own // 4))
+    cores = usable_cores()
+    return max(1, min(_MAX_WORKERS, cores - 1 if device.type == "cuda" else cores // 4))

@@ -138,7 +138,7 @@ def total_loss(
         for name, parts in embeddings.items():
             same = labels["satellite"] == labels[name]
             if same.sum() < 2:
-                # Nothing to compare; the sum keeps the graph that a training by several processes expects.
+                # Nothing to compare; the sum has a gradient of zero.
                 pairs.append(0 * (tiles.sum() + parts.sum()))
                 continue
             shared = None if overlaps is None else overlaps[same][:, same]

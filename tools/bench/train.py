@@ -36,7 +36,6 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN
-from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import TrainingSet
@@ -202,7 +201,7 @@ def measure(
             folder / name,
             replace(recipe, **changes),  # type: ignore[arg-type]
             console=quiet,
-            group=ProcessGroup(device),
+            device=device,
             compiled=compiled,
             from_scratch=True,
         )

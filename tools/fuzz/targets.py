@@ -325,7 +325,6 @@ def pth(folder: Path) -> list[FuzzCase]:
     ResumeState(
         [{"epoch": 1, "loss": 1.0}],
         2.0,
-        1,
         {key: {} for key in ("network", "average", "optimizer", "scaler")},
     ).write(folder / "state.pt", recipe, "0" * 16)
     state = (folder / "state.pt").read_bytes()

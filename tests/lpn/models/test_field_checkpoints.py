@@ -1,6 +1,4 @@
-"""Files of public reports, rebuilt small: each opens with the descriptors of its weights, or is named with what to do.
-
-"""
+"""Files of public reports, rebuilt small: each opens with the descriptors of its weights, or is named with what to do."""
 
 from __future__ import annotations
 

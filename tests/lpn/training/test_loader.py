@@ -132,7 +132,7 @@ def test_an_error_in_a_worker_reaches_the_caller_and_the_workers_stop(data: Path
 
 def test_workers_suit_the_machine_and_can_be_given(data: Path) -> None:
     assert choose_workers(CPU) >= 1
-    assert choose_workers(torch.device("cuda")) >= choose_workers(CPU) >= choose_workers(CPU, 1000) == 1
+    assert choose_workers(torch.device("cuda")) >= choose_workers(CPU)
     assert loader(data, workers=7).workers == 7
     with pytest.raises(InputError, match="number of workers is -1"):
         loader(data, workers=-1)

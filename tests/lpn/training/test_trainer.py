@@ -24,7 +24,6 @@ from lpn.models.checkpoints import load_torch, recipe_of, save
 from lpn.retrieval.evaluate import evaluate
 from lpn.training import frozen_outputs, optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
-from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
@@ -411,6 +410,13 @@ def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, 
         trainer(places, tmp_path / "run", from_scratch=False, resume=True)
 
 
+def test_a_training_by_torchrun_is_refused(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(InputError, match="lpn train is one process, and WORLD_SIZE is 2; start it without torchrun"):
+        trainer(places, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_cpu_says_that_it_does_not_compute_in_float16(places: Path, tmp_path: Path) -> None:
     run, said = trainer(places, tmp_path / "run", replace(QUICK, precision="float16"))
     run._print_setup()
@@ -500,22 +506,18 @@ def test_a_run_with_variants_trains_adapters_and_is_resumed(
     assert any(not torch.equal(one[key], first[key]) for key in one if key.endswith("adapter.up.weight"))
 
 
-@pytest.mark.parametrize(
-    ("variants", "epochs", "processes", "stored"), [(2, 3, 1, 2), (9, 3, 1, 3), (2, 30, 2, 4), (9, 6, 2, 6)]
-)
+@pytest.mark.parametrize(("variants", "epochs", "stored"), [(2, 3, 2), (9, 3, 3)])
 def test_variants_that_need_more_memory_than_is_free_are_refused(
     places: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     variants: int,
     epochs: int,
-    processes: int,
     stored: int,
 ) -> None:
-    """Every process stores what it draws: at most all variants, and at most its share of all epochs."""
+    """At most all variants are stored, and at most one for each epoch."""
     recipe = replace(TIMM, adapted_blocks=1, variants=variants, epochs=epochs)
-    group = ProcessGroup(torch.device("cpu"), 0, processes, processes)
-    run, _ = trainer(places, tmp_path / "run", recipe, group=group, test=False, workers=1)
+    run, _ = trainer(places, tmp_path / "run", recipe, test=False, workers=1)
     # Two views of 24 places, each a class token and 2 x 2 cells of 64 channels, float16.
     needed = stored * 24 * 2 * 5 * 64 * 2
     monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed - 1))
