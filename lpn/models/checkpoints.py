@@ -22,7 +22,6 @@ from lpn.core.files import fingerprint, printable, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
-from lpn.models.adapted_blocks import is_adapters
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
 from lpn.models.efficientnet_lite import STAGES
@@ -332,8 +331,6 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
         for name, tensor in target.items():
             candidates = (f"{BRANCH[view]}.model.{name}", f"model_1.model.{name}", name)
             source = next((state[c] for c in candidates if c in state), None)
-            if source is None and is_adapters(name):
-                continue
             total += 1
             if source is not None and source.shape == tensor.shape:
                 tensor.copy_(source)

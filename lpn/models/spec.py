@@ -89,8 +89,6 @@ class ModelSpec:
         dropout: its probability in the head, in training only.
         backbone_dropout: its probability after conv4_1 to conv5_3 of a VGG-16, in training only.
         input_size: (height, width) of the network input in pixels.
-        adapted_blocks: blocks at the backbone's end with adapters, see `lpn.models.adapted_blocks`; its own weights are then
-            frozen in training.
     """
 
     backbone: str = "resnet50"
@@ -110,7 +108,6 @@ class ModelSpec:
     maps: int = 8
     polar: bool = False
     backbone_dropout: float = 0.0
-    adapted_blocks: int = 0
 
     def __post_init__(self) -> None:
         if not self.views or any(view not in VIEWS for view in self.views):
@@ -129,8 +126,6 @@ class ModelSpec:
                 raise InputError(
                     f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}{more}."
                 )
-        if self.adapted_blocks != 0:
-            _check_count("adapted_blocks", self.adapted_blocks, _MAXIMA["n_parts"])
         for name in ("dropout", "backbone_dropout"):
             rate = getattr(self, name)
             if not isinstance(rate, int | float) or not 0 <= rate < 1:
@@ -216,11 +211,7 @@ class ModelSpec:
 
     def to_json(self) -> str:
         """Return one line of JSON for `from_json`."""
-        values = asdict(self)
-        # A model without adapters keeps the text, and so the fingerprint, that it had before there were any.
-        if not self.adapted_blocks:
-            del values["adapted_blocks"]
-        return json.dumps(values)
+        return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> ModelSpec:

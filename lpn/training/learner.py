@@ -39,7 +39,7 @@ class Learner:
         self.mixed_precision = MixedPrecision(recipe, device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.multi_view = MultiViewNetwork(network, recipe.joint_views, recipe.variants > 0)
+        self.multi_view = MultiViewNetwork(network, recipe.joint_views)
 
     def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
         """Take one training step.
@@ -102,16 +102,15 @@ class MultiViewNetwork(nn.Module):
     """A network that takes all picture sets of a step in one forward call.
 
     By default each set is a batch of its own, as in the published code. If `joint`, sets with the same weights
-    and the same partition form one batch, so that BatchNorm sees them together. If `behind_frozen`, sets are outputs of the
-    backbone's frozen blocks.
+    and the same partition form one batch, so that BatchNorm sees them together.
     """
 
-    def __init__(self, network: LPN, joint: bool, behind_frozen: bool = False) -> None:
+    def __init__(self, network: LPN, joint: bool) -> None:
         super().__init__()
-        self.network, self.joint, self.behind_frozen = network, joint, behind_frozen
+        self.network, self.joint = network, joint
 
     def forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set: (b, 3, H, W), or frozen outputs."""
+        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
         outputs: dict[str, tuple[Tensor, Tensor]] = {}
         groups = self.network.spec.groups()
         batches: dict[object, list[str]] = {}
@@ -119,9 +118,7 @@ class MultiViewNetwork(nn.Module):
             key = next(g for g in groups if branch_of(name) in g) if self.joint else name
             batches.setdefault(key, []).append(name)
         for names in batches.values():
-            embeddings, scores = self.network(
-                torch.cat([sets[name] for name in names]), branch_of(names[0]), self.behind_frozen
-            )
+            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
             sizes = [len(sets[name]) for name in names]
             for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
                 outputs[name] = (e, s)

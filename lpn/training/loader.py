@@ -23,7 +23,6 @@ from lpn.core.errors import InputError
 from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, draw_place_pose
-from lpn.training.frozen_outputs import DrawnVariant, FrozenOutputs
 from lpn.training.map_windows import MapWindows
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import TrainingSet
@@ -32,8 +31,8 @@ from lpn.training.training_set import TrainingSet
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
-# The pictures of each set of a row, or one picture of one set, or a variant whose outputs may be here already.
-_Drawn = dict[str, list[UInt8Array]] | DrawnVariant
+# The pictures of each set of a row, or one picture of one set.
+_Drawn = dict[str, list[UInt8Array]]
 _Row = Callable[[], _Drawn]
 # The class of each row of a batch, by set.
 _Labels = dict[str, Int64Array]
@@ -44,8 +43,7 @@ class TrainingBatch:
     """The input of one step.
 
     Attributes:
-        sets: for each picture set, its rows of the batch: (B, 3, H, W) float32, normalised, channels last; or what
-            `Branch.frozen_output` returned for it.
+        sets: for each picture set, its rows of the batch: (B, 3, H, W) float32, normalised, channels last.
         labels: for each picture set, the class of each row, (B,) int64.
         overlaps: of windows of a map, which rows share ground, (B, B) bool; else None.
     """
@@ -78,9 +76,6 @@ class Loader:
 
     Args:
         workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
-
-    Attributes:
-        frozen: the outputs of frozen blocks, which are loaded in place of pictures if the recipe has variants.
 
     Raises:
         InputError: when there are fewer places or pictures than rows in a batch, or the number of workers is negative.
@@ -118,7 +113,6 @@ class Loader:
             )
         self.places, self.recipe, self.device = places, recipe, device
         self.workers = workers or choose_workers(device)
-        self.frozen: FrozenOutputs | None = None
         self._prefetch = max(_PREFETCH, -(-2 * self.workers // recipe.batch))
         self._scale, self._offset = (
             torch.from_numpy(values).to(device)[:, None, None] for values in images.scale_and_offset()
@@ -163,13 +157,18 @@ class Loader:
                 yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
             return
         if self.recipe.sampling == "places":
-            drawn = epoch % self.recipe.variants if self.recipe.variants else epoch
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
                 labels = {
-                    name: self._labels_of(name, number, places, drawn) for number, name in enumerate(self._files, 1)
+                    name: self._labels_of(name, number, places, epoch) for number, name in enumerate(self._files, 1)
                 }
                 rows = [
-                    self._row(self.places, int(places[row]), drawn, {n: int(of[row]) for n, of in labels.items()})
+                    partial(
+                        self._draw_place,
+                        self.places,
+                        int(places[row]),
+                        epoch,
+                        {n: int(of[row]) for n, of in labels.items()},
+                    )
                     for row in range(len(places))
                 ]
                 yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
@@ -222,10 +221,6 @@ class Loader:
                 labels[row] = rng.choice(self._there[name])
         return labels
 
-    def _row(self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]) -> _Row:
-        draw = partial(self._draw_place, places, place, epoch, labels)
-        return draw if self.frozen is None else partial(self.frozen.draw, (place, epoch), draw)
-
     def _draw_place(
         self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]
     ) -> dict[str, list[UInt8Array]]:
@@ -248,14 +243,8 @@ class Loader:
         return augment(places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
 
     def _batch(self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[_Drawn]]) -> TrainingBatch:
-        drawn = [task.result() for task in tasks]
-        if self.frozen is not None:
-            sets = self.frozen.sets([row for row in drawn if isinstance(row, tuple)], self._network_input)
-        else:
-            pictures = [row for row in drawn if isinstance(row, dict)]
-            sets = {
-                name: self._network_input([one for row in pictures for one in row.get(name, ())]) for name in labels
-            }
+        rows = [task.result() for task in tasks]
+        sets = {name: self._network_input([one for row in rows for one in row.get(name, ())]) for name in labels}
         shared = None if overlaps is None else torch.from_numpy(overlaps).to(self.device)
         return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()}, shared)
 

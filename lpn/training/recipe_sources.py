@@ -388,7 +388,7 @@ _SOURCES: dict[str, dict[str, str]] = {
         "*": _OFF,
     },
     "compression": {"*": _OFF},
-    **{name: {"*": _OFF} for name in ("weather", "adapted_blocks", "variants")},
+    "weather": {"*": _OFF},
     "flip": {
         "paper": f"{_STATED}: random flipping; horizontal, and each picture on its own, as {_LPN} train.py:97, 107",
         "released": f"{_LPN} train.py:97, 107: each picture on its own",

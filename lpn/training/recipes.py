@@ -22,7 +22,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs at least two samples.
     **dict.fromkeys(("batch",), (2, _MAX, "2 or more")),
     **dict.fromkeys(("n_parts", "epochs", "maps", "positives", "pool"), (1, _MAX, "1 or more")),
-    **dict.fromkeys(("windows", "adapted_blocks", "variants"), (0, _MAX, "0 or more")),
+    "windows": (0, _MAX, "0 or more"),
     # The five pooling layers of VGG divide the size by 32.
     "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
@@ -121,9 +121,6 @@ class Recipe:
     """Probability of dropout in the heads."""
     backbone_dropout: float = 0.0
     """Dropout after conv4_1 to conv5_3 of a VGG-16 (0.2 in released SAFA)."""
-    adapted_blocks: int = 0
-    """Blocks at the end of a vision transformer of timm, or of a ResNet, that get adapters, as QDFL's have; the backbone
-    itself is then frozen. 0 trains the whole backbone."""
     class_init: Literal["kaiming", "normal"] = "kaiming"
     """Initialisation of the class layers: kaiming (as the other layers of the classifier module, section IV-B) or normal
     (N(0, 0.001), as released)."""
@@ -137,9 +134,6 @@ class Recipe:
     """Passes over all places, or over the pictures of the shortest set."""
     batch: int = 32
     """Pictures of each set (satellite, drone, street, google) per step."""
-    variants: int = 0
-    """Random variants of each place, one of them in each epoch in turn. The frozen blocks of a backbone with adapted_blocks are
-    computed once for each, and their outputs stay in memory; 0 draws pictures anew in each epoch."""
     optimizer: Literal["sgd", "adam", "adamw"] = "sgd"
     """Optimizer; sgd has Nesterov momentum 0.9."""
     lr: float = 0.01
@@ -301,8 +295,6 @@ class Recipe:
                 f"The recipe has positives = {self.positives} with protocol = ours, which compares one picture of each place; "
                 "set it to 1, or use --protocol released."
             )
-        if self.variants:
-            self._check_variants()
         if self.polar and self.ground_ratio != 1:
             raise InputError(
                 f"The recipe has ground_ratio = {self.ground_ratio:g} with polar, but an unrolled tile has no zoom; set it to 1."
@@ -330,17 +322,6 @@ class Recipe:
                 raise InputError(
                     f"The recipe has protocol = released with {name} = {value}; expected {name} = {expected}."
                 )
-
-    def _check_variants(self) -> None:
-        """Refuse settings in which no output of a frozen block recurs."""
-        reasons = {
-            "adapted_blocks = 0, which freezes nothing": not self.adapted_blocks,
-            "sampling = pictures, which has no variants of a place; use sampling = places": self.sampling == "pictures",
-            f"windows = {self.windows} of a map, which are drawn anew": self.windows > 0,
-        }
-        reason = next((text for text, holds in reasons.items() if holds), "")
-        if reason:
-            raise InputError(f"The recipe has variants = {self.variants} with {reason}; or set variants to 0.")
 
     def _check_windows(self) -> None:
         """Refuse settings that windows of a map do not allow: they have no classes, and are squares seen from above."""

@@ -24,13 +24,11 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.maps import Map
 from lpn.models import checkpoints
-from lpn.models.adapted_blocks import check_divisible
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec, is_timm
-from lpn.training.frozen_outputs import FrozenOutputs
 from lpn.training.initialise import initialise_heads
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
@@ -68,8 +66,8 @@ class Trainer:
 
     Raises:
         DataError: when the data set cannot be trained on.
-        InputError: when torchrun started several processes, `out` holds another run, there is nothing to resume, `compiled` and
-            torch finds no compiler, or the recipe has variants and its backbone cannot be divided for them.
+        InputError: when torchrun started several processes, `out` holds another run, there is nothing to resume, or
+            `compiled` and torch finds no compiler.
         ModelFileError: when `init` cannot be used.
         OutputError: when `out` cannot be written.
     """
@@ -141,15 +139,9 @@ class Trainer:
         torch.manual_seed(recipe.seed)
         network = LPN(_spec(recipe, self.places))
         initialise_heads(network, recipe)
-        if recipe.variants:
-            backbone = network.branch(network.spec.views[0]).model.eval()
-            check_divisible(backbone, recipe.backbone, recipe.input_size, recipe.adapted_blocks)
         if init is not None and not resume:
             self._load_init(network, init)
         self.learner = Learner(network, recipe, self.device, compiled)
-        if recipe.variants:
-            stored = min(recipe.variants, recipe.epochs) * len(self.places)
-            self.loader.frozen = FrozenOutputs(network, stored, self.learner.mixed_precision.autocast)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None
@@ -419,7 +411,6 @@ def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
         maps=recipe.maps,
         polar=recipe.polar,
         backbone_dropout=recipe.backbone_dropout,
-        adapted_blocks=recipe.adapted_blocks,
     )
     if recipe.pooling == "safa":
         return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])

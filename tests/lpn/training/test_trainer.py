@@ -22,7 +22,7 @@ from lpn.datasets import open_dataset
 from lpn.models.backbones import build_backbone
 from lpn.models.checkpoints import load_torch, recipe_of, save
 from lpn.retrieval.evaluate import evaluate
-from lpn.training import frozen_outputs, optimizer
+from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
@@ -466,74 +466,6 @@ def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path,
         expected = head.add_block[1](features.mean((2, 3)))
         torch.testing.assert_close(run.network(pictures, "drone")[0][:, 0], expected)
     assert "24 places in satellite, drone: 2 steps of 12 places an epoch, 1 epoch, so 2 updates." in said.getvalue()
-
-
-@pytest.mark.parametrize("workers", [1, 40], ids=["few drawn ahead", "all drawn ahead"])
-def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp_path: Path, workers: int) -> None:
-    """Its output is that of the pictures drawn then, so the losses are those of the whole network on them."""
-    recipe = replace(TIMM, sampling="places", adapted_blocks=2, variants=2, epochs=3, batch=8)
-    run, _ = trainer(places, tmp_path / "run", recipe, workers=workers)
-    computed, whole = [], []
-    branch = run.network.branch("satellite")
-    run.network.get_submodule("model_1.model.network.patch_embed").register_forward_hook(
-        lambda *of: computed.append(len(of[2]))
-    )
-    with closing(run.loader.stream(0, 3)) as batches:
-        seen = [batch.sets for batch in batches]
-    assert sum(computed) == 2 * 2 * 24
-    run.loader.frozen = None
-    with closing(run.loader.stream(0, 3)) as batches:
-        whole = [batch.sets for batch in batches]
-    branch.eval()
-    for outputs, pictures in zip(seen, whole, strict=True):
-        for name, values in outputs.items():
-            assert torch.allclose(values, branch.frozen_output(pictures[name]), rtol=2e-3, atol=2e-3)
-
-
-@pytest.mark.slow
-def test_a_run_with_variants_trains_adapters_and_is_resumed(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recipe = replace(TIMM, sampling="places", adapted_blocks=1, variants=2, epochs=3, size=32, batch=8)
-    whole = trainer(places, tmp_path / "whole", recipe, test=False)[0].run()
-    run, _ = trainer(places, tmp_path / "cut", recipe, test=False)
-    _run_one_epoch(run, monkeypatch)
-    first = load_torch(tmp_path / "cut" / "last.safetensors").network.state_dict()
-    cut = trainer(places, tmp_path / "cut", recipe, resume=True, test=False)[0].run()
-    assert (recipe_of(cut)["variants"], lpn.load(cut, "cpu").contract.level) == (2, "exact")
-    one, two = (load_torch(file).network.state_dict() for file in (cut, whole))
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    assert any(not torch.equal(one[key], first[key]) for key in one if key.endswith("adapter.up.weight"))
-
-
-@pytest.mark.parametrize(("variants", "epochs", "stored"), [(2, 3, 2), (9, 3, 3)])
-def test_variants_that_need_more_memory_than_is_free_are_refused(
-    places: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    variants: int,
-    epochs: int,
-    stored: int,
-) -> None:
-    """At most all variants are stored, and at most one for each epoch."""
-    recipe = replace(TIMM, adapted_blocks=1, variants=variants, epochs=epochs)
-    run, _ = trainer(places, tmp_path / "run", recipe, test=False, workers=1)
-    # Two views of 24 places, each a class token and 2 x 2 cells of 64 channels, float16.
-    needed = stored * 24 * 2 * 5 * 64 * 2
-    monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed - 1))
-    with closing(run.loader.stream(0, 1)) as batches, pytest.raises(InputError, match=f"for {stored * 24} variants of"):
-        next(batches)
-    monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed))
-    with closing(run.loader.stream(0, 1)) as batches:
-        next(batches)
-
-
-def test_variants_of_a_transformer_that_cannot_be_divided_are_refused_at_the_start(
-    places: Path, tmp_path: Path
-) -> None:
-    recipe = replace(TIMM, backbone="timm:xcit_nano_12_p16_224", adapted_blocks=1, variants=2)
-    with pytest.raises(InputError, match="map of timm:xcit_nano_12_p16_224 does not follow from the tokens"):
-        trainer(places, tmp_path / "run", recipe)
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:
