@@ -55,8 +55,7 @@ class TrainCommand:
     """Print the settings in which two recipes differ, each with its source, and train nothing."""
     init: Path | None = None
     """Weights of the backbone trained on ImageNet (.safetensors or .pth, torchvision's names), or a model, such as a name of lpn
-    models, loaded as far as they fit; auto finds weights of the backbone here, in the extra backbones or in the folders of torch
-    and timm."""
+    models, loaded as far as they fit; auto finds weights of the backbone here, in the folders of torch and timm."""
     from_scratch: bool = False
     """Start from random weights instead of --init."""
     calibrate: bool = False

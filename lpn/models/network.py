@@ -17,7 +17,6 @@ from torch import Tensor, nn
 from lpn.core.errors import InputError
 from lpn.core.views import BRANCH, View
 from lpn.models.backbones import VGG16, BackboneName, LastLayer, ResNet, build_backbone
-from lpn.models.efficientnet_lite import EfficientNetLite
 from lpn.models.partition import Partition
 from lpn.models.spec import SLOPES, TIMM, ModelSpec
 from lpn.models.timm_networks import TimmMap
@@ -65,7 +64,7 @@ class Branch(nn.Module):
         return cast(Tensor, self.model(images))
 
 
-def _backbone(spec: ModelSpec) -> ResNet | VGG16 | EfficientNetLite | TimmMap:
+def _backbone(spec: ModelSpec) -> ResNet | VGG16 | TimmMap:
     if spec.backbone.startswith(TIMM):
         return TimmMap(spec.backbone.removeprefix(TIMM), spec.input_size)
     return build_backbone(

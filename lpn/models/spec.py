@@ -18,15 +18,7 @@ from lpn.core.views import VIEWS, View
 from lpn.models.contract import Contract, ForwardPass
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
-BACKBONES = (
-    "resnet18",
-    "resnet50",
-    "vgg16",
-    "vgg16_bn",
-    "efficientnet_lite0",
-    "efficientnet_lite1",
-    "efficientnet_lite2",
-)
+BACKBONES = ("resnet18", "resnet50", "vgg16", "vgg16_bn")
 Activation = Literal["none", "relu", "leaky_relu"]
 Layout = Literal["university", "cvusa", "strips"]
 Pooling = Literal["average", "safa"]
@@ -66,10 +58,9 @@ class ModelSpec:
 
     Attributes:
         backbone: one of `BACKBONES`, or "timm:" and the name of a network of timm, of which the last map is taken.
-        last_layer: of a ResNet or an EfficientNet-Lite of `BACKBONES`: "layer4" for the whole network, or "layer3" for the
-            stages that have stride 16 by themselves.
-        last_stride: stride behind them, of a ResNet's layer4 or an EfficientNet-Lite's sixth stage: 1 (published, the map stays
-            at 1/16) or 2 (as ImageNet's weights were trained, 1/32).
+        last_layer: of a ResNet: "layer4" for the whole network, or "layer3" for the stages that have stride 16 by themselves.
+        last_stride: stride of a ResNet's layer4: 1 (published, the map stays at 1/16) or 2 (as ImageNet's weights were trained,
+            1/32).
         views: the views with a branch, in the order satellite, street, drone.
         shared: whether satellite and drone (without a drone, satellite and street) share weights.
         n_parts: parts per descriptor; 1 is the baseline.

@@ -81,10 +81,10 @@ class Recipe:
     """Every setting of a training. The defaults are the recipe `paper`."""
 
     backbone: str = "resnet50"
-    """The backbone network: resnet18, resnet50, vgg16, vgg16_bn, or, beyond the paper, efficientnet_lite0 to
-    efficientnet_lite2, or timm:NAME with a network of timm, such as timm:convnext_tiny or timm:vit_small_patch16_224."""
+    """The backbone network: resnet18, resnet50, vgg16, vgg16_bn, or, beyond the paper, timm:NAME with a network of timm,
+    such as timm:convnext_tiny or timm:vit_small_patch16_224."""
     last_layer: Literal["layer3", "layer4"] = "layer4"
-    """Last layer of a ResNet or an EfficientNet-Lite: layer4 for the whole network, or layer3 for its first part, which takes
+    """Last layer of a ResNet: layer4 for the whole network, or layer3 for its first part, which takes
     about half the time. The map of both has 1/16 of the size."""
     last_stride: Literal[1, 2] = 1
     """Stride of a ResNet's layer4: 1 (the paper, the map keeps 1/16) or 2 (as ImageNet's weights were trained, 1/32)."""

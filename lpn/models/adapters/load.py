@@ -111,10 +111,8 @@ def load_published(
     return _built(found, state, path, device, compiled, named is None)
 
 
-# First words of the names that a backbone alone has: torchvision's and EfficientNet-Lite's, and those of timm's networks.
-_OF_BACKBONE = re.compile(
-    r"(conv1|bn1|layer[1-4]|fc|features|classifier|_conv_stem|_bn0|_blocks|_conv_head|_bn1|_fc)\."
-)
+# First words of the names that a backbone alone has: torchvision's, and those of timm's networks.
+_OF_BACKBONE = re.compile(r"(conv1|bn1|layer[1-4]|fc|features|classifier)\.")
 _OF_TIMM = re.compile(
     r"(conv1|bn1|layer[1-4]|fc|stem|stages|layers|blocks|patch_embed|norm|norm_pre|fc_norm|head|conv_stem|conv_head|bn2|classifier)"
     r"\.|(cls_token|reg_token|pos_embed)$"
