@@ -68,8 +68,6 @@ class TrainCommand:
     """Share of the training places held out to select the best epoch; at 0 the test split selects it."""
     workers: int = 0
     """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
-    compile: bool = False
-    """Compile the backbone by torch.compile; the first step then takes seconds to minutes, and losses differ by rounding."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
@@ -90,7 +88,6 @@ class TrainCommand:
             self.evaluate_every,
             workers=self.workers,
             validate=self.validate,
-            compiled=self.compile,
             from_scratch=self.from_scratch,
             window_sizes=self.window_sizes,
         )

@@ -49,18 +49,11 @@ _AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
-    """An LPN that runs in PyTorch, on the CPU or the GPU the network was put on.
-
-    Args:
-        compiled: run the backbones by torch.compile, which compiles for seconds to minutes at the first batch of a size.
-
-    Raises:
-        InputError: if `compiled`, and torch finds no compiler.
-    """
+    """An LPN that runs in PyTorch, on the CPU or the GPU the network was put on."""
 
     spec: ModelSpec
 
-    def __init__(self, network: LPN, fingerprint: str = "", compiled: bool = False) -> None:
+    def __init__(self, network: LPN, fingerprint: str = "") -> None:
         self.network = network.eval()
         self.spec = network.spec
         self.contract = network.spec.contract()
@@ -69,8 +62,6 @@ class TorchModel(Model):
         self.device = self._device.type
         self.batch = 64 if self.device == "cuda" else 8
         self._map_sizes: dict[View, tuple[int, int]] = {}
-        if compiled:
-            compile_backbones(network)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W)."""
@@ -115,63 +106,37 @@ def exact_inference() -> Iterator[None]:
         yield
 
 
-def compile_backbones(network: LPN) -> None:
-    """Let torch.compile compile each backbone at its first batch; weights and their names stay as they are.
-
-    Raises:
-        InputError: if torch finds no compiler.
-    """
-    device = next(network.parameters()).device
-    try:
-        torch.compile(lambda x: x + 1)(torch.zeros(2, device=device))
-    except Exception as error:  # of torch's compiler, of the system's, or of Triton
-        reason = str(error).strip().partition("\n")[0] or type(error).__name__
-        needed = "a C++ compiler such as g++" if device.type == "cpu" else "Triton and a C compiler"
-        raise InputError(
-            f"torch.compile does not work here ({reason}); install {needed}, or leave --compile out."
-        ) from error
-    for view in network.spec.views:
-        if network.spec.owner(view) == view:
-            network.branch(view).model.compile()
-
-
-def load_torch(path: str | Path, device: torch.device | str = "cpu", compiled: bool = False) -> TorchModel:
+def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchModel:
     """Load a published `.pth` or our `.safetensors` into PyTorch, on a device.
 
     Only tensors are unpickled. An `opts.yaml` beside a `.pth` supplies options that the keys do not determine.
 
-    Args:
-        compiled: see `TorchModel`.
-
     Raises:
         ModelFileError: if the file is missing, is not a model, is truncated, or lacks keys.
-        InputError: if `compiled`, and torch finds no compiler.
     """
     path = Path(path)
     if not holds_safetensors(path):
-        return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device, compiled)
-    return _model(*_read_safetensors(path), path, device, compiled)
+        return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device)
+    return _model(*_read_safetensors(path), path, device)
 
 
-def from_state(
-    state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
-) -> TorchModel:
+def from_state(state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu") -> TorchModel:
     """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
     state = with_named_branch(state, options, path.name)
     spec = infer_spec(state, options, path.name)
     with torch.device("meta"):
         network = LPN(spec)
     name_unknown(path.name, "LPN", unknown_entries(_entries(network, state)[1], network.state_dict().keys()))
-    return _model(spec, state, path, device, compiled)
+    return _model(spec, state, path, device)
 
 
-def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str, compiled: bool) -> TorchModel:
+def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str) -> TorchModel:
     # Check on the meta device first: a file may claim a network far larger than its contents.
     with torch.device("meta"):
         _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
-    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()), compiled)
+    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
 
 
 def holds_safetensors(path: Path) -> bool:

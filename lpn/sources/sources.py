@@ -101,11 +101,11 @@ class ModelOptions:
         """The file's name and the pooling of its tokens, to display."""
         return model_names([self.model], [self.pooling])[0]
 
-    def load(self, compiled: bool = False) -> Model:
+    def load(self) -> Model:
         """Open the model, see `lpn.load` for the errors."""
         import lpn
 
-        return lpn.load(self.model, self.provider, compiled, kind=self.kind, pooling=self.pooling)
+        return lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
 
 
 def _file_names(*files: Path) -> str:

@@ -24,18 +24,12 @@ class Learner:
         network: moved to the device, in channels-last order, which makes its convolutions faster.
         recipe: optimizer, rates, losses, and precision.
         device: where the network is trained.
-        compiled: compile the backbones, see `lpn.models.checkpoints.compile_backbones`.
-
-    Raises:
-        InputError: if `compiled`, and torch finds no compiler.
     """
 
-    def __init__(self, network: LPN, recipe: Recipe, device: torch.device, compiled: bool = False) -> None:
+    def __init__(self, network: LPN, recipe: Recipe, device: torch.device) -> None:
         self.network, self.recipe = network, recipe
         network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.average = average_weights(network, recipe.ema) if recipe.ema else None
-        if compiled:
-            checkpoints.compile_backbones(network)
         self.mixed_precision = MixedPrecision(recipe, device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]

@@ -61,13 +61,11 @@ class Trainer:
         validate: share of the places held out of the training to choose the best epoch, or a fold that is held out.
         device: the device to train on; by default the GPU if there is one.
         test: measure the last model on the test split.
-        compiled: compile the backbones by torch.compile.
         window_sizes: smallest and largest side in metres of the windows of a map; None chooses them.
 
     Raises:
         DataError: when the data set cannot be trained on.
-        InputError: when torchrun started several processes, `out` holds another run, there is nothing to resume, or
-            `compiled` and torch finds no compiler.
+        InputError: when torchrun started several processes, `out` holds another run, or there is nothing to resume.
         ModelFileError: when `init` cannot be used.
         OutputError: when `out` cannot be written.
     """
@@ -85,7 +83,6 @@ class Trainer:
         validate: float | Fold = 0.0,
         device: torch.device | None = None,
         test: bool = True,
-        compiled: bool = False,
         from_scratch: bool = False,
         window_sizes: tuple[float, float] | None = None,
     ) -> None:
@@ -141,7 +138,7 @@ class Trainer:
         initialise_heads(network, recipe)
         if init is not None and not resume:
             self._load_init(network, init)
-        self.learner = Learner(network, recipe, self.device, compiled)
+        self.learner = Learner(network, recipe, self.device)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None

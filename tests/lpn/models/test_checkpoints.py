@@ -24,7 +24,6 @@ from lpn.models.published_checkpoints import infer_spec
 from lpn.models.spec import ModelSpec
 from lpn.models.weight_storage import WeightType
 from tools.fixtures import seeded, small_worlds
-from tools.fixtures.trainings import make_resnets_shallow
 
 
 @pytest.mark.parametrize("case", ["n4", pytest.param("n1_baseline", marks=pytest.mark.slow)])
@@ -270,35 +269,6 @@ def test_descriptors_bring_only_parts_back_from_the_device(monkeypatch: pytest.M
     copied.clear()
     model.run(pictures, "drone")
     assert copied == [expected.parts.shape, expected.features.shape]
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of torch about itself
-def test_compiled_backbones_give_the_same_descriptors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    make_resnets_shallow(monkeypatch)
-    save(small_worlds.make_network(), tmp_path / "model.safetensors")
-    pictures = seeded.pictures(1, 3, 64, 64)
-    eager = load_torch(tmp_path / "model.safetensors")
-    compiled = load_torch(tmp_path / "model.safetensors", compiled=True)
-    counters = torch._dynamo.utils.counters
-    counters.clear()
-    found, expected = compiled.descriptors(pictures, "drone"), eager.descriptors(pictures, "drone")
-    np.testing.assert_allclose(found, expected, atol=1e-5)
-    assert counters["stats"]["unique_graphs"] > 0
-    assert compiled.fingerprint == eager.fingerprint
-    save(compiled.network, tmp_path / "again.safetensors")
-    again = load_torch(tmp_path / "again.safetensors").network.state_dict()
-    assert all(torch.equal(again[name], tensor) for name, tensor in eager.network.state_dict().items())
-
-
-def test_compiling_without_a_compiler_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(*_: object) -> object:
-        raise RuntimeError("InvalidCxxCompiler: No working C++ compiler found\nand a page of advice")
-
-    monkeypatch.setattr(checkpoints.torch, "compile", lambda _: missing)
-    with pytest.raises(InputError, match=r"No working C\+\+ compiler found\); install a C\+\+ compiler") as caught:
-        TorchModel(small_worlds.make_network(), compiled=True)
-    assert "\n" not in str(caught.value)
 
 
 def _same(path: Path, state: dict[str, Tensor], tmp_path: Path) -> None:

@@ -265,8 +265,6 @@ def test_models_of_pytorch_take_the_same_option(model_file: Path, monkeypatch: p
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     with pytest.raises(InputError, match="finds no GPU; install its driver"):
         lpn.load(safetensors, "cuda")
-    with pytest.raises(InputError, match=r"model\.onnx is exported; leave --compile out"):
-        lpn.load(model_file, compiled=True)
 
 
 def test_the_commands_pass_the_option_on(

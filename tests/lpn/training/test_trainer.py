@@ -6,7 +6,6 @@ import math
 import shutil
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -381,20 +380,6 @@ def test_a_step_benchmarks_convolutions_and_uses_tf32_in_mixed_precision_only(
         run.learner.step(next(stream), 0, run.steps)
     assert found == [(True, True, precision != "float32")] * 2
     assert (cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32) == before
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of torch about itself
-def test_a_compiled_training_has_the_losses_of_an_eager_one(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The graphs run without torch's code generator, which takes a minute; a test of compiled backbones has that."""
-    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="aot_eager"))
-    two_steps = replace(QUICK, epochs=1, batch=12)
-    run, _ = trainer(places, tmp_path / "compiled", two_steps, compiled=True, test=False)
-    load_torch(run.run())
-    trainer(places, tmp_path / "eager", two_steps, test=False)[0].run()
-    assert losses(tmp_path / "compiled") == pytest.approx(losses(tmp_path / "eager"), rel=1e-3)
 
 
 def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, tmp_path: Path) -> None:
