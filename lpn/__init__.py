@@ -110,15 +110,14 @@ def load(
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
-            `.onnx`, "tensorrt".
+            `.onnx`, another execution provider of ONNX Runtime, such as "coreml".
         kind: the method of a published state dict, such as "dac"; by default recognised by the names of its entries.
         pooling: how the tokens of a vision transformer, of a network of timm, or of an `.onnx` that returns tokens become a
             descriptor: "mean", "gem", "cls", "cls+mean", or "rings:N", see `lpn.models.token_pooling`. By default the mean.
 
     Raises:
         ModelFileError: if there is no such file or name, or the file is not a model, is truncated, or lacks entries.
-        InputError: if the named provider is missing or does not work, or LPN_PROVIDER names no provider.
-        OutputError: if the cache of TensorRT's engines cannot be written.
+        InputError: if the provider that is named is missing or does not work.
         MissingPackageError: if torch is needed and not installed.
     """
     from lpn.models.timm_files import timm_file

@@ -165,13 +165,13 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
         name: of the model's file, for the message.
 
     Raises:
-        InputError: if the provider is not PyTorch's, torch finds no GPU, or LPN_PROVIDER names no provider.
+        InputError: if the provider is not PyTorch's, or torch finds no GPU.
     """
     provider = resolve_provider(provider)
-    if provider == "tensorrt":
+    if provider not in ("auto", "cpu", "cuda"):
         raise InputError(
-            f"TensorRT computes exported models, not {name}; lpn export it, or compute on CUDA (--provider cuda, or "
-            "LPN_PROVIDER=cuda)."
+            f"The provider {printable(provider)[:60]!r} is not PyTorch's, which computes {name} on cpu or cuda; give one of "
+            "those with --provider or LPN_PROVIDER, or lpn export the model for another provider of ONNX Runtime."
         )
     if provider == "cuda" and not torch.cuda.is_available():
         raise InputError(

@@ -43,7 +43,8 @@ PoolingOption = Annotated[
 ProviderOption = Annotated[
     ProviderName,
     tyro.conf.arg(
-        help="Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."
+        help="Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, any of ONNX "
+        "Runtime's, such as coreml."
     ),
 ]
 

@@ -53,15 +53,6 @@ def test_batches_do_not_depend_on_the_number_of_workers_or_on_where_a_run_begins
     assert not same(one[0], one[2])
 
 
-@BOTH
-def test_processes_shares_make_the_batch(data: Path, recipe: Recipe) -> None:
-    whole = next(loader(data, recipe).stream(0, 1))
-    first, second = (next(loader(data, recipe, share=rows).stream(0, 1)) for rows in (slice(0, 2), slice(2, 4)))
-    for name, pictures in whole.sets.items():
-        assert torch.equal(torch.cat([first.sets[name], second.sets[name]]), pictures)
-        assert torch.equal(first.labels[name], whole.labels[name])
-
-
 def test_sets_are_shuffled_on_their_own_over_their_pictures_with_their_own_labels(tmp_path: Path) -> None:
     """Places have one satellite and three drone pictures each; an epoch ends with the satellites."""
     for label in range(1, 11):
