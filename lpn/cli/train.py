@@ -45,9 +45,8 @@ class TrainCommand:
     twice what the network's input shows at the map's resolution."""
     recipe: RecipeName = recipes.DEFAULT
     """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
-    cvusa-released-resnet50, cvact-released, safa-released, and metric-released, the default with --protocol released), for some
-    hundred places (small), the same for all headings (world), or for a map alone (map, the default with --map); see
-    docs/recipes.md."""
+    cvusa-released-resnet50, cvact-released, safa-released, and metric-released), for some hundred places (small), the same for
+    all headings (world), or for a map alone (map, the default with --map); see docs/recipes.md."""
     method: MethodName | None = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
@@ -135,17 +134,11 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     """Parse the options of a training; recipe and method set the defaults of the other flags.
 
     Raises:
-        InputError: if the recipe or the method is unknown, or the recipe does not fit the protocol.
+        InputError: if the recipe or the method is unknown, or they do not fit each other.
     """
     default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
-    released = flag_value(arguments, "--protocol") == "released"
-    default = "metric-released" if released else default
     name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
     settings = recipes.find(name, chosen)
-    if released and settings.protocol != "released":
-        raise InputError(
-            f"--protocol released has a recipe of its own, metric-released, in place of {name}; leave --recipe out."
-        )
     # A comparison of recipes needs no folder.
     folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
     named = TrainCommand(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)

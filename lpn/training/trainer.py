@@ -104,10 +104,10 @@ class Trainer:
         else:
             self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
             held = self.places.hold_out(validate, recipe.seed)
-            if recipe.protocol == "released" and "drone" not in self.places.views:
+            if recipe.compares_drones and "drone" not in self.places.views:
                 raise InputError(
-                    f"The released metric losses compare satellites with drone pictures, and {self.name} has none to train "
-                    "on; leave --protocol out."
+                    f"The metric losses compare satellites with drone pictures, and {self.name} has none to train on; choose "
+                    "another --method."
                 )
             if recipe.ground_ratio != 1 and "drone" not in self.places.views:
                 raise InputError(

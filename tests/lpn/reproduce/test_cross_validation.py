@@ -91,7 +91,7 @@ def test_folds_share_the_places_out_evenly_whatever_the_recipe_s_seed(places: Pa
         ("a:seed=3", "seeds are given with --seeds"),
         ("a:epochs=many", "has 'epochs=many' .* give another value"),
         ("a:epochs=0", "epochs = 0; expected 1 or more"),
-        ("a:mining=best", "has 'mining=best'"),
+        ("a:metric=best", "has 'metric=best'"),
         ("a:memory=true", "has 'memory=true'"),
     ],
 )

@@ -159,7 +159,7 @@ def test_pair_losses_compare_the_rows_of_one_place_only() -> None:
     labels = {"satellite": torch.tensor([0, 1, 2, 3]), "drone": torch.tensor([0, 7, 2, 3])}
     rows = [0, 2, 3]
     kept = {name: (parts[rows], scores[rows]) for name, (parts, scores) in outputs.items()}
-    for changes in ({}, {"metric": "triplet", "infonce": 0.0}, {"metric": "contrastive", "infonce": 0.0}):
+    for changes in ({}, {"pooling": "safa", "metric": "soft_margin", "infonce": 0.0}):
         changed = replace(recipe, **changes)
         alone = total_loss(kept, {name: torch.tensor([0, 2, 3]) for name in labels}, changed)
         torch.testing.assert_close(total_loss(outputs, labels, changed), alone)
