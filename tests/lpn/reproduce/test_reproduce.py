@@ -558,9 +558,9 @@ def test_the_plan_is_printed_without_running(
     assert "table6: 4 of 5 rows; no --init has the weights of resnet50 (ImageNet alone)\n" in text
     assert "figure7b, figure8-panoramas not drawn: no panoramas are given with --data.\n" in text
     assert "To give with --init: weights of resnet50 for instance, lpn, contrastive, " in text
-    # 16 trials of a third of 120 epochs; 7 networks of Table I, 4 more sizes, and 3 more n.
-    epochs = 16 * 40 + (7 + 4 + 3) * 120
-    assert f"Plan: 30 of 30 trainings are left, 16 of them short trials: {epochs} epochs, about " in text
+    # 7 networks of Table I, of which 4 have a metric loss and 70 epochs, 4 more sizes, and 3 more n.
+    epochs = 4 * 70 + (3 + 4 + 3) * 120
+    assert f"Plan: 14 of 14 trainings are left: {epochs} epochs, about " in text
     assert sorted(path.name for path in tmp_path.iterdir()) == ["oxford", "views"]
     assert main(["doctor", "--reproduce", str(tmp_path / "typo")]) == 2
     assert main(["doctor", "--quick", "--reproduce", str(root)]) == 2
