@@ -101,7 +101,6 @@ if not TYPE_CHECKING:
 def load(
     path: str | Path,
     provider: ProviderName = "auto",
-    compiled: bool = False,
     kind: Kind | None = None,
     pooling: str | None = None,
 ) -> Model:
@@ -115,16 +114,14 @@ def load(
 
     Args:
         provider: "auto" (LPN_PROVIDER if that is set, else a GPU if one works, else the CPU), "cpu", "cuda", or, for an
-            `.onnx`, "tensorrt".
-        compiled: run a `.safetensors` or `.pth` of an LPN by torch.compile.
+            `.onnx`, another execution provider of ONNX Runtime, such as "coreml".
         kind: the method of a published state dict, such as "dac"; by default recognised by the names of its entries.
         pooling: how the tokens of a vision transformer, of a network of timm, or of an `.onnx` that returns tokens become a
             descriptor: "mean", "gem", "cls", "cls+mean", or "rings:N", see `lpn.models.token_pooling`. By default the mean.
 
     Raises:
         ModelFileError: if there is no such file or name, or the file is not a model, is truncated, or lacks entries.
-        InputError: if the named provider or a compiler is missing or does not work, or LPN_PROVIDER names no provider.
-        OutputError: if the cache of TensorRT's engines cannot be written.
+        InputError: if the provider that is named is missing or does not work.
         MissingPackageError: if torch is needed and not installed.
     """
     from lpn.models.timm_files import timm_file
@@ -143,14 +140,10 @@ def load(
             if pooled is not None:
                 raise InputError(f"{path} is a package's model, which has its own parts; leave --pooling out.")
             return registered
-        path = model_file(path, trained=compiled)
+        path = model_file(path)
     if Path(path).suffix == ".onnx":
         from lpn.models.onnx_engine import Engine
 
-        if compiled:
-            raise InputError(
-                f"torch.compile is for .safetensors and .pth, and {Path(path).name} is exported; leave --compile out."
-            )
         if kind is not None:
             raise InputError(f"{Path(path).name} contains its kind; leave --kind out.")
         if network is not None:
@@ -172,7 +165,7 @@ def load(
             "pip install 'lpn-explorer[train]', or export the model to .onnx where torch is installed."
         ) from error
     device = device_of(provider, Path(path).name)
-    return load_file(path, device, compiled, kind, pooled, network)
+    return load_file(path, device, kind, pooled, network)
 
 
 def open_task(data: str | Path, task: TaskName | None = None, model: Model | str | Path = "city-lpn") -> Task:

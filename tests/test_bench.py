@@ -57,22 +57,8 @@ with tempfile.TemporaryDirectory() as folder:
         assert north - south < 500 and east - west > 700
 """
 
-WITHOUT_COMPILER = """
-from lpn.core.errors import InputError
-from tools.bench import describe, gpu
-load = describe.load_torch
-def without_compiler(path, device, compiled=False):
-    if compiled:
-        raise InputError("there is no compiler here.")
-    return load(path, device)
-describe.load_torch = without_compiler
-print([figure.what.split()[-1] for figure in describe.on_device("cpu", 2, spec=gpu.TINY, rounds=1)])
-"""
-
-# torch's own compiler takes half a minute; a test of the compiled network has it.
-EAGERLY_COMPILED = """
-import functools, sys, torch
-torch.compile = functools.partial(torch.compile, backend="eager")
+TINY = """
+import sys
 from tools.bench import gpu
 sys.argv = ["gpu", "--device", "cpu", "--tiny", "--pictures", "8"]
 gpu.main()
@@ -117,16 +103,8 @@ def test_the_table_tells_agreement_from_difference_and_from_nothing() -> None:
     assert "2.0e-02" in lines["good"]
 
 
-def test_a_bench_goes_on_without_a_compiler() -> None:
-    done = run("-c", WITHOUT_COMPILER)
-    assert done.returncode == 0, done.stderr
-    assert "Not measured: there is no compiler here." in done.stdout
-    assert "eager" in done.stdout.splitlines()[-1]
-    assert "compiled" not in done.stdout.splitlines()[-1]
-
-
 def test_parity_and_speed_at_tiny_size() -> None:
-    done = run("-c", EAGERLY_COMPILED)
+    done = run("-c", TINY)
     assert done.returncode == 0, done.stderr
     found = [line for line in done.stdout.splitlines() if " met " in line]
     assert len(found) == 2  # a checkpoint, and one that is exported
@@ -134,7 +112,6 @@ def test_parity_and_speed_at_tiny_size() -> None:
         "vgg16_bn, 3 views, n = 1",
         "ONNX Runtime, cpu",
         "cpu, eager",
-        "compiled",
         "ours, float32",
         "images/s",
     ):

@@ -151,7 +151,7 @@ def commands_of(page: str) -> list[tuple[int, list[str]]]:
 def arguments_of(words: list[str]) -> list[str] | None:
     """Return the arguments of `lpn` with words in place of placeholders; None if a command is another program's."""
     words = list(dropwhile(re.compile(r"[A-Z_]+=").match, words))
-    own = words[words.index("-m") + 1 :] if words[:1] in (["python"], ["torchrun"]) and "-m" in words else words
+    own = words[words.index("-m") + 1 :] if words[:1] == ["python"] and "-m" in words else words
     if own[:1] != ["lpn"]:
         return None
     bare = [re.sub(r"^\[|\]$|\.\.\.$|\]?\.\.\.\]?$", "", word) for word in own[1:]]
@@ -199,7 +199,7 @@ def test_a_command_that_no_parser_takes_is_named_with_its_line_and_the_parsers_s
     python -m tools.bench.query --no-such-option
 
 ```bash
-torchrun --nproc-per-node 2 -m lpn train --data ROOT --out run ... [--epochs many]
+python -m lpn train --data ROOT --out run ... [--epochs many]
 lpn evaluate --data ROOT --model lpn.onnx [--csls K] --task TASK
 lpn evaluate --data ROOT --model lpn.onnx --index tiles
 lpn describe --model lpn.onnx

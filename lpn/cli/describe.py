@@ -46,8 +46,6 @@ class DescribeCommand:
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
     provider: ProviderOption = "auto"
-    compile: bool = False
-    """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     engine: Literal["local", "ray"] = "local"
     """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers,
     lists broken pictures in broken.csv, and ends with status 1 if there are any."""
@@ -108,7 +106,7 @@ class DescribeCommand:
         return 0
 
     def _model(self, view: View) -> Model:
-        return lpn.load(self.model, self.provider, self.compile, self.kind, self.pooling).in_role(view, self.role)
+        return lpn.load(self.model, self.provider, self.kind, self.pooling).in_role(view, self.role)
 
     def _report(self, store: Store, model: Model, rows: str = "pictures") -> None:
         shape = " x ".join(map(str, store.descriptors.shape))
@@ -131,8 +129,8 @@ class DescribeCommand:
         if self.map is not None:
             raise InputError("Windows of a map are described on one machine; leave --engine ray out.")
         images, view = self._pictures()
-        if self.compile or self.provider not in ("auto", "cpu"):
-            raise InputError("Ray's workers compute on the CPU; leave --provider and --compile out, or --engine ray.")
+        if self.provider not in ("auto", "cpu"):
+            raise InputError("Ray's workers compute on the CPU; leave --provider or --engine ray out.")
         if self.kind is not None or self.pooling is not None:
             option = "kind" if self.kind is not None else "pooling"
             raise InputError(f"Ray's workers take an .onnx, which contains its {option}; leave --{option} out.")

@@ -399,8 +399,6 @@ class EvaluateCommand(EvaluationWithAnswers):
     }
 
     source: Data
-    compile: Annotated[bool, FOLDED] = False
-    """Run a .safetensors or .pth by torch.compile; worth it from some hundred pictures on."""
     changes: ChangeOptions = field(default_factory=ChangeOptions)
     ranking: RankingOptions = field(default_factory=RankingOptions)
 
@@ -444,7 +442,7 @@ class EvaluateCommand(EvaluationWithAnswers):
         from lpn.tasks.opening import no_task_error, offered_tasks
 
         source = self.source
-        model, dataset = source.model.load(self.compile), open_dataset(source.data)
+        model, dataset = source.model.load(), open_dataset(source.data)
         tasks = dataset.tasks() if self.changes.branch else offered_tasks(model, dataset)
         if source.task is None and not tasks:
             raise no_task_error(model, dataset)
@@ -462,7 +460,7 @@ class EvaluateCommand(EvaluationWithAnswers):
         return self.source.data
 
     def _changed(self) -> bool:
-        return self.compile or (self.changes, self.ranking) != (ChangeOptions(), RankingOptions())
+        return (self.changes, self.ranking) != (ChangeOptions(), RankingOptions())
 
 
 def _table(result: Result) -> TextTable:

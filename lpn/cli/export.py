@@ -42,7 +42,8 @@ class QuantizeCommand:
     pictures: int = 128
     """Number of calibration pictures, spread evenly over the training split, or the test split if there is none."""
     provider: ProviderName = "auto"
-    """Provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or tensorrt."""
+    """Provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or another of ONNX
+    Runtime."""
     least_cosine: float = 0.98
     """Nothing is written if the mean cosine with the float32 descriptors of a view's pictures is below this."""
 

@@ -42,7 +42,8 @@ class IndexCommand:
     box: tuple[float, float, float, float] | None = None
     """With --map: south, west, north, and east in degrees; windows with their centres elsewhere are left to other machines."""
     provider: ProviderName = "auto"
-    """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."""
+    """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, any
+    of ONNX Runtime's, such as coreml."""
     data: Path | None = None
     """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in shards."""
     engine: Literal["exact", "faiss", "milvus"] | None = None

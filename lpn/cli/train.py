@@ -45,9 +45,8 @@ class TrainCommand:
     twice what the network's input shows at the map's resolution."""
     recipe: RecipeName = recipes.DEFAULT
     """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
-    cvusa-released-resnet50, cvact-released, safa-released, and metric-released, the default with --protocol released), for some
-    hundred places (small), the same for all headings (world), or for a map alone (map, the default with --map); see
-    docs/recipes.md."""
+    cvusa-released-resnet50, cvact-released, safa-released, and metric-released), for some hundred places (small), the same for
+    all headings (world), or for a map alone (map, the default with --map); see docs/recipes.md."""
     method: MethodName | None = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
@@ -55,8 +54,7 @@ class TrainCommand:
     """Print the settings in which two recipes differ, each with its source, and train nothing."""
     init: Path | None = None
     """Weights of the backbone trained on ImageNet (.safetensors or .pth, torchvision's names), or a model, such as a name of lpn
-    models, loaded as far as they fit; auto finds weights of the backbone here, in the extra backbones or in the folders of torch
-    and timm."""
+    models, loaded as far as they fit; auto finds weights of the backbone here, in the folders of torch and timm."""
     from_scratch: bool = False
     """Start from random weights instead of --init."""
     calibrate: bool = False
@@ -69,8 +67,6 @@ class TrainCommand:
     """Share of the training places held out to select the best epoch; at 0 the test split selects it."""
     workers: int = 0
     """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
-    compile: bool = False
-    """Compile the backbone by torch.compile; the first step then takes seconds to minutes, and losses differ by rounding."""
     settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
 
     def run(self) -> None:
@@ -79,31 +75,23 @@ class TrainCommand:
             return
         trainer = import_module("lpn.training.trainer").Trainer
         source = self._source()
-        group = import_module("lpn.training.multi_process").join()
         settings = self.settings
         if self.calibrate:
-            settings = replace(settings, ground_ratio=group.run_on_leader(lambda: self._ground_ratio(source)))
-        run = group.run_on_all(
-            lambda: trainer(
-                source,
-                self.out,
-                settings,
-                self.init,
-                self.resume,
-                self.evaluate_every,
-                workers=self.workers,
-                validate=self.validate,
-                group=group,
-                compiled=self.compile,
-                from_scratch=self.from_scratch,
-                window_sizes=self.window_sizes,
-            )
+            settings = replace(settings, ground_ratio=self._ground_ratio(source))
+        run = trainer(
+            source,
+            self.out,
+            settings,
+            self.init,
+            self.resume,
+            self.evaluate_every,
+            workers=self.workers,
+            validate=self.validate,
+            from_scratch=self.from_scratch,
+            window_sizes=self.window_sizes,
         )
         run.console.print(f"Recipe {self.recipe}: {settings.to_json()}")
-        model = run.run()
-        group.leave()
-        if group.is_leader:
-            print(f"The model is in {model}.")
+        print(f"The model is in {run.run()}.")
 
     def _ground_ratio(self, dataset: Any) -> float:
         """Return the ratio of ground that the model of --init finds, or that a run to be resumed has found."""
@@ -146,17 +134,11 @@ def parse_train(arguments: list[str], program: str) -> TrainCommand:
     """Parse the options of a training; recipe and method set the defaults of the other flags.
 
     Raises:
-        InputError: if the recipe or the method is unknown, or the recipe does not fit the protocol.
+        InputError: if the recipe or the method is unknown, or they do not fit each other.
     """
     default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
-    released = flag_value(arguments, "--protocol") == "released"
-    default = "metric-released" if released else default
     name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
     settings = recipes.find(name, chosen)
-    if released and settings.protocol != "released":
-        raise InputError(
-            f"--protocol released has a recipe of its own, metric-released, in place of {name}; leave --recipe out."
-        )
     # A comparison of recipes needs no folder.
     folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
     named = TrainCommand(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)

@@ -13,12 +13,12 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any
 
-from lpn.core.errors import InputError
-
-# A network is computed by a GPU if one works, else by the CPU (auto), or by one of the others alone.
-ProviderName = Literal["auto", "cpu", "cuda", "tensorrt"]
+# "auto" (a GPU if one works, else the CPU), "cpu", "cuda", or another execution provider of ONNX Runtime: "coreml" is its
+# CoreMLExecutionProvider.
+ProviderName = str
+PROVIDER_ENDING = "ExecutionProvider"
 # For sentences: commands without the flag --provider read the variable as well, see `resolve_provider`.
 COMPUTE_ON_CPU = "compute on the CPU (--provider cpu, or LPN_PROVIDER=cpu)"
 
@@ -31,17 +31,9 @@ _YIELDING = 10
 
 
 def resolve_provider(provider: ProviderName) -> ProviderName:
-    """Return LPN_PROVIDER in place of "auto", if it is set.
-
-    Raises:
-        InputError: if LPN_PROVIDER is the name of no provider.
-    """
-    chosen = os.environ.get("LPN_PROVIDER") if provider == "auto" else None
-    if not chosen:
-        return provider
-    if chosen not in get_args(ProviderName):
-        raise InputError(f"LPN_PROVIDER is {chosen!r}; set it to auto, cpu, cuda, or tensorrt.")
-    return cast(ProviderName, chosen)
+    """Return a provider's short name in small letters, with LPN_PROVIDER in place of "auto" if that is set."""
+    chosen = (os.environ.get("LPN_PROVIDER") if provider == "auto" else None) or provider
+    return chosen.lower().removesuffix(PROVIDER_ENDING.lower())
 
 
 def usable_cores() -> int:

@@ -1,7 +1,7 @@
-"""The backbones of LPN and SAFA: ResNet-18, ResNet-50, VGG-16 with and without batch normalisation, and EfficientNet-Lite.
+"""The backbones of LPN and SAFA: ResNet-18, ResNet-50, and VGG-16 with and without batch normalisation.
 
-Parameter names are torchvision's, or those of the published weights of EfficientNet-Lite, so weights and the published
-checkpoints load unchanged. There are no final pooling and class layers, because LPN reads the last feature map.
+Parameter names are torchvision's, so its weights and the published checkpoints load unchanged. There are no final pooling and
+class layers, because LPN reads the last feature map.
 """
 
 from __future__ import annotations
@@ -12,12 +12,9 @@ import torch
 from torch import Tensor, nn
 
 from lpn.core.errors import InputError
-from lpn.models.efficientnet_lite import HEAD_CHANNELS, STAGES, EfficientNetLite, last_block
 from lpn.models.spec import BACKBONES
 
-BackboneName = Literal[
-    "resnet18", "resnet50", "vgg16", "vgg16_bn", "efficientnet_lite0", "efficientnet_lite1", "efficientnet_lite2"
-]
+BackboneName = Literal["resnet18", "resnet50", "vgg16", "vgg16_bn"]
 LastLayer = Literal["layer3", "layer4"]
 
 # Channels of the last feature map, by backbone and last layer.
@@ -28,8 +25,6 @@ CHANNELS: dict[tuple[str, str], int] = {
     ("resnet50", "layer4"): 2048,
     ("vgg16", "layer4"): 512,
     ("vgg16_bn", "layer4"): 512,
-    **{(name, "layer3"): last_block(name, whole=False)[1] for name in STAGES},
-    **{(name, "layer4"): HEAD_CHANNELS for name in STAGES},
 }
 
 
@@ -143,25 +138,23 @@ def build_backbone(
     last_stride: int = 1,
     dropout: float = 0.0,
     ceil_mode: bool = False,
-) -> ResNet | VGG16 | EfficientNetLite:
+) -> ResNet | VGG16:
     """Build the named network with random weights (He initialisation).
 
     Args:
-        last_layer, last_stride: of a ResNet or an EfficientNet-Lite.
+        last_layer, last_stride: of a ResNet.
         dropout, ceil_mode: of a VGG-16.
 
     Raises:
         InputError: if the name is unknown.
     """
-    network: ResNet | VGG16 | EfficientNetLite
+    network: ResNet | VGG16
     if name == "resnet18":
         network = ResNet(BasicBlock, [2, 2, 2, 2], last_layer, last_stride)
     elif name == "resnet50":
         network = ResNet(Bottleneck, [3, 4, 6, 3], last_layer, last_stride)
     elif name in ("vgg16", "vgg16_bn"):
         network = VGG16(name == "vgg16_bn", dropout, ceil_mode)
-    elif name in STAGES:
-        network = EfficientNetLite(name, last_layer == "layer4", last_stride)
     else:
         raise InputError(f"The backbone is {name!r}; expected one of {', '.join(BACKBONES)}.")
     for module in network.modules():

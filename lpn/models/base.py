@@ -39,7 +39,7 @@ class Model(ABC):
         contract: what the model says of itself.
         spec: the architecture of an LPN, for training and export; None for other models.
         precision: the precision of its convolutions, "float32" or "int8".
-        device: what it computes on, "cpu", "cuda", or "tensorrt".
+        device: what it computes on, "cpu", "cuda", or another provider of ONNX Runtime.
         parallel: whether several threads can call it in parallel, each on one core.
         batch: the best batch size for `descriptors`.
         means: the mean descriptor of a view, (n, D), that is subtracted from each of its descriptors; see `centred`.

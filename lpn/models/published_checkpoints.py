@@ -15,7 +15,6 @@ from torch import Tensor
 from lpn.core.errors import ModelFileError
 from lpn.core.files import first_few, printable
 from lpn.core.views import BRANCH, VIEWS, View
-from lpn.models.efficientnet_lite import STAGES, last_block
 from lpn.models.spec import BACKBONES, ModelSpec, is_timm
 
 log = logging.getLogger(__name__)
@@ -34,9 +33,6 @@ _WORDS: dict[str, bool | None] = {
     **dict.fromkeys(("false", "no", "off"), False),
     **dict.fromkeys(("", "~", "null", "none"), None),
 }
-
-# The last convolution of each block of an EfficientNet-Lite.
-_PROJECTION = re.compile(r"_blocks\.(\d{1,3})\._project_conv\.weight")
 
 # Words in the options of models that were trained on panoramas.
 _PANORAMAS = ("cvusa", "cvact")
@@ -174,7 +170,7 @@ def name_unknown(name: str, method: str, unknown: Sequence[str]) -> None:
 
 
 def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
-    """Infer `backbone` and `last_layer` of `ModelSpec` from a backbone's entries: their names, and shapes of EfficientNet-Lite.
+    """Infer `backbone` and `last_layer` of `ModelSpec` from the names of a backbone's entries.
 
     Raises:
         ModelFileError: if the backbone is unknown.
@@ -196,12 +192,6 @@ def infer_backbone(state: Mapping[str, Tensor], name: str) -> tuple[str, str]:
         return "resnet50", last
     if "layer1.1.conv2.weight" in keys and not {"layer1.0.conv3.weight", "layer1.2.conv1.weight"} & keys:
         return "resnet18", last
-    blocks = {int(match[1]): len(state[key]) for key in keys if (match := _PROJECTION.fullmatch(key))}
-    whole = "_conv_head.weight" in keys
-    for lite in STAGES:
-        # Lite1 and Lite2 differ in their widths alone.
-        if blocks and (max(blocks), blocks[max(blocks)]) == last_block(lite, whole):
-            return lite, "layer4" if whole else "layer3"
     raise ModelFileError(f"The backbone in {name} is not one of {', '.join(BACKBONES)}, or entries of it are missing.")
 
 

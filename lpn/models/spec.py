@@ -18,15 +18,7 @@ from lpn.core.views import VIEWS, View
 from lpn.models.contract import Contract, ForwardPass
 from lpn.models.partition import WEIGHTINGS, Partition, Weighting
 
-BACKBONES = (
-    "resnet18",
-    "resnet50",
-    "vgg16",
-    "vgg16_bn",
-    "efficientnet_lite0",
-    "efficientnet_lite1",
-    "efficientnet_lite2",
-)
+BACKBONES = ("resnet18", "resnet50", "vgg16", "vgg16_bn")
 Activation = Literal["none", "relu", "leaky_relu"]
 Layout = Literal["university", "cvusa", "strips"]
 Pooling = Literal["average", "safa"]
@@ -66,10 +58,9 @@ class ModelSpec:
 
     Attributes:
         backbone: one of `BACKBONES`, or "timm:" and the name of a network of timm, of which the last map is taken.
-        last_layer: of a ResNet or an EfficientNet-Lite of `BACKBONES`: "layer4" for the whole network, or "layer3" for the
-            stages that have stride 16 by themselves.
-        last_stride: stride behind them, of a ResNet's layer4 or an EfficientNet-Lite's sixth stage: 1 (published, the map stays
-            at 1/16) or 2 (as ImageNet's weights were trained, 1/32).
+        last_layer: of a ResNet: "layer4" for the whole network, or "layer3" for the stages that have stride 16 by themselves.
+        last_stride: stride of a ResNet's layer4: 1 (published, the map stays at 1/16) or 2 (as ImageNet's weights were trained,
+            1/32).
         views: the views with a branch, in the order satellite, street, drone.
         shared: whether satellite and drone (without a drone, satellite and street) share weights.
         n_parts: parts per descriptor; 1 is the baseline.
@@ -89,8 +80,6 @@ class ModelSpec:
         dropout: its probability in the head, in training only.
         backbone_dropout: its probability after conv4_1 to conv5_3 of a VGG-16, in training only.
         input_size: (height, width) of the network input in pixels.
-        adapted_blocks: blocks at the backbone's end with adapters, see `lpn.models.adapted_blocks`; its own weights are then
-            frozen in training.
     """
 
     backbone: str = "resnet50"
@@ -110,7 +99,6 @@ class ModelSpec:
     maps: int = 8
     polar: bool = False
     backbone_dropout: float = 0.0
-    adapted_blocks: int = 0
 
     def __post_init__(self) -> None:
         if not self.views or any(view not in VIEWS for view in self.views):
@@ -129,8 +117,6 @@ class ModelSpec:
                 raise InputError(
                     f"The model's {name} is {getattr(self, name)!r}; expected one of {', '.join(map(str, allowed))}{more}."
                 )
-        if self.adapted_blocks != 0:
-            _check_count("adapted_blocks", self.adapted_blocks, _MAXIMA["n_parts"])
         for name in ("dropout", "backbone_dropout"):
             rate = getattr(self, name)
             if not isinstance(rate, int | float) or not 0 <= rate < 1:
@@ -216,11 +202,7 @@ class ModelSpec:
 
     def to_json(self) -> str:
         """Return one line of JSON for `from_json`."""
-        values = asdict(self)
-        # A model without adapters keeps the text, and so the fingerprint, that it had before there were any.
-        if not self.adapted_blocks:
-            del values["adapted_blocks"]
-        return json.dumps(values)
+        return json.dumps(asdict(self))
 
     @classmethod
     def from_json(cls, text: str) -> ModelSpec:

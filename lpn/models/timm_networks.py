@@ -337,13 +337,8 @@ class TimmMap(nn.Module):
         features = cast(Tensor, self.network.forward_features(images))  # type: ignore[operator]
         if self.patch is None:
             return features.permute(0, 3, 1, 2) if self.channels_last else features
-        return self.on_grid(features, (images.shape[2], images.shape[3]))
-
-    def on_grid(self, tokens: Tensor, size: tuple[int, int]) -> Tensor:
-        """Put tokens (B, prefix + cells, C) of pictures of `size` (height, width) on the grid of their patches: (B, C, h, w)."""
-        assert self.patch is not None
-        cells = tokens[:, self.prefix :].transpose(1, 2)
-        return cells.reshape(*cells.shape[:2], size[0] // self.patch[0], size[1] // self.patch[1])
+        cells = features[:, self.prefix :].transpose(1, 2)
+        return cells.reshape(*cells.shape[:2], images.shape[2] // self.patch[0], images.shape[3] // self.patch[1])
 
     def with_own_names(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
         """Return weights of timm under this network's names, with positions resampled to its size.

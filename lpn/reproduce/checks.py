@@ -144,14 +144,10 @@ def check_trainings(jobs: Sequence[TrainingJob], uses: Sequence[NetworkUse]) -> 
     """
     for job in jobs:
         places, batch = job.source.places(job.recipe.sets), job.recipe.batch
-        held = round(job.held_out * len(places))
-        left = len(places) - held
-        if not job.done and (left < batch or (job.held_out and held < 2)):
-            without = f" without the {held} held out to tune it" if job.held_out else ""
-            untuned = ", or do not tune (--no-tune)" if job.held_out else ""
+        if not job.done and len(places) < batch:
             raise InputError(
-                f"{job.training.name} takes {batch} places a step, and {job.source.name} has {left} to train on{without}; give "
-                f"more places, or at most as many with --batch{untuned}."
+                f"{job.training.name} takes {batch} places a step, and {job.source.name} has {len(places)} to train on; give "
+                "more places, or at most as many with --batch."
             )
         for use in uses:
             if use.training.name == job.training.name:

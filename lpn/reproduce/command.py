@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import lpn
@@ -12,7 +11,7 @@ from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, exclusive_lock, write_atomic
 from lpn.models.base import Model
-from lpn.reproduce import checks, footnotes, paper_figures, plan, pretrained, report, trainings, tuning
+from lpn.reproduce import checks, footnotes, paper_figures, plan, pretrained, report, trainings
 from lpn.reproduce.checks import NetworkUse
 from lpn.reproduce.measure import MeasuredFigures, MeasurementStore
 from lpn.reproduce.paper_values import LANDMARKS
@@ -21,6 +20,7 @@ from lpn.reproduce.sources import Source, Sources, open_sources
 from lpn.reproduce.tables import DRAWN, SCALES, SHOWN, PaperTable, Scale, TableRow, Training, find, tables
 from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import transfer
+from lpn.training.trainer import check_single_process
 
 # All tables and figures that can be reproduced.
 KEYS = tuple(dict.fromkeys((*tables(SCALES["paper"]), *DRAWN)))
@@ -40,7 +40,6 @@ class Reproduction:
         train: train missing networks; otherwise their rows are not run.
         queries: queries shown in figures 7 and 8; Figure 1 shows the first.
         from_scratch: train from random weights, without `init`.
-        tune: choose the settings of Table I's losses on held-out training places first.
         partial: a row whose data set is not given says so in its place; otherwise its table is refused.
     """
 
@@ -53,7 +52,6 @@ class Reproduction:
     train: bool = True
     queries: Sequence[str] = ()
     from_scratch: bool = False
-    tune: bool = True
     partial: bool = False
     console: Console = field(default_factory=Console)
 
@@ -65,10 +63,7 @@ class Reproduction:
         Raises:
             LPNError: when data, models, or settings do not fit, before anything is trained.
         """
-        if int(os.environ.get("WORLD_SIZE", "1")) > 1:
-            raise InputError(
-                "lpn reproduce is one process; train with torchrun -m lpn train, and give it with --model."
-            )
+        check_single_process("lpn reproduce")
         check_writable(self.out / "measured.json")
         wanted, drawn, uses = self._prepare(keys)
         left = self._check_work(uses)
@@ -79,11 +74,6 @@ class Reproduction:
                 f"{backbone} starts from {start.name if start else 'random weights'}.", markup=False, soft_wrap=True
             )
         if self.train:
-            trainings.train([trial.job for trials in self._trials.values() for trial in trials], self.console)
-            # The trials decide the recipes of some trainings.
-            self._jobs = self._planned(uses)
-            for job in self._jobs:
-                job.check_same()
             trainings.train(self._jobs, self.console)
         lock = self.out / ".tables"
         lock.mkdir(exist_ok=True)
@@ -121,8 +111,6 @@ class Reproduction:
 
     def _write(self, wanted: Sequence[PaperTable], drawn: Sequence[str]) -> list[Path]:
         self._store.reload()
-        if self._trials:
-            tuning.write(self._trials, self.out / "tuning.json")
         written = [self._table(table) for table in wanted]
         figures = [file for name in drawn if (file := self._figure(name)) is not None]
         # Print last: an error of the terminal must not keep a file from being written.
@@ -183,13 +171,7 @@ class Reproduction:
                 paper_figures.named(source.dataset, "drone", self.queries)
 
     def _plan_jobs(self, wanted: Sequence[PaperTable], uses: Sequence[NetworkUse]) -> None:
-        """Plan the trials and the trainings, and check what they start from."""
-        needed = {use.training.name: use.training for use in uses if use.training.name not in self._loaded}
-        self._trials = {
-            name: planned
-            for name, training in needed.items()
-            if self.tune and (planned := self._trials_of(training)) and (self.train or tuning.best(planned))
-        }
+        """Plan the trainings, and check what they start from."""
         self._jobs = self._planned(uses)
         ours = {job.recipe.backbone for job in self._jobs}
         rows = [row for table in wanted for row in table.rows if row.training is None and not row.quoted]
@@ -197,31 +179,20 @@ class Reproduction:
         checks.check_starts(self._starts, ours.union(untrained))
 
     def _check_work(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
-        """Check that trials and trainings can run, and return those that are left."""
-        trials = [trial.job for of_network in self._trials.values() for trial in of_network]
-        for job in trials:
-            job.check_same()
+        """Check that the trainings can run, and return those that are left."""
         for job in self._jobs:
-            # Until its trials end, a tuned training has other settings.
-            if all(trial.job.done or trial.job.diverged for trial in self._trials.get(job.training.name, ())):
-                job.check_same()
-        to_come = [job for job in (*trials, *self._jobs) if self.train and not job.diverged]
-        checks.check_trainings([job for job in (*trials, *self._jobs) if job.done or job in to_come], uses)
+            job.check_same()
+        to_come = [job for job in self._jobs if self.train and not job.diverged]
+        checks.check_trainings([job for job in self._jobs if job.done or job in to_come], uses)
         return [job for job in to_come if not job.done]
 
-    def _trials_of(self, training: Training) -> list[tuning.Trial]:
-        source = self._sources.role(training.role)
-        return tuning.plan(training, self.scale, self.seeds[0], self.out / "tuning", source, self._starts)
-
     def _planned(self, uses: Sequence[NetworkUse]) -> list[TrainingJob]:
-        """Plan the trainings of networks that are not given, with the settings that their trials chose."""
-        chosen = {name: trial for name, trials in self._trials.items() if (trial := tuning.best(trials))}
-        scale = replace(self.scale, tuned={name: trial.settings for name, trial in chosen.items()})
+        """Plan the trainings of networks that are not given."""
         jobs = []
         for seed in self.seeds:
             for training in {use.training.name: use.training for use in uses}.values():
                 if training.name not in self._loaded:
-                    recipe = scale.recipe(training, seed)
+                    recipe = self.scale.recipe(training, seed)
                     folder = self.out / "runs" / f"{training.name}-seed{seed}"
                     source, start = self._sources.role(training.role), self._starts.get(recipe.backbone)
                     jobs.append(TrainingJob(training, seed, recipe, folder, source, start))
@@ -231,11 +202,9 @@ class Reproduction:
         """Print the trainings that are left, and which figures are drawn."""
         if left:
             epochs = sum(job.recipe.epochs - len(job.seconds()) for job in left)
-            trials = sum(1 for job in left if job.held_out)
-            known = [*self._jobs, *(trial.job for of_network in self._trials.values() for trial in of_network)]
             self.console.print(
-                f"Plan: {len(left)} of {len(known)} trainings are left, {trials} of them short trials: {epochs} epochs, "
-                f"{trainings.said_left(left, known)} for one process. A second process with the same command shares them.",
+                f"Plan: {len(left)} of {len(self._jobs)} trainings are left: {epochs} epochs, "
+                f"{trainings.said_left(left, self._jobs)} for one process. A second process with the same command shares them.",
                 soft_wrap=True,
             )
             for job in left:
@@ -364,8 +333,6 @@ class Reproduction:
         ]
         notes = [f"Networks given: {', '.join(listed)}."] if listed else []
         notes += footnotes.networks([job for job in self._jobs if job.training.name in names], self.scale, self.seeds)
-        if tuned := tuning.note({name: trials for name, trials in self._trials.items() if name in names}):
-            notes.append(tuned)
         of_places = table.measure in ("both ways", "centre") and self._data(table)
         if of_places and names - set(self._loaded) and not self._sources.role("places").has_google:
             notes.append("There is no train/google, so all networks are trained without it.")

@@ -94,8 +94,7 @@ class Scale:
         sizes: input size used for each of Table III's.
         note: one sentence for the table's notes.
         changes: the user's changes of every recipe.
-        tuned: for networks tuned on held-out places, the settings that were chosen.
-        protocol: "released" for metric losses, turned queries, and the transfer to landmarks as their authors released them.
+        protocol: "released" for turned queries and the transfer to landmarks as their authors released them.
     """
 
     name: str
@@ -105,7 +104,6 @@ class Scale:
     sizes: Mapping[int, int]
     note: str
     changes: Mapping[str, Any] = field(default_factory=dict)
-    tuned: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     protocol: Literal["ours", "released"] = "ours"
 
     @property
@@ -121,7 +119,7 @@ class Scale:
         """
         named, kept = self._unchanged(training), self.kept(training)
         changes = {name: value for name, value in self.changes.items() if name not in kept}
-        changes |= {**self.tuned.get(training.name, {}), **training.changes, "seed": seed}
+        changes |= {**training.changes, "seed": seed}
         if not str(changes.get("backbone", "vgg16")).startswith("vgg16"):
             # SAFA's recipe has a dropout in its VGG-16.
             changes.setdefault("backbone_dropout", 0.0)
@@ -143,10 +141,8 @@ class Scale:
         return tuple(name for name in self.changes if name in own)
 
     def _unchanged(self, training: Training) -> Recipe:
-        if self.released and training.method in recipes.METRIC_LOSSES:
-            if isinstance(self.places, str):
-                return recipes.find("metric-released", training.method)
-            return replace(recipes.method(training.method, self.places), **recipes.RELEASED_METRIC)
+        if training.method in recipes.METRIC_LOSSES and isinstance(self.places, str):
+            return recipes.find("metric-released", training.method)
         if training.recipe is not None and isinstance(self.panoramas, str):
             return RECIPES[training.recipe]
         base = self.places if training.role == "places" else self.panoramas
@@ -182,7 +178,7 @@ SCALES: dict[str, Scale] = {
         "cvusa-paper",
         "safa-paper",
         {size: size for size in paper_values.TABLE3},
-        "Recipes paper, cvusa-paper, and safa-paper: what the papers state.",
+        "Recipes paper, cvusa-paper, and safa-paper: what the papers state. Metric losses: metric-released, as released.",
     ),
     "released": Scale(
         "released",

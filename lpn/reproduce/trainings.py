@@ -56,8 +56,7 @@ class TrainingJob:
         folder: of the run.
         source: the training data.
         start: pretrained weights of its backbone, None for random ones.
-        held_out: share of the training places that are held out, and measured after the last epoch.
-        fold: a fold of them that is held out instead, and measured by `lpn.reproduce.cross_validation`.
+        fold: a fold of the training places that is held out, and measured by `lpn.reproduce.cross_validation`.
     """
 
     training: Training
@@ -66,13 +65,12 @@ class TrainingJob:
     folder: Path
     source: Source
     start: Path | None
-    held_out: float = 0.0
     fold: Fold | None = None
 
     @property
     def name(self) -> str:
         """Name such as "lpn, seed 0", or that of a trial's folder."""
-        return self.folder.name if self.held_out or self.fold else f"{self.training.name}, seed {self.seed}"
+        return self.folder.name if self.fold else f"{self.training.name}, seed {self.seed}"
 
     @property
     def done(self) -> bool:
@@ -93,13 +91,6 @@ class TrainingJob:
         return file.made if file is not None else None
 
     @property
-    def score(self) -> float | None:
-        """R@1 on the held-out places after the last epoch, in percent; None if it was not measured."""
-        rows = self._log()
-        scores = [float(value) for name, value in (rows[-1] if rows else {}).items() if "held out" in name and value]
-        return scores[0] if self.done and scores else None
-
-    @property
     def model(self) -> Path:
         """Path of the trained network."""
         return self.folder / "last.safetensors"
@@ -115,7 +106,7 @@ class TrainingJob:
     def steps(self) -> int:
         """Updates of an epoch."""
         places = copy.copy(self.source.places(self.recipe.sets))
-        places.hold_out(self.fold or self.held_out, self.recipe.seed)
+        places.hold_out(self.fold or 0.0, self.recipe.seed)
         return steps_per_epoch(places, self.recipe)
 
     def seconds(self) -> list[float]:
@@ -149,7 +140,6 @@ class TrainingJob:
             **json.loads(self.recipe.to_json()),
             "pictures": self.source.training_digest(self.recipe.sets),
             "start": fingerprint(self.start) if self.start else None,
-            "held_out": self.held_out,
             "fold": list(self.fold) if self.fold else None,
         }
 
@@ -195,9 +185,8 @@ class TrainingJob:
                 self.recipe,
                 self.start,
                 resume,
-                evaluate_every=self.recipe.epochs if self.held_out else 0,
                 console=console,
-                validate=self.fold or self.held_out,
+                validate=self.fold or 0.0,
                 test=False,
                 from_scratch=self.start is None,
             ).run()

@@ -43,7 +43,8 @@ PoolingOption = Annotated[
 ProviderOption = Annotated[
     ProviderName,
     tyro.conf.arg(
-        help="Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, tensorrt."
+        help="Provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, any of ONNX "
+        "Runtime's, such as coreml."
     ),
 ]
 
@@ -101,11 +102,11 @@ class ModelOptions:
         """The file's name and the pooling of its tokens, to display."""
         return model_names([self.model], [self.pooling])[0]
 
-    def load(self, compiled: bool = False) -> Model:
+    def load(self) -> Model:
         """Open the model, see `lpn.load` for the errors."""
         import lpn
 
-        return lpn.load(self.model, self.provider, compiled, kind=self.kind, pooling=self.pooling)
+        return lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
 
 
 def _file_names(*files: Path) -> str:

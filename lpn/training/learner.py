@@ -7,14 +7,12 @@ from typing import Any, cast
 
 import torch
 from torch import Tensor, nn
-from torch.nn.parallel import DistributedDataParallel
 
 from lpn.core.views import branch_of
 from lpn.models import checkpoints
 from lpn.models.network import LPN
 from lpn.training.loader import TrainingBatch
 from lpn.training.losses import total_loss
-from lpn.training.multi_process import ProcessGroup
 from lpn.training.optimizer import MixedPrecision, average_weights, build_optimizer, loss_factor, rate_factor
 from lpn.training.recipes import Recipe
 
@@ -23,39 +21,19 @@ class Learner:
     """A network in training.
 
     Args:
-        network: moved to the group's device, in channels-last order, which makes its convolutions faster.
+        network: moved to the device, in channels-last order, which makes its convolutions faster.
         recipe: optimizer, rates, losses, and precision.
-        group: the processes that share the training; `distribute` connects their gradients.
-        compiled: compile the backbones, see `lpn.models.checkpoints.compile_backbones`.
-
-    Raises:
-        InputError: if `compiled`, and torch finds no compiler.
+        device: where the network is trained.
     """
 
-    def __init__(self, network: LPN, recipe: Recipe, group: ProcessGroup, compiled: bool = False) -> None:
-        self.network, self.recipe, self.group = network, recipe, group
-        network.to(group.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        # Only the leader saves and tests the average.
-        self.average = average_weights(network, recipe.ema) if recipe.ema and group.is_leader else None
-        if compiled:
-            checkpoints.compile_backbones(network)
-        self.mixed_precision = MixedPrecision(recipe, group.device)
+    def __init__(self, network: LPN, recipe: Recipe, device: torch.device) -> None:
+        self.network, self.recipe = network, recipe
+        network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.average = average_weights(network, recipe.ema) if recipe.ema else None
+        self.mixed_precision = MixedPrecision(recipe, device)
         self.optimizer = build_optimizer(network, recipe)
         self.rates = [float(parameters["lr"]) for parameters in self.optimizer.param_groups]
-        self.multi_view: nn.Module = MultiViewNetwork(network, recipe.joint_views, recipe.variants > 0)
-
-    def distribute(self) -> None:
-        """Average the gradients of all processes from now on; on GPUs, BatchNorm sees the whole batch."""
-        if self.group.size == 1 or isinstance(self.multi_view, DistributedDataParallel):
-            return
-        device = self.group.device
-        cuda = device.type == "cuda"
-        if cuda:
-            nn.SyncBatchNorm.convert_sync_batchnorm(self.network)  # type: ignore[no-untyped-call]
-        # A static graph allows heads that the recipe's loss does not use.
-        self.multi_view = DistributedDataParallel(
-            self.multi_view, device_ids=[device.index] if cuda else None, static_graph=True
-        )
+        self.multi_view = MultiViewNetwork(network, recipe.joint_views)
 
     def step(self, batch: TrainingBatch, step: int, steps: int) -> tuple[Tensor, float]:
         """Take one training step.
@@ -73,7 +51,7 @@ class Learner:
         with self.mixed_precision.convolutions():
             with self.mixed_precision.autocast():
                 outputs = self.multi_view(batch.sets)
-            loss = total_loss(self.group.gather(outputs), batch.labels, self.recipe, batch.overlaps, step)
+            loss = total_loss(outputs, batch.labels, self.recipe, batch.overlaps, step)
             self.mixed_precision.step(loss * loss_factor(self.recipe, step, steps), self.optimizer)
         if self.average is not None:
             # A resumed run knows its step, so the count need not be saved.
@@ -115,19 +93,18 @@ class Learner:
 
 
 class MultiViewNetwork(nn.Module):
-    """A network that takes all picture sets of a step in one forward call, as DistributedDataParallel requires.
+    """A network that takes all picture sets of a step in one forward call.
 
     By default each set is a batch of its own, as in the published code. If `joint`, sets with the same weights
-    and the same partition form one batch, so that BatchNorm sees them together. If `behind_frozen`, sets are outputs of the
-    backbone's frozen blocks.
+    and the same partition form one batch, so that BatchNorm sees them together.
     """
 
-    def __init__(self, network: LPN, joint: bool, behind_frozen: bool = False) -> None:
+    def __init__(self, network: LPN, joint: bool) -> None:
         super().__init__()
-        self.network, self.joint, self.behind_frozen = network, joint, behind_frozen
+        self.network, self.joint = network, joint
 
     def forward(self, sets: dict[str, Tensor]) -> dict[str, tuple[Tensor, Tensor]]:
-        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set: (b, 3, H, W), or frozen outputs."""
+        """Compute part embeddings (b, n, D) and class scores (b, n, classes) of each set (b, 3, H, W)."""
         outputs: dict[str, tuple[Tensor, Tensor]] = {}
         groups = self.network.spec.groups()
         batches: dict[object, list[str]] = {}
@@ -135,9 +112,7 @@ class MultiViewNetwork(nn.Module):
             key = next(g for g in groups if branch_of(name) in g) if self.joint else name
             batches.setdefault(key, []).append(name)
         for names in batches.values():
-            embeddings, scores = self.network(
-                torch.cat([sets[name] for name in names]), branch_of(names[0]), self.behind_frozen
-            )
+            embeddings, scores = self.network(torch.cat([sets[name] for name in names]), branch_of(names[0]))
             sizes = [len(sets[name]) for name in names]
             for name, e, s in zip(names, embeddings.split(sizes), scores.split(sizes), strict=True):
                 outputs[name] = (e, s)

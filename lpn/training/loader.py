@@ -23,7 +23,6 @@ from lpn.core.errors import InputError
 from lpn.core.resources import usable_cores
 from lpn.core.views import branch_of
 from lpn.training.augmentation import augment, draw_place_pose
-from lpn.training.frozen_outputs import DrawnVariant, FrozenOutputs
 from lpn.training.map_windows import MapWindows
 from lpn.training.recipes import Recipe
 from lpn.training.training_set import TrainingSet
@@ -32,8 +31,8 @@ from lpn.training.training_set import TrainingSet
 _PREFETCH = 2
 _MAX_WORKERS = 16
 
-# The pictures of each set of a row, or one picture of one set, or a variant whose outputs may be here already.
-_Drawn = dict[str, list[UInt8Array]] | DrawnVariant
+# The pictures of each set of a row, or one picture of one set.
+_Drawn = dict[str, list[UInt8Array]]
 _Row = Callable[[], _Drawn]
 # The class of each row of a batch, by set.
 _Labels = dict[str, Int64Array]
@@ -44,10 +43,9 @@ class TrainingBatch:
     """The input of one step.
 
     Attributes:
-        sets: for each picture set, this process's share of the batch: (b, 3, H, W) float32, normalised, channels last; or what
-            `Branch.frozen_output` returned for it.
-        labels: for each picture set, the class of each row of the whole batch, (B,) int64.
-        overlaps: of windows of a map, which rows of the whole batch share ground, (B, B) bool; else None.
+        sets: for each picture set, its rows of the batch: (B, 3, H, W) float32, normalised, channels last.
+        labels: for each picture set, the class of each row, (B,) int64.
+        overlaps: of windows of a map, which rows share ground, (B, B) bool; else None.
     """
 
     sets: dict[str, Tensor]
@@ -56,7 +54,7 @@ class TrainingBatch:
 
     @property
     def pictures(self) -> int:
-        """Number of pictures of the whole batch, in all sets."""
+        """Number of pictures in all sets."""
         return sum(len(labels) for labels in self.labels.values())
 
 
@@ -77,12 +75,7 @@ class Loader:
     changes no result.
 
     Args:
-        share: the rows of every batch that this process prepares.
         workers: number of threads; 0 chooses one for the machine, see `choose_workers`.
-        processes: number of processes that share the machine.
-
-    Attributes:
-        frozen: the outputs of frozen blocks, which are loaded in place of pictures if the recipe has variants.
 
     Raises:
         InputError: when there are fewer places or pictures than rows in a batch, or the number of workers is negative.
@@ -93,9 +86,7 @@ class Loader:
         places: TrainingSet | MapWindows,
         recipe: Recipe,
         device: torch.device,
-        share: slice = slice(None),
         workers: int = 0,
-        processes: int = 1,
     ) -> None:
         if len(places) < 2:
             raise InputError(f"The training set has {len(places) or 'no'} place; training needs at least two.")
@@ -120,11 +111,9 @@ class Loader:
             raise InputError(
                 f"The number of workers is {workers}; expected 1 or more, or 0 to choose it automatically."
             )
-        self.places, self.recipe, self.device, self.share = places, recipe, device, share
-        self.workers = workers or choose_workers(device, processes)
-        self.frozen: FrozenOutputs | None = None
-        rows = len(range(recipe.batch)[share])
-        self._prefetch = max(_PREFETCH, -(-2 * self.workers // rows))
+        self.places, self.recipe, self.device = places, recipe, device
+        self.workers = workers or choose_workers(device)
+        self._prefetch = max(_PREFETCH, -(-2 * self.workers // recipe.batch))
         self._scale, self._offset = (
             torch.from_numpy(values).to(device)[:, None, None] for values in images.scale_and_offset()
         )
@@ -159,23 +148,28 @@ class Loader:
             pool.shutdown(wait=True, cancel_futures=True)
 
     def _batches(self, epoch: int) -> Iterator[tuple[_Labels, BoolArray | None, list[_Row]]]:
-        """Yield each batch's labels of each set, its windows that share ground, and the work for this process's rows."""
+        """Yield each batch's labels of each set, its windows that share ground, and the work for its rows."""
         rows: list[_Row]
         labels: _Labels
         if isinstance(self.places, MapWindows):
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
-                rows = [partial(self._draw_window, self.places, int(place), epoch) for place in places[self.share]]
+                rows = [partial(self._draw_window, self.places, int(place), epoch) for place in places]
                 yield dict.fromkeys(self.places.views, places), self.places.overlapping(places, epoch), rows
             return
         if self.recipe.sampling == "places":
-            drawn = epoch % self.recipe.variants if self.recipe.variants else epoch
             for places in self._chunks(len(self.places), [self.recipe.seed, epoch]):
                 labels = {
-                    name: self._labels_of(name, number, places, drawn) for number, name in enumerate(self._files, 1)
+                    name: self._labels_of(name, number, places, epoch) for number, name in enumerate(self._files, 1)
                 }
                 rows = [
-                    self._row(self.places, int(places[row]), drawn, {n: int(of[row]) for n, of in labels.items()})
-                    for row in range(len(places))[self.share]
+                    partial(
+                        self._draw_place,
+                        self.places,
+                        int(places[row]),
+                        epoch,
+                        {n: int(of[row]) for n, of in labels.items()},
+                    )
+                    for row in range(len(places))
                 ]
                 yield {name: np.repeat(of, self._per_place(name)) for name, of in labels.items()}, None, rows
             return
@@ -189,10 +183,7 @@ class Loader:
             rows = []
             for number, ((name, pictures), chunk) in enumerate(zip(self._pictures.items(), chunks, strict=True)):
                 labels[name] = np.array([pictures[index][1] for index in chunk], np.int64)
-                rows += [
-                    partial(self._draw_picture, self.places, name, number, int(index), epoch)
-                    for index in chunk[self.share]
-                ]
+                rows += [partial(self._draw_picture, self.places, name, number, int(index), epoch) for index in chunk]
             yield labels, None, rows
 
     def _chunks(self, count: int, seed: list[int]) -> list[Int64Array]:
@@ -230,10 +221,6 @@ class Loader:
                 labels[row] = rng.choice(self._there[name])
         return labels
 
-    def _row(self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]) -> _Row:
-        draw = partial(self._draw_place, places, place, epoch, labels)
-        return draw if self.frozen is None else partial(self.frozen.draw, (place, epoch), draw)
-
     def _draw_place(
         self, places: TrainingSet, place: int, epoch: int, labels: Mapping[str, int]
     ) -> dict[str, list[UInt8Array]]:
@@ -256,14 +243,8 @@ class Loader:
         return augment(places.picture(path), self.recipe, rng, angle, mirror, branch_of(name), panorama)
 
     def _batch(self, labels: _Labels, overlaps: BoolArray | None, tasks: Sequence[Future[_Drawn]]) -> TrainingBatch:
-        drawn = [task.result() for task in tasks]
-        if self.frozen is not None:
-            sets = self.frozen.sets([row for row in drawn if isinstance(row, tuple)], self._network_input)
-        else:
-            pictures = [row for row in drawn if isinstance(row, dict)]
-            sets = {
-                name: self._network_input([one for row in pictures for one in row.get(name, ())]) for name in labels
-            }
+        rows = [task.result() for task in tasks]
+        sets = {name: self._network_input([one for row in rows for one in row.get(name, ())]) for name in labels}
         shared = None if overlaps is None else torch.from_numpy(overlaps).to(self.device)
         return TrainingBatch(sets, {name: torch.from_numpy(of).to(self.device) for name, of in labels.items()}, shared)
 
@@ -276,10 +257,10 @@ class Loader:
         return moved.to(torch.float32).mul_(self._scale).add_(self._offset)
 
 
-def choose_workers(device: torch.device, processes: int = 1) -> int:
-    """Choose the number of worker threads for each of the processes that share the machine.
+def choose_workers(device: torch.device) -> int:
+    """Choose the number of worker threads.
 
     With a GPU these are all cores but one, at most 16. Otherwise a quarter of the cores, as the network needs the others.
     """
-    own = usable_cores() // processes
-    return max(1, min(_MAX_WORKERS, own - 1 if device.type == "cuda" else own // 4))
+    cores = usable_cores()
+    return max(1, min(_MAX_WORKERS, cores - 1 if device.type == "cuda" else cores // 4))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -11,9 +11,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from lpn.training.recipes import Recipe
-
-# Lower bound of squared distances, because the gradient of the square root is unbounded near 0.
-_MIN_SQUARED = 1e-12
 
 
 def instance_loss(scores: Tensor, places: Tensor, smoothing: float = 0.0) -> Tensor:
@@ -62,48 +59,18 @@ def _smoothed(logits: Tensor, counted: Tensor, smoothing: float) -> Tensor:
     return -((1 - smoothing) * logs.diagonal() + smoothing * evenly).mean()
 
 
-def contrastive_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:
-    """Contrastive loss (Hadsell et al. 2006): d^2 of positives plus max(0, margin - d)^2 of negatives, each averaged.
+def soft_margin_loss(first: Tensor, second: Tensor, alpha: float) -> Tensor:
+    """SAFA's weighted soft-margin triplet loss (Hu et al. 2018): log(1 + exp(alpha (d_positive^2 - d_negative^2))).
 
-    The arguments are those of `triplet_loss`.
-    """
-    squared = _squared_distances(first, second)
-    short = (margin - squared.clamp_min(_MIN_SQUARED).sqrt()).clamp_min(0).square()
-    negatives = torch.stack([_negatives(s, hardest, torch.amax).mean() for s in (short, short.T)])
-    return squared.diagonal().mean() + negatives.mean()
-
-
-def triplet_loss(first: Tensor, second: Tensor, margin: float, hardest: bool = False) -> Tensor:
-    """Triplet loss max(0, margin + d_positive - d_negative) over the batch, in both directions.
+    It is averaged over the batch in both directions. As released, the average over all B (B - 1) negatives also counts each
+    positive against itself, which adds log(2) / (B - 1) and no gradient.
 
     Args:
         first, second: descriptors (B, F) of unit length; row i of both shows place i, and places differ within the batch.
-        margin: in Euclidean distance d.
-        hardest: count only the hardest negative of each picture. Otherwise all negatives count, and the mean is over
-            those within the margin, because the many easy ones would outweigh them.
     """
-    distance = _squared_distances(first, second).clamp_min(_MIN_SQUARED).sqrt()
-    terms = []
-    for d in (distance, distance.T):
-        within = (margin + d.diagonal()[:, None] - _negatives(d, hardest, torch.amin)).clamp_min(0)
-        terms.append(within.sum() / within.gt(0).sum().clamp_min(1))
-    return torch.stack(terms).mean()
-
-
-def soft_margin_loss(first: Tensor, second: Tensor, alpha: float, hardest: bool = False) -> Tensor:
-    """Weighted soft-margin triplet loss (Hu et al. 2018): log(1 + exp(alpha (d_positive^2 - d_negative^2))).
-
-    It is averaged over the batch in both directions. The arguments are those of `triplet_loss`. As released with SAFA, the
-    average over all B (B - 1) negatives also counts each positive against itself, which adds log(2) / (B - 1) and no
-    gradient; `hardest` does not.
-    """
-    squared = _squared_distances(first, second)
+    squared = 2 - 2 * first @ second.T
     b = len(squared)
-    terms = []
-    for d in (squared, squared.T):
-        negatives = _negatives(d, hardest, torch.amin) if hardest else d
-        losses = F.softplus(alpha * (d.diagonal()[:, None] - negatives))
-        terms.append(losses.mean() if hardest else losses.sum() / (b * (b - 1)))
+    terms = [F.softplus(alpha * (d.diagonal()[:, None] - d)).sum() / (b * (b - 1)) for d in (squared, squared.T)]
     return torch.stack(terms).mean()
 
 
@@ -129,7 +96,7 @@ def total_loss(
             [instance_loss(s.float(), labels[name], recipe.label_smoothing) for name, (_, s) in outputs.items()]
         )
         loss = loss + recipe.instance * (terms.sum() if recipe.reduction == "sum" else terms.mean())
-    if recipe.protocol == "released":
+    if recipe.compares_drones:
         return loss + _released_loss(outputs, labels, recipe, step)
     if (recipe.infonce or recipe.metric != "none") and "satellite" in outputs:
         embeddings = {name: parts.float() for name, (parts, _) in outputs.items()}
@@ -138,7 +105,7 @@ def total_loss(
         for name, parts in embeddings.items():
             same = labels["satellite"] == labels[name]
             if same.sum() < 2:
-                # Nothing to compare; the sum keeps the graph that a training by several processes expects.
+                # Nothing to compare; the sum has a gradient of zero.
                 pairs.append(0 * (tiles.sum() + parts.sum()))
                 continue
             shared = None if overlaps is None else overlaps[same][:, same]
@@ -206,30 +173,9 @@ def _pair_loss(tiles: Tensor, pictures: Tensor, recipe: Recipe, overlaps: Tensor
         similar = infonce_loss(*whole, recipe.temperature, recipe.label_smoothing, overlaps)
         loss = loss + recipe.infonce * similar
     if recipe.metric != "none" and not recipe.metric_per_part:
-        loss = loss + _metric_loss(*whole, recipe)
+        loss = loss + soft_margin_loss(*whole, recipe.alpha)
     elif recipe.metric != "none":
         pairs = zip(torch.split(tiles, 1, 1), torch.split(pictures, 1, 1), strict=True)
-        terms = [_metric_loss(descriptors(first), descriptors(second), recipe) for first, second in pairs]
+        terms = [soft_margin_loss(descriptors(first), descriptors(second), recipe.alpha) for first, second in pairs]
         loss = loss + torch.stack(terms).mean()
     return loss
-
-
-def _metric_loss(first: Tensor, second: Tensor, recipe: Recipe) -> Tensor:
-    hardest = recipe.mining == "hardest"
-    if recipe.metric == "contrastive":
-        return contrastive_loss(first, second, recipe.margin, hardest)
-    if recipe.metric == "triplet":
-        return triplet_loss(first, second, recipe.margin, hardest)
-    return soft_margin_loss(first, second, recipe.alpha, hardest)
-
-
-def _squared_distances(first: Tensor, second: Tensor) -> Tensor:
-    """Squared distances of unit vectors (B, F) and (B, F): (B, B), from 0 to 4."""
-    return 2 - 2 * first @ second.T
-
-
-def _negatives(table: Tensor, hardest: bool, reduce: Callable[..., Tensor]) -> Tensor:
-    """Drop the diagonal of (B, B), giving (B, B - 1), or reduce each row to its hardest negative, (B, 1)."""
-    b = len(table)
-    off_diagonal = table.flatten()[1:].view(b - 1, b + 1)[:, :-1].reshape(b, b - 1)
-    return reduce(off_diagonal, dim=1, keepdim=True) if hardest else off_diagonal

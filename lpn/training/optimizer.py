@@ -65,12 +65,9 @@ def choose_dtype(recipe: Recipe, device: torch.device) -> torch.dtype:
 
 
 def build_optimizer(network: LPN, recipe: Recipe) -> torch.optim.Optimizer:
-    """Build the optimizer with two groups: the backbones at their lower rate, then the heads and adapters."""
-    # Adapters are new, as the heads are, and a frozen backbone has nothing else that learns.
-    frozen = network.spec.adapted_blocks > 0
-    views = () if frozen else network.spec.views
-    backbone = {id(p): p for view in views for p in network.branch(view).model.parameters()}
-    heads = [p for p in network.parameters() if id(p) not in backbone and (p.requires_grad or not frozen)]
+    """Build the optimizer with two groups: the backbones at their lower rate, then the heads."""
+    backbone = {id(p): p for view in network.spec.views for p in network.branch(view).model.parameters()}
+    heads = [p for p in network.parameters() if id(p) not in backbone]
     groups = [
         {"params": list(backbone.values()), "lr": recipe.lr * recipe.backbone_ratio},
         {"params": heads, "lr": recipe.lr},

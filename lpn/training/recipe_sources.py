@@ -318,10 +318,9 @@ _SOURCES: dict[str, dict[str, str]] = {
     "temperature": {"*": _NOT_USED},
     "metric": {
         "safa-released": f"{_SAFA}/train_cvusa_lpn.py:67-107",
-        "metric-released": f"{_METRIC} train.py:249-250",
+        "metric-released": f"{_METRIC} train.py:204-251",
         "*": _OFF,
     },
-    "protocol": {"metric-released": f"{_METRIC} train.py:204-251", "*": _NOT_USED},
     "positives": {"metric-released": f"{_METRIC} tripletfolder.py:27-35", "*": _NOT_USED},
     "pool": {"metric-released": f"{_METRIC} train.py:46, 209-211", "*": _NOT_USED},
     "metric_per_part": {
@@ -337,7 +336,6 @@ _SOURCES: dict[str, dict[str, str]] = {
         "metric-released": f"{_METRIC} train-soft-margin.py:251: no factor",
         "*": _NOT_USED,
     },
-    "mining": {"safa-released": f"{_SAFA}/train_cvusa_lpn.py:67: batch_hard_count=0", "*": _NOT_USED},
     "rotation": {"*": _OFF},
     "satellite_rotation": {
         "paper": (
@@ -388,7 +386,7 @@ _SOURCES: dict[str, dict[str, str]] = {
         "*": _OFF,
     },
     "compression": {"*": _OFF},
-    **{name: {"*": _OFF} for name in ("weather", "adapted_blocks", "variants")},
+    "weather": {"*": _OFF},
     "flip": {
         "paper": f"{_STATED}: random flipping; horizontal, and each picture on its own, as {_LPN} train.py:97, 107",
         "released": f"{_LPN} train.py:97, 107: each picture on its own",

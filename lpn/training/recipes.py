@@ -22,7 +22,7 @@ _RANGES: dict[str, tuple[float, float, str]] = {
     # BatchNorm in the heads needs at least two samples.
     **dict.fromkeys(("batch",), (2, _MAX, "2 or more")),
     **dict.fromkeys(("n_parts", "epochs", "maps", "positives", "pool"), (1, _MAX, "1 or more")),
-    **dict.fromkeys(("windows", "adapted_blocks", "variants"), (0, _MAX, "0 or more")),
+    "windows": (0, _MAX, "0 or more"),
     # The five pooling layers of VGG divide the size by 32.
     "size": (32, _MAX, "32 or more"),
     **dict.fromkeys(("scale", "margin"), (0, 2, "a number from 0 to 2")),
@@ -81,10 +81,10 @@ class Recipe:
     """Every setting of a training. The defaults are the recipe `paper`."""
 
     backbone: str = "resnet50"
-    """The backbone network: resnet18, resnet50, vgg16, vgg16_bn, or, beyond the paper, efficientnet_lite0 to
-    efficientnet_lite2, or timm:NAME with a network of timm, such as timm:convnext_tiny or timm:vit_small_patch16_224."""
+    """The backbone network: resnet18, resnet50, vgg16, vgg16_bn, or, beyond the paper, timm:NAME with a network of timm,
+    such as timm:convnext_tiny or timm:vit_small_patch16_224."""
     last_layer: Literal["layer3", "layer4"] = "layer4"
-    """Last layer of a ResNet or an EfficientNet-Lite: layer4 for the whole network, or layer3 for its first part, which takes
+    """Last layer of a ResNet: layer4 for the whole network, or layer3 for its first part, which takes
     about half the time. The map of both has 1/16 of the size."""
     last_stride: Literal[1, 2] = 1
     """Stride of a ResNet's layer4: 1 (the paper, the map keeps 1/16) or 2 (as ImageNet's weights were trained, 1/32)."""
@@ -121,9 +121,6 @@ class Recipe:
     """Probability of dropout in the heads."""
     backbone_dropout: float = 0.0
     """Dropout after conv4_1 to conv5_3 of a VGG-16 (0.2 in released SAFA)."""
-    adapted_blocks: int = 0
-    """Blocks at the end of a vision transformer of timm, or of a ResNet, that get adapters, as QDFL's have; the backbone
-    itself is then frozen. 0 trains the whole backbone."""
     class_init: Literal["kaiming", "normal"] = "kaiming"
     """Initialisation of the class layers: kaiming (as the other layers of the classifier module, section IV-B) or normal
     (N(0, 0.001), as released)."""
@@ -137,9 +134,6 @@ class Recipe:
     """Passes over all places, or over the pictures of the shortest set."""
     batch: int = 32
     """Pictures of each set (satellite, drone, street, google) per step."""
-    variants: int = 0
-    """Random variants of each place, one of them in each epoch in turn. The frozen blocks of a backbone with adapted_blocks are
-    computed once for each, and their outputs stay in memory; 0 draws pictures anew in each epoch."""
     optimizer: Literal["sgd", "adam", "adamw"] = "sgd"
     """Optimizer; sgd has Nesterov momentum 0.9."""
     lr: float = 0.01
@@ -177,23 +171,19 @@ class Recipe:
     temperature: float = 0.07
     """Temperature of the InfoNCE loss."""
     metric: Literal["none", "contrastive", "triplet", "soft_margin"] = "none"
-    """Metric loss between each view's descriptors and the satellite's, over the batch: contrastive, triplet, or weighted
-    soft-margin triplet."""
-    protocol: Literal["ours", "released"] = "ours"
-    """Form of the metric loss: ours (distances within the batch, in both directions) or released (cosines of satellites with the
-    hardest of their drone pictures and of a pool of others', layumi/University1652-triplet-loss)."""
+    """Metric loss: contrastive, triplet, or soft-margin triplet, on the cosines of satellites with the hardest of their drone
+    pictures and of a pool of others' (layumi/University1652-triplet-loss). With safa pooling soft_margin, on the distances within
+    the batch."""
     positives: int = 1
-    """Drone pictures of each place in a step, among which the released metric losses seek the hardest."""
+    """Drone pictures of each place in a step, among which a metric loss seeks the hardest."""
     pool: int = 96
-    """Drone pictures, drawn anew each step, among which the released metric losses seek the hardest negative."""
+    """Drone pictures, drawn anew each step, among which a metric loss seeks the hardest negative."""
     metric_per_part: bool = False
     """Compute the metric loss on each part alone and average over the parts, instead of once on the whole descriptor."""
     margin: float = 0.3
-    """Margin of the contrastive and the triplet loss, in Euclidean distance (0 to 2)."""
+    """Margin of the triplet loss, in cosine (0 to 2)."""
     alpha: float = 10.0
     """Factor inside the exponent of the soft-margin triplet loss."""
-    mining: Literal["all", "hardest"] = "all"
-    """Negatives of the metric loss: all other places of the batch, or only the hardest negative of each picture."""
 
     rotation: float = 0.0
     """Random rotation of each picture on its own, up to this many degrees either way."""
@@ -294,15 +284,11 @@ class Recipe:
             raise InputError(
                 f"The recipe has instance = {self.instance} with safa, which has no class layer; set it to 0 and choose a metric."
             )
-        if self.protocol == "released":
-            self._check_released()
-        elif self.positives != 1:
+        if self.positives != 1 and not self.compares_drones:
             raise InputError(
-                f"The recipe has positives = {self.positives} with protocol = ours, which compares one picture of each place; "
-                "set it to 1, or use --protocol released."
+                f"The recipe has positives = {self.positives} without a metric loss on drone pictures; set it to 1, or choose "
+                "one with --method."
             )
-        if self.variants:
-            self._check_variants()
         if self.polar and self.ground_ratio != 1:
             raise InputError(
                 f"The recipe has ground_ratio = {self.ground_ratio:g} with polar, but an unrolled tile has no zoom; set it to 1."
@@ -311,14 +297,18 @@ class Recipe:
             self._check_independent()
         if self.windows:
             self._check_windows()
+        if self.compares_drones:
+            self._check_metric()
+        elif self.metric not in ("none", "soft_margin"):
+            raise InputError(f"The recipe has metric = {self.metric} with safa; SAFA has soft_margin alone.")
 
-    def _check_released(self) -> None:
-        """Refuse settings that the released metric losses do not allow: they compare satellites with drone pictures alone."""
-        if self.metric == "none":
-            raise InputError(
-                "The recipe has protocol = released without a metric loss; choose contrastive, triplet-0.3, triplet-0.5, or "
-                "soft-margin with --method, or leave --protocol out."
-            )
+    @property
+    def compares_drones(self) -> bool:
+        """True with a metric loss of Table I, which compares satellites with drone pictures; SAFA has its own."""
+        return self.metric != "none" and self.pooling != "safa"
+
+    def _check_metric(self) -> None:
+        """Refuse settings that the metric losses of Table I do not allow: they compare satellites with drone pictures alone."""
         needed: dict[str, tuple[object, object]] = {
             "infonce": (self.infonce, 0.0),
             "street": (self.street, False),
@@ -328,19 +318,9 @@ class Recipe:
         for name, (value, expected) in needed.items():
             if value != expected:
                 raise InputError(
-                    f"The recipe has protocol = released with {name} = {value}; expected {name} = {expected}."
+                    f"The recipe has metric = {self.metric} with {name} = {value}; expected {name} = {expected}, as the loss "
+                    "compares satellites with drone pictures alone."
                 )
-
-    def _check_variants(self) -> None:
-        """Refuse settings in which no output of a frozen block recurs."""
-        reasons = {
-            "adapted_blocks = 0, which freezes nothing": not self.adapted_blocks,
-            "sampling = pictures, which has no variants of a place; use sampling = places": self.sampling == "pictures",
-            f"windows = {self.windows} of a map, which are drawn anew": self.windows > 0,
-        }
-        reason = next((text for text, holds in reasons.items() if holds), "")
-        if reason:
-            raise InputError(f"The recipe has variants = {self.variants} with {reason}; or set variants to 0.")
 
     def _check_windows(self) -> None:
         """Refuse settings that windows of a map do not allow: they have no classes, and are squares seen from above."""
@@ -490,7 +470,6 @@ _METRIC_RELEASED = Recipe(
     second_decay_epoch=60,
     instance=0.0,
     metric="triplet",
-    protocol="released",
     positives=4,
     alpha=1.0,
     satellite_rotation=0.0,
@@ -567,7 +546,11 @@ _INSTANCE_LOSS: dict[str, Any] = {
     "metric": "none",
 }
 _BASELINE: dict[str, Any] = {**_INSTANCE_LOSS, "n_parts": 1, "layout": "university"}
-_METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0, "sampling": "places"}
+# The settings of the metric losses of Table I, in any recipe.
+RELEASED_METRIC: dict[str, Any] = {
+    name: getattr(_METRIC_RELEASED, name) for name in ("positives", "pool", "alpha", "street", "google")
+}
+_METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0, "sampling": "places", **RELEASED_METRIC}
 
 # The methods that the paper compares. Each replaces the settings of a recipe that select the loss, and some others.
 # lpn: LPN with square rings.
@@ -580,7 +563,7 @@ _METRIC_LOSS: dict[str, Any] = {**_BASELINE, "instance": 0.0, "sampling": "place
 METHODS: dict[str, dict[str, Any]] = {
     "lpn": {**_INSTANCE_LOSS, "layout": "university"},
     "instance": _BASELINE,
-    "contrastive": {**_METRIC_LOSS, "metric": "contrastive", "margin": 1.0},
+    "contrastive": {**_METRIC_LOSS, "metric": "contrastive"},
     "triplet-0.3": {**_METRIC_LOSS, "metric": "triplet", "margin": 0.3},
     "triplet-0.5": {**_METRIC_LOSS, "metric": "triplet", "margin": 0.5},
     "soft-margin": {**_METRIC_LOSS, "metric": "soft_margin"},
@@ -600,10 +583,6 @@ OF_BASELINE = ("instance", *METRIC_LOSSES)
 _OF_METHOD: dict[tuple[str, str], dict[str, Any]] = {
     (recipe, name): {"lr": lr} for recipe, lr in (("released", 0.01), ("cvusa-released", 0.02)) for name in OF_BASELINE
 }
-# The settings that turn any recipe's metric loss into the released one.
-RELEASED_METRIC: dict[str, Any] = {
-    name: getattr(_METRIC_RELEASED, name) for name in ("protocol", "positives", "pool", "alpha", "street", "google")
-}
 
 
 def method(name: str, recipe: Recipe) -> Recipe:
@@ -616,10 +595,10 @@ def method(name: str, recipe: Recipe) -> Recipe:
         raise InputError(f"There is no method {name!r}; choose one of {', '.join(METHODS)}.")
     if recipe.windows:
         raise InputError(f"A map is trained on with the loss of its recipe; leave --method {name} out.")
-    if recipe.protocol == "released" and name not in METRIC_LOSSES:
+    if recipe.compares_drones and name not in METRIC_LOSSES:
         raise InputError(
-            f"The released metric losses are {', '.join(METRIC_LOSSES)}; choose one of them with --method in place of {name}, or "
-            "leave --protocol and --recipe metric-released out."
+            f"The recipe is for the metric losses {', '.join(METRIC_LOSSES)}; choose one of them with --method in place of "
+            f"{name}, or another --recipe."
         )
     return replace(recipe, **METHODS[name])
 

@@ -27,13 +27,11 @@ class ResumeState:
     Attributes:
         history: the metrics of each epoch.
         first_loss: loss of the very first step, the reference for divergence.
-        processes: number of processes that shared the training.
         tensors: state dicts of network, average, optimizer, and scaler.
     """
 
     history: list[EpochMetrics]
     first_loss: float
-    processes: int
     tensors: dict[str, Any]
 
     def write(self, path: Path, recipe: Recipe, places: str) -> None:
@@ -44,7 +42,6 @@ class ResumeState:
             "places": places,
             "history": json.dumps(self.history),
             "first_loss": self.first_loss,
-            "processes": self.processes,
             **self.tensors,
         }
         data = io.BytesIO()
@@ -72,7 +69,7 @@ def read_state(path: Path, recipe: Recipe, places: str) -> ResumeState:
         saved: dict[str, Any] = dict(json.loads(values["recipe"]))
         history, digest = json.loads(values["history"]), values["places"]
         tensors = {name: values[name] for name in ("network", "average", "optimizer", "scaler")}
-        state = ResumeState(history, float(values["first_loss"]), int(values["processes"]), tensors)
+        state = ResumeState(history, float(values["first_loss"]), tensors)
     except ModelFileError:
         raise
     except Exception as error:  # the unpickler raises any exception on unknown data

@@ -16,7 +16,7 @@ from lpn.training.model_selection import EpochMetrics
 
 
 class RunLog:
-    """The log of a run's folder, with a row for each epoch; only the leading process has one.
+    """The log of a run's folder, with a row for each epoch.
 
     Both files are written from the rows alone, so a resumed run neither repeats nor loses an epoch.
 

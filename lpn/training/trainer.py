@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing
@@ -23,19 +24,16 @@ from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.maps import Map
 from lpn.models import checkpoints
-from lpn.models.adapted_blocks import check_divisible
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.models.shipped import model_file
 from lpn.models.spec import ModelSpec, is_timm
-from lpn.training.frozen_outputs import FrozenOutputs
 from lpn.training.initialise import initialise_heads
 from lpn.training.learner import Learner
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.map_windows import MapWindows
 from lpn.training.model_selection import EpochMetrics, HeldOut, TestSplit, Validator, best_epoch
-from lpn.training.multi_process import ProcessGroup, single_process
 from lpn.training.recipes import Recipe
 from lpn.training.resume_state import ResumeState, read_state
 from lpn.training.run_log import RunLog
@@ -61,15 +59,13 @@ class Trainer:
         evaluate_every: number of epochs between tests; the best tested model is saved. 0 tests at the end only.
         workers: number of threads that prepare pictures, without effect on the result; 0 chooses it.
         validate: share of the places held out of the training to choose the best epoch, or a fold that is held out.
-        group: the processes that share the training; by default only this one.
+        device: the device to train on; by default the GPU if there is one.
         test: measure the last model on the test split.
-        compiled: compile the backbones by torch.compile.
         window_sizes: smallest and largest side in metres of the windows of a map; None chooses them.
 
     Raises:
         DataError: when the data set cannot be trained on.
-        InputError: when `out` holds another run, there is nothing to resume, `compiled` and torch finds no compiler, or the
-            recipe has variants and its backbone cannot be divided for them.
+        InputError: when torchrun started several processes, `out` holds another run, or there is nothing to resume.
         ModelFileError: when `init` cannot be used.
         OutputError: when `out` cannot be written.
     """
@@ -85,15 +81,14 @@ class Trainer:
         console: Console | None = None,
         workers: int = 0,
         validate: float | Fold = 0.0,
-        group: ProcessGroup | None = None,
+        device: torch.device | None = None,
         test: bool = True,
-        compiled: bool = False,
         from_scratch: bool = False,
         window_sizes: tuple[float, float] | None = None,
     ) -> None:
-        self.group = group or single_process()
-        self.console = (console or Console()) if self.group.is_leader else Console(quiet=True)
-        self.out, self.recipe, self.evaluate_every, self.device = out, recipe, evaluate_every, self.group.device
+        check_single_process("lpn train")
+        self.console, self.device = console or Console(), device or checkpoints.best_device()
+        self.out, self.recipe, self.evaluate_every = out, recipe, evaluate_every
         self.places: TrainingSet | MapWindows
         held: dict[int, dict[str, list[Path]]] = {}
         if isinstance(source, Map):
@@ -109,10 +104,10 @@ class Trainer:
         else:
             self.name, self.places = source.root.resolve().name, TrainingSet(source, self.console, recipe.sets)
             held = self.places.hold_out(validate, recipe.seed)
-            if recipe.protocol == "released" and "drone" not in self.places.views:
+            if recipe.compares_drones and "drone" not in self.places.views:
                 raise InputError(
-                    f"The released metric losses compare satellites with drone pictures, and {self.name} has none to train "
-                    "on; leave --protocol out."
+                    f"The metric losses compare satellites with drone pictures, and {self.name} has none to train on; choose "
+                    "another --method."
                 )
             if recipe.ground_ratio != 1 and "drone" not in self.places.views:
                 raise InputError(
@@ -135,24 +130,15 @@ class Trainer:
             raise InputError(
                 "--validate chooses among tested epochs, but no epoch is tested; give --evaluate-every, too."
             )
-        share = self.group.share(recipe.batch)
-        self.loader = Loader(self.places, recipe, self.device, share, workers, self.group.local_size)
+        self.loader = Loader(self.places, recipe, self.device, workers)
         self.steps = self.loader.steps
         check_writable(out / "last.safetensors")
         torch.manual_seed(recipe.seed)
         network = LPN(_spec(recipe, self.places))
         initialise_heads(network, recipe)
-        if recipe.variants:
-            backbone = network.branch(network.spec.views[0]).model.eval()
-            check_divisible(backbone, recipe.backbone, recipe.input_size, recipe.adapted_blocks)
         if init is not None and not resume:
             self._load_init(network, init)
-        self.learner = Learner(network, recipe, self.group, compiled)
-        if recipe.variants:
-            # A process stores the variants that it draws, and no more than its share of all epochs.
-            most = min(recipe.variants, math.ceil(recipe.epochs / self.group.size))
-            stored = most * len(self.places) * self.group.local_size
-            self.loader.frozen = FrozenOutputs(network, stored, self.learner.mixed_precision.autocast)
+        self.learner = Learner(network, recipe, self.device)
         self.history: list[EpochMetrics] = []
         self.first_loss = math.nan
         self.test_split: TestSplit | None = None
@@ -196,20 +182,14 @@ class Trainer:
 
         Raises:
             DivergedError: when the training diverges.
-            LPNError: when a picture cannot be read, a file cannot be written, or another process stopped.
+            LPNError: when a picture cannot be read, or a file cannot be written.
         """
-        self.learner.distribute()
         self._print_setup()
-        run_log = RunLog(self.out, self.history, self.console) if self.group.is_leader else None
-        try:
-            with self.group.report_lost_process():
-                self._train(run_log)
-        finally:
-            if run_log is not None:
-                run_log.close()
+        with closing(RunLog(self.out, self.history, self.console)) as run_log:
+            self._train(run_log)
         return self.out / "last.safetensors"
 
-    def _train(self, run_log: RunLog | None) -> None:
+    def _train(self, run_log: RunLog) -> None:
         columns = (
             TextColumn("{task.description}"),
             BarColumn(),
@@ -218,8 +198,7 @@ class Trainer:
         )
         done, epochs = len(self.history), self.recipe.epochs
         stream = self.loader.stream(done, epochs)
-        quiet = not self.group.is_leader
-        with closing(cast(Any, stream)), Progress(*columns, console=self.console, disable=quiet) as bar:
+        with closing(cast(Any, stream)), Progress(*columns, console=self.console) as bar:
             task = bar.add_task("Training", total=epochs * self.steps, completed=done * self.steps, status="")
             # The run may have been interrupted while its last epoch was tested.
             self._select(run_log)
@@ -229,16 +208,15 @@ class Trainer:
                 self.history.append(self._epoch(epoch, batches, lambda text: bar.update(task, advance=1, status=text)))
                 self._save(run_log)
                 self._select(run_log)
-                if run_log is not None:
-                    run_log.print_epoch(epochs)
+                run_log.print_epoch(epochs)
         self._finish(run_log)
 
     def _epoch(
         self, epoch: int, batches: Iterator[TrainingBatch], on_progress: Callable[[str], object]
     ) -> EpochMetrics:
         self.network.train()
-        # One seed for each epoch and process: a resumed run repeats what an uninterrupted one does.
-        torch.manual_seed(self.recipe.seed * 100_003 + epoch + (self.group.rank << 50))
+        # One seed for each epoch: a resumed run repeats what an uninterrupted one does.
+        torch.manual_seed(self.recipe.seed * 100_003 + epoch)
         started, total, pictures, rate = time.perf_counter(), 0.0, 0, 0.0
         previous: Tensor | None = None
         for step, batch in enumerate(batches):
@@ -253,7 +231,7 @@ class Trainer:
         assert previous is not None
         total += self._check_loss(float(previous), total, epoch, self.steps)
         on_progress(f"loss {total / self.steps:.3f}")
-        if self.group.is_leader and not self.learner.is_finite():
+        if not self.learner.is_finite():
             raise self._diverged("A weight is no longer a number", epoch, self.steps)
         seconds = time.perf_counter() - started
         return {
@@ -278,15 +256,13 @@ class Trainer:
             )
         return loss
 
-    def _diverged(self, reason: str, epoch: int, step: int) -> BaseException:
+    def _diverged(self, reason: str, epoch: int, step: int) -> DivergedError:
         model = f"{self.out} keeps the model of epoch {epoch}; " if epoch else ""
-        return self.group.error_once(
-            DivergedError(
-                f"{reason} in epoch {epoch + 1}, step {step}; {model}start again with a smaller --lr in another --out."
-            )
+        return DivergedError(
+            f"{reason} in epoch {epoch + 1}, step {step}; {model}start again with a smaller --lr in another --out."
         )
 
-    def _select(self, run_log: RunLog | None) -> None:
+    def _select(self, run_log: RunLog) -> None:
         """Test the last epoch if it is due, and save its model if it is the best so far."""
         epoch, validator = len(self.history), self.validator
         due = self.evaluate_every and epoch and (epoch % self.evaluate_every == 0 or epoch == self.recipe.epochs)
@@ -294,22 +270,22 @@ class Trainer:
             return
         # Print all metrics of the last epoch on the test split.
         options = {"console": self.console} if validator is self.test_split and epoch == self.recipe.epochs else {}
-        self.history[-1] |= self.group.run_on_leader(lambda: validator.measure(self._load("last"), **options))
+        self.history[-1] |= validator.measure(self._load("last"), **options)
         best = best_epoch(self.history, validator.column)
-        if best is not None and best[0] == epoch and self.group.is_leader:
+        if best is not None and best[0] == epoch:
             more = {"epoch": str(epoch), "score": f"{best[1]:.4f}", "chosen by": validator.description}
             self.learner.save_model(self.out / "best.safetensors", self._metadata() | more)
         self._save(run_log)
 
-    def _finish(self, run_log: RunLog | None) -> None:
+    def _finish(self, run_log: RunLog) -> None:
         """Test the last epoch if it was not tested yet, and print which epoch was the best."""
         split, validator = self.test_split, self.validator
         if split is not None and split.column not in self.history[-1]:
-            self.history[-1] |= self.group.run_on_leader(lambda: split.measure(self._load("last"), self.console))
+            self.history[-1] |= split.measure(self._load("last"), self.console)
             self._save(run_log)
         best = best_epoch(self.history, validator.column) if validator is not None else None
         if validator is not None and best is not None and self.evaluate_every:
-            self.group.run_on_leader(lambda: self._print_best(validator, *best))
+            self._print_best(validator, *best)
 
     def _print_best(self, validator: Validator, epoch: int, score: float) -> None:
         self.console.print(
@@ -325,18 +301,11 @@ class Trainer:
         return checkpoints.load_torch(self.out / f"{name}.safetensors", self.device)
 
     def _print_setup(self) -> None:
-        group, shares = self.group, ""
-        if group.size > 1:
-            batch = self.recipe.batch // group.size
-            rows = "places" if self.recipe.sampling == "places" else "pictures of each set"
-            norm = "the whole batch" if self.device.type == "cuda" else "the process's own share"
-            shares = f" Each of {group.size} processes takes {batch} {rows} of a batch; BatchNorm sees {norm}."
         precision = self.learner.mixed_precision
         instead = " (float16 needs a CUDA device)" if precision.fell_back else ""
         workers = f"{self.loader.workers} thread{'' if self.loader.workers == 1 else 's'}"
         self.console.print(
-            f"Computing in {precision.name} on {self.device.type}{instead}; "
-            f"pictures are prepared by {workers}.{shares}",
+            f"Computing in {precision.name} on {self.device.type}{instead}; pictures are prepared by {workers}.",
             soft_wrap=True,
         )
         self.console.print(self.plan(), soft_wrap=True)
@@ -361,14 +330,12 @@ class Trainer:
         if isinstance(self.places, MapWindows):
             self.console.print(checkpoints.load_heads(network, init))
 
-    def _save(self, run_log: RunLog | None) -> None:
+    def _save(self, run_log: RunLog) -> None:
         """Write model and logs, then the state, from which a run is resumed."""
-        if run_log is None:
-            return
         with uninterrupted():
             self.learner.save_model(self.out / "last.safetensors", self._metadata())
             run_log.save()
-            state = ResumeState(self.history, self.first_loss, self.group.size, self.learner.state())
+            state = ResumeState(self.history, self.first_loss, self.learner.state())
             state.write(self.out / "state.pt", self.recipe, self._places_digest)
 
     def _metadata(self) -> dict[str, str]:
@@ -388,17 +355,18 @@ class Trainer:
                 f"{path} is damaged: its state does not fit its recipe; start anew in another --out."
             ) from error
         self.history, self.first_loss = state.history, state.first_loss
-        if state.processes != self.group.size:
-            self.console.print(
-                f"The run had {state.processes} processes and now has {self.group.size}, so its losses will differ from those "
-                "of an uninterrupted run.",
-                soft_wrap=True,
-            )
         self.console.print(f"Resuming after epoch {len(self.history)} of {self.recipe.epochs}.")
 
 
 def _counted(number: int, noun: str) -> str:
     return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
+def check_single_process(command: str) -> None:
+    """Raise InputError if torchrun started the command in several processes, which would write the same files."""
+    processes = os.environ.get("WORLD_SIZE", "1")
+    if processes != "1":
+        raise InputError(f"{command} is one process, and WORLD_SIZE is {processes}; start it without torchrun.")
 
 
 def check_start(init: Path | None, from_scratch: bool) -> None:
@@ -440,7 +408,6 @@ def _spec(recipe: Recipe, places: TrainingSet | MapWindows) -> ModelSpec:
         maps=recipe.maps,
         polar=recipe.polar,
         backbone_dropout=recipe.backbone_dropout,
-        adapted_blocks=recipe.adapted_blocks,
     )
     if recipe.pooling == "safa":
         return replace(spec, embedding=spec.maps * CHANNELS[spec.backbone, spec.last_layer])

@@ -179,7 +179,7 @@ def test_train(places: Path, tmp_path: Path, killer: Killer) -> None:
 @pytest.mark.slow
 def test_reproduce(places: Path, tmp_path: Path, killer: Killer) -> None:
     out = tmp_path / "out"
-    settings = ["--recipe", "reduced", "--size", "64", "--epochs", "1", "--batch", "4", "--from-scratch", "--no-tune"]
+    settings = ["--recipe", "reduced", "--size", "64", "--epochs", "1", "--batch", "4", "--from-scratch"]
     arguments = ["reproduce", "table4", "--data", str(places), "--out", str(out), *settings]
 
     def written() -> object:

@@ -7,7 +7,7 @@ the same network quantized. They take turns in one process, after a warm-up roun
 `ray`, Ray then runs the quantized network, one worker a core, into shards; its rate excludes the start of the workers. The lower
 bound is ONNX Runtime's bare forward passes, two for each picture, on as many threads as there are cores.
 
-With --device, the peer and ours are the same network in PyTorch on that device: ours also by torch.compile and, on a GPU, by ONNX
+With --device, the peer and ours are the same network in PyTorch on that device: ours also, on a GPU, by ONNX
 Runtime's providers. The lower bound is the bare forward passes of pictures that are on the device already.
 
 FOLDER holds pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are made. Weights are random,
@@ -175,10 +175,6 @@ def on_device(
         network = load_torch(folder / "model.safetensors", device)
         workers = usable_cores() if device != "cpu" else max(1, usable_cores() // 2)
         models: dict[str, Model] = {"eager": network}
-        try:
-            models["compiled"] = load_torch(folder / "model.safetensors", device, compiled=True)
-        except LPNError as error:  # there is no compiler
-            print(f"Not measured: {error}")
         if device != "cpu":
             export(folder / "model.safetensors", folder / "model.onnx")
             for provider in set(available()) - {"cpu"}:

@@ -14,10 +14,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import torch
@@ -83,14 +80,11 @@ def parity(device: torch.device, cases: Sequence[ParityCase]) -> Iterator[Parity
 
 
 def provider_parity(case: ParityCase) -> Iterator[ParityRow]:
-    """Compare the exported case by each provider that ONNX Runtime was built with, each in a process of its own.
-
-    For TensorRT, TF32 is switched off for libraries of CUDA as they are loaded, and PyTorch has loaded some of them here.
-    """
+    """Compare the exported case by each provider that ONNX Runtime was built with."""
     with tempfile.TemporaryDirectory() as folder:
         export(case.write(Path(folder)), file := Path(folder, "model.onnx"))
-        with ProcessPoolExecutor(1, get_context("spawn"), max_tasks_per_child=1) as pool:
-            yield from pool.map(partial(compare_exported, case, file), available())
+        for provider in available():
+            yield compare_exported(case, file, provider)
 
 
 def compare_exported(case: ParityCase, file: Path, provider: ProviderName) -> ParityRow:

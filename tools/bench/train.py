@@ -6,7 +6,7 @@ of all parts and views summed, SGD with momentum. On a GPU the peer is `Released
 
 Ours is `lpn.training.trainer` with the same network, batch, and recipe, whose pictures are prepared by threads: `ours, first
 pass` decodes every picture, as the plain loop does, `ours` finds it kept, and `ours, float32` is that without mixed precision.
-On a GPU there is `ours, compiled`, too. All take turns in one process; the table gives medians: of the speed, and of its ratio to
+All take turns in one process; the table gives medians: of the speed, and of its ratio to
 the plain loop in the same round, so that a busy moment distorts one round only. DATA is a data set in University-1652's layout
 with a train split; without it, synthetic JPEG files of that layout are made: satellites of 512 x 512 pixels, drone pictures of
 256 x 256.
@@ -36,7 +36,6 @@ from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import open_dataset
 from lpn.models.network import LPN
-from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import TrainingSet
@@ -196,14 +195,13 @@ def measure(
     """Median images per second of each loop, and their ratio to the plain loop."""
     quiet = Console(quiet=True)
 
-    def trainer(name: str, compiled: bool = False, **changes: object) -> Trainer:
+    def trainer(name: str, **changes: object) -> Trainer:
         return Trainer(
             open_dataset(data),
             folder / name,
             replace(recipe, **changes),  # type: ignore[arg-type]
             console=quiet,
-            group=ProcessGroup(device),
-            compiled=compiled,
+            device=device,
             from_scratch=True,
         )
 
@@ -219,8 +217,6 @@ def measure(
         "ours": ours(trainer("kept"), steps),
         "ours, float32": ours(trainer("float32", precision="float32"), steps),
     }
-    if device.type == "cuda":
-        tasks["ours, compiled"] = ours(trainer("compiled", compiled=True), steps)
     times = take_turns(tasks, rounds)
     pictures = steps * recipe.batch * len(places.views)
     plainly = times["plain loop"]

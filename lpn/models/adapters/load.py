@@ -46,7 +46,6 @@ _KNOWN = re.compile(
 def load_file(
     path: str | Path,
     device: torch.device | str = "cpu",
-    compiled: bool = False,
     kind: Kind | None = None,
     pooling: TokenPooling | None = None,
     network: str | None = None,
@@ -54,7 +53,6 @@ def load_file(
     """Open one of our `.safetensors`, or a published state dict in a PyTorch or `.safetensors` file.
 
     Args:
-        compiled: run an LPN by torch.compile, see `TorchModel`.
         kind, pooling, network: see `load_published`.
 
     Raises:
@@ -63,17 +61,16 @@ def load_file(
     """
     path = Path(path)
     if not holds_safetensors(path) or not is_own(path):
-        return load_published(path, device, compiled, kind, pooling, network)
+        return load_published(path, device, kind, pooling, network)
     for option, given in (("--kind", kind), ("--pooling", pooling), ("timm:", network)):
         if given is not None:
             raise InputError(f"{path.name} contains its network and its parts; leave {option} out.")
-    return load_torch(path, device, compiled)
+    return load_torch(path, device)
 
 
 def load_published(
     path: str | Path,
     device: torch.device | str = "cpu",
-    compiled: bool = False,
     kind: Kind | None = None,
     pooling: TokenPooling | None = None,
     network: str | None = None,
@@ -81,7 +78,6 @@ def load_published(
     """Open a published state dict, with the `opts.yaml` beside it. Only tensors are unpickled.
 
     Args:
-        compiled: run an LPN by torch.compile, see `TorchModel`.
         kind: whose checkpoint it is; by default recognised by the names of its entries.
         pooling: of the tokens of a vision transformer, or of any network of timm that is named; the mean by default.
         network: the name of the network in timm; None to recognise it.
@@ -89,8 +85,7 @@ def load_published(
     Raises:
         ModelFileError: if the file is missing, truncated, of no known model or of another than the kind that is named,
             incomplete, or has entries of wrong shapes.
-        InputError: if there is no such kind, a package is missing, `compiled` with another model than an LPN, or the pooling
-            does not fit the model.
+        InputError: if there is no such kind, a package is missing, or the pooling does not fit the model.
     """
     path = Path(path)
     named = None if kind is None else check_kind(kind)
@@ -98,7 +93,7 @@ def load_published(
     if pooling is not None or network is not None:
         if named is not None:
             raise InputError(f"A pooling is for tokens, and --kind {named} has its own parts; leave one of both out.")
-        return _pooled(state, path, device, compiled, pooling, network)
+        return _pooled(state, path, device, pooling, network)
     found: Recognised
     if named is None:
         try:
@@ -108,13 +103,11 @@ def load_published(
     else:
         found, state = named, unwrapped_as(named, state)
         check_named(named, state, path.name)
-    return _built(found, state, path, device, compiled, named is None)
+    return _built(found, state, path, device, named is None)
 
 
-# First words of the names that a backbone alone has: torchvision's and EfficientNet-Lite's, and those of timm's networks.
-_OF_BACKBONE = re.compile(
-    r"(conv1|bn1|layer[1-4]|fc|features|classifier|_conv_stem|_bn0|_blocks|_conv_head|_bn1|_fc)\."
-)
+# First words of the names that a backbone alone has: torchvision's, and those of timm's networks.
+_OF_BACKBONE = re.compile(r"(conv1|bn1|layer[1-4]|fc|features|classifier)\.")
 _OF_TIMM = re.compile(
     r"(conv1|bn1|layer[1-4]|fc|stem|stages|layers|blocks|patch_embed|norm|norm_pre|fc_norm|head|conv_stem|conv_head|bn2|classifier)"
     r"\.|(cls_token|reg_token|pos_embed)$"
@@ -149,7 +142,6 @@ def _pooled(
     state: StateDict,
     path: Path,
     device: torch.device | str,
-    compiled: bool,
     pooling: TokenPooling | None,
     network: str | None,
 ) -> Model:
@@ -157,10 +149,6 @@ def _pooled(
     options = read_options(path.with_name("opts.yaml"))
     if network is None and isinstance(options.get("model"), str):
         network = str(options["model"])
-    if compiled:
-        raise InputError(
-            f"torch.compile is for LPN and SAFA, and {path.name} is a network of tokens; leave --compile out."
-        )
     entries = Entries(path.name, state, options)
     own = title_of_other("vit", state)
     if own is not None and own not in _PLAIN:
@@ -197,22 +185,16 @@ def _tell_unknown(method: str, entries: Entries) -> None:
     name_unknown(entries.name, method, unknown)
 
 
-def _built(
-    kind: Recognised, state: StateDict, path: Path, device: torch.device | str, compiled: bool, recognised: bool
-) -> Model:
+def _built(kind: Recognised, state: StateDict, path: Path, device: torch.device | str, recognised: bool) -> Model:
     options = read_options(path.with_name("opts.yaml"))
     if kind == "lpn" and recognised and "dense_LPN" in options:
         # Baselines trained by SDPL's code have the same entries as an LPN of two branches; only this option distinguishes them.
         kind = "sdpl"
     if kind == "lpn":
-        return from_state(state, options, path, device, compiled)
+        return from_state(state, options, path, device)
     if kind == "vit":
         _check_alone(Entries(path.name, state))
-        return _pooled(state, path, device, compiled, None, None)
-    if compiled:
-        raise InputError(
-            f"torch.compile is for LPN and SAFA, and {path.name} is of another kind ({kind}); leave --compile out."
-        )
+        return _pooled(state, path, device, None, None)
     entries = Entries(path.name, state, options)
     published = build(kind, entries)
     _tell_unknown(published.contract.method, entries)

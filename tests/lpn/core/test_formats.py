@@ -121,7 +121,7 @@ def test_later_model_files_are_named(model_file: Path, tmp_path: Path) -> None:
 
 def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
     recipe, file = RECIPES["small"], tmp_path / "state.pt"
-    ResumeState([], 1.0, 1, dict.fromkeys(("network", "average", "optimizer", "scaler"))).write(file, recipe, "places")
+    ResumeState([], 1.0, dict.fromkeys(("network", "average", "optimizer", "scaler"))).write(file, recipe, "places")
     assert read_state(file, recipe, "places").first_loss == 1.0
     values = torch.load(file, weights_only=True)
     torch.save({**values, "format": resume_state.FORMAT + 1}, file)

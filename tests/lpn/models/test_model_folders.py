@@ -25,10 +25,6 @@ CHOICES = {
         ("model.safetensors", "optimizer.pt", "scheduler.pt", "scaler.pt", "rng_state_0.pth", "training_args.bin"),
         "model.safetensors",
     ),
-    "a split model by its first file": (
-        ("model-00002-of-00002.safetensors", "model-00001-of-00002.safetensors", "model.safetensors.index.json"),
-        "model-00001-of-00002.safetensors",
-    ),
     "one of ours": (("best.safetensors", "last.safetensors", "state.pt", "log.csv"), "best.safetensors"),
     "the last of ours": (("last.safetensors", "state.pt"), "last.safetensors"),
     "an exported one": (("lpn.onnx", "lpn.street.onnx"), "lpn.onnx"),
@@ -68,16 +64,6 @@ def test_the_file_that_released_code_would_read(case: str, tmp_path: Path) -> No
             ("train.py", "a/b/c/net_119.pth"),
             r"run holds no model file \(net_\*\.pth, .*\); name the file, or the folder that",
         ),
-        (("saved_model.pb", "variables/variables.index"), r"run holds a model of TensorFlow; give weights as"),
-        (
-            ("data.pkl", "version", "data/0"),
-            r"run holds the unpacked entries of a PyTorch file; give the file itself, or pack",
-        ),
-        (
-            ("a-00001-of-00002.bin", "a-00002-of-00002.bin", "b-00001-of-00002.bin", "b-00002-of-00002.bin"),
-            r"run holds 2 models \(a-00001-of-00002\.bin, b-00001-of-00002\.bin\); name the file that is meant\.",
-        ),
-        (("step/.metadata", "step/__0_0.distcp"), r"run/step holds a distributed checkpoint of PyTorch; make one file"),
     ],
 )
 def test_a_folder_that_leaves_it_open_names_what_it_holds(

@@ -23,7 +23,7 @@ from lpn.models.spec import ModelSpec
 from lpn.models.trace import Trace
 from lpn.retrieval import describe_picture, evaluate, scoring
 from tests.conftest import RealRun
-from tools.fixtures import small_worlds
+from tools.fixtures import seeded, small_worlds
 
 
 def convolutions(file: Path) -> tuple[int, int]:
@@ -220,6 +220,36 @@ def test_a_transformer_s_linear_layers_compute_in_8_bits_and_its_account_stays_e
     outputs = after.run(picture, "drone")
     assert Trace.from_pass(after, outputs, "drone").errors().max() < 1e-5
     assert np.abs(outputs.parts - before.run(picture, "drone").parts).max() > 0
+
+
+@pytest.mark.slow
+def test_a_network_of_relu6_computes_in_8_bits_and_stays_exact(data: Path, tmp_path: Path) -> None:
+    spec = ModelSpec(
+        "timm:tf_efficientnet_lite0",
+        views=("satellite", "drone"),
+        n_parts=2,
+        embedding=8,
+        classes=3,
+        input_size=(64, 64),
+    )
+    made = LPN(spec)
+    backbone = made.branch("satellite").model
+    backbone.load_state_dict(seeded.entries({key: list(value.shape) for key, value in backbone.state_dict().items()}))
+    save(made, tmp_path / "lite.safetensors")
+    export(tmp_path / "lite.safetensors", tmp_path / "lite.onnx")
+    assert "Clip" in {node.op_type for node in onnx.load_model(tmp_path / "lite.onnx").graph.node}
+    _, agreement = quantize(tmp_path / "lite.onnx", open_dataset(data), tmp_path / "small.onnx", 16)
+    # 0.95 with each Clip in float32, as a convolution's output is then cut to 8 bits before it.
+    assert min(agreement.cosines.values()) > 0.99
+    ready, total = convolutions(tmp_path / "small.onnx")
+    assert ready == total > 10
+    picture, model = load_picture(open_dataset(data).queries("drone")[0].path), lpn.load(tmp_path / "small.onnx")
+    one, other = (describe_picture(model, picture, view) for view in ("drone", "satellite"))
+    assert isinstance(one.trace, Trace)
+    assert isinstance(other.trace, Trace)
+    score = float((one.descriptor * other.descriptor).sum())
+    evidence = explain.evidence(one.trace, other.trace, scoring.part_weights(2))
+    assert sum(float(values.sum()) for values in evidence.part_sums) == pytest.approx(score, abs=1e-5)
 
 
 def test_a_model_that_8_bits_change_too_much_is_not_written(data: Path, tmp_path: Path) -> None:

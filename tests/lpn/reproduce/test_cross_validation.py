@@ -91,7 +91,7 @@ def test_folds_share_the_places_out_evenly_whatever_the_recipe_s_seed(places: Pa
         ("a:seed=3", "seeds are given with --seeds"),
         ("a:epochs=many", "has 'epochs=many' .* give another value"),
         ("a:epochs=0", "epochs = 0; expected 1 or more"),
-        ("a:mining=best", "has 'mining=best'"),
+        ("a:metric=best", "has 'metric=best'"),
         ("a:memory=true", "has 'memory=true'"),
     ],
 )
@@ -102,9 +102,9 @@ def test_mistaken_trials_get_one_sentence(text: str, said: str) -> None:
 
 
 def test_a_trial_has_values_of_its_settings_types() -> None:
-    made = parse_trial("lite:backbone=efficientnet_lite0,epochs=20,place-rotation=5,joint_views=false", QUICK)
+    made = parse_trial("deep:backbone=resnet50,epochs=20,place-rotation=5,joint_views=false", QUICK)
     assert made == RecipeTrial(
-        "lite", {"backbone": "efficientnet_lite0", "epochs": 20, "place_rotation": 5.0, "joint_views": False}
+        "deep", {"backbone": "resnet50", "epochs": 20, "place_rotation": 5.0, "joint_views": False}
     )
     assert parse_trial("base", QUICK) == RecipeTrial("base", {})
 
@@ -212,12 +212,12 @@ def test_weights_come_from_the_files_or_are_found(
         return tmp_path / f"{backbone}.pth", "a folder"
 
     monkeypatch.setattr(cross_validation, "find_weights", found)
-    (tmp_path / "efficientnet_lite0.pth").touch()
+    (tmp_path / "resnet50.pth").touch()
     (tmp_path / "resnet18.pth").touch()
-    trials = (RecipeTrial("base", {}), RecipeTrial("lite", {"backbone": "efficientnet_lite0"}))
+    trials = (RecipeTrial("base", {}), RecipeTrial("deep", {"backbone": "resnet50"}))
     made = validation(places, tmp_path / "runs", *trials, from_scratch=False, init=[Path("auto")])
-    assert asked == ["efficientnet_lite0", "resnet18"]
-    assert {job.start.name for job in made.jobs if job.start} == {"efficientnet_lite0.pth", "resnet18.pth"}
+    assert asked == ["resnet18", "resnet50"]
+    assert {job.start.name for job in made.jobs if job.start} == {"resnet18.pth", "resnet50.pth"}
     with pytest.raises(InputError, match="each with a name of its own"):
         validation(places, tmp_path / "runs", RecipeTrial("a", {}), RecipeTrial("a", {"lr": 0.1}))
     with pytest.raises(InputError, match="Of 2 folds, 3 are to be trained"):

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import shutil
 from contextlib import ExitStack
 from dataclasses import replace
@@ -24,7 +23,7 @@ from lpn.datasets.rendered import UNFINISHED
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.reproduce import claims, footnotes, paper_values, report, sources, trainings, tuning
+from lpn.reproduce import claims, footnotes, paper_values, report, sources, trainings
 from lpn.reproduce.command import KEYS, Reproduction
 from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_figures import named, retrievals
@@ -61,7 +60,6 @@ def reproduction(places: Path, out: Path, **options: Any) -> Reproduction:
         "init": (),
         "seeds": (0,),
         "from_scratch": not options.get("init"),
-        "tune": False,
         "console": Console(file=io.StringIO(), width=200),
     }
     scale = replace(SCALES["reduced"], changes=options.pop("changes", QUICK))
@@ -92,13 +90,8 @@ def test_the_note_of_table_i_says_which_rows_are_trained_with_google(scale: Scal
     table = find("table1", scale)
     google = [row.label for row in table.rows if row.training and scale.recipe(row.training, 0).google]
     (note,) = footnotes.about(table, (), scale)
-    if scale.released:
-        assert google == ["Instance loss (baseline)", "LPN"]
-        assert "LPN and the baseline are trained with google" in note
-        assert "All rows" not in note
-    else:
-        assert [row.label for row in table.rows if row.label not in google] == ["LPN without google"]
-        assert "All rows but LPN without google are trained with google" in note
+    assert google == ["Instance loss (baseline)", "LPN"]
+    assert "LPN and the baseline are trained with google" in note
 
 
 def test_the_claims_on_table_iii_are_the_paper_s_and_hold_for_its_figures() -> None:
@@ -137,7 +130,8 @@ def test_at_the_paper_s_scale_the_recipes_are_the_paper_s() -> None:
     assert rates["instance"] == (8, 0.01)
     # layumi/University1652-triplet-loss train.py:45, 48
     assert {rates[name] for name in METRIC_LOSSES} == {(32, 0.01)}
-    assert all(recipes[name].google for name in ("instance", "contrastive", "lpn-8-parts", "lpn-512-pixels"))
+    assert all(recipes[name].google for name in ("instance", "lpn-8-parts", "lpn-512-pixels"))
+    assert recipes["triplet-0.3"] == RECIPES["metric-released"]
     small = replace(scale, changes={"backbone": "resnet18", "last_layer": "layer3"})
     for table in tables(small).values():
         assert {small.recipe(training, 0).backbone for training in table.trainings} == {"resnet18"}
@@ -185,20 +179,6 @@ def test_rows_and_recipes_keep_the_settings_that_are_their_own() -> None:
     assert (released.lr, released.epochs) == (0.1, 3)
     assert {recipe.last_layer for recipe in recipes(full).values()} == {"layer4"}
     assert full.recipe(find("table5", full).trainings[0], 0).last_layer == "layer3"
-
-
-def test_the_baseline_is_tuned_at_reduced_scale_only(places: Path, tmp_path: Path) -> None:
-    source = Source(open_dataset(places), False)
-    for name, scale in SCALES.items():
-        tuned = {
-            training.name
-            for training in find("table1", scale).trainings
-            if tuning.plan(training, scale, 0, tmp_path, source, {})
-        }
-        assert ("instance" in tuned) == (name == "reduced")
-        assert (set(METRIC_LOSSES) <= tuned) == (name != "released")
-        assert name != "released" or not tuned
-        assert "lpn" not in tuned
 
 
 @pytest.mark.slow
@@ -403,8 +383,11 @@ def test_what_cannot_be_made_is_said_before_anything_is_trained(places: Path, mo
             ["table2"],
             "weights of vgg16_bn for panorama-instance, .*; vgg16 for panorama-safa, panorama-safa-lpn; give",
         ),
-        # A fifth of four places is one.
-        ({"tune": True}, ["table1"], r"instance takes 4 places a step, and places has 3 to train on .*--no-tune"),
+        (
+            {"changes": {**QUICK, "batch": 5}},
+            ["table1"],
+            r"instance takes 5 places a step, and places has 4 to train on; give more",
+        ),
     ):
         with pytest.raises(LPNError, match=expected):
             reproduction(places, out, **options).run(keys)
@@ -442,35 +425,6 @@ def strips(folder: Path) -> Path:
 
 def landmarks(folder: Path) -> Path:
     return folder / "oxford" if (folder / "oxford").is_dir() else layouts.oxford(folder / "oxford")
-
-
-@pytest.mark.slow
-def test_tuning_tries_each_setting_on_held_out_places_and_trains_the_best(
-    model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(tuning.TRIALS, "instance", ({"rate": 1.0}, {"rate": 1e-6}))
-    places = small_worlds.make_dataset(tmp_path / "places", 10, 4)
-    options = {"models": {"lpn": model_file}, "tune": True, "changes": {**QUICK, "epochs": 3}}
-    made = reproduction(places, tmp_path / "out", **options)
-    made.run(["figure7"])
-    assert "Plan: 3 of 3 trainings are left, 2 of them short trials: 5 epochs" in said(made)
-    trials = json.loads((tmp_path / "out" / "tuning.json").read_text())["trials"]["instance"]
-    assert [trial["lr"] for trial in trials] == pytest.approx([5e-4, 5e-10])
-    assert [trial["epochs"] for trial in trials] == [1, 1]
-    chosen = next(trial for trial in trials if trial["chosen"])
-    # The first of equal scores is chosen.
-    assert chosen["held-out R@1"] == max(trial["held-out R@1"] for trial in trials)
-    with (tmp_path / "out" / "runs" / "instance-seed0" / "job.json").open() as file:
-        assert json.load(file)["identity"]["lr"] == pytest.approx(chosen["lr"])
-    assert "Tuned by 2 short trainings each" in (tmp_path / "out" / "figure7.md").read_text(encoding="utf-8")
-    again = reproduction(places, tmp_path / "out", **options)
-    again.run(["figure7"])
-    assert "Plan" not in said(again)
-    # Another recipe for the trials is noticed as for trainings.
-    with pytest.raises(InputError, match="instance-1 was trained with other values of batch"):
-        reproduction(places, tmp_path / "out", **{**options, "changes": {**options["changes"], "batch": 8}}).run(
-            ["figure7"]
-        )
 
 
 @pytest.mark.slow
@@ -604,9 +558,9 @@ def test_the_plan_is_printed_without_running(
     assert "table6: 4 of 5 rows; no --init has the weights of resnet50 (ImageNet alone)\n" in text
     assert "figure7b, figure8-panoramas not drawn: no panoramas are given with --data.\n" in text
     assert "To give with --init: weights of resnet50 for instance, lpn, contrastive, " in text
-    # 16 trials of a third of 120 epochs; 7 networks of Table I, 4 more sizes, and 3 more n.
-    epochs = 16 * 40 + (7 + 4 + 3) * 120
-    assert f"Plan: 30 of 30 trainings are left, 16 of them short trials: {epochs} epochs, about " in text
+    # 7 networks of Table I, of which 4 have a metric loss and 70 epochs, 4 more sizes, and 3 more n.
+    epochs = 4 * 70 + (3 + 4 + 3) * 120
+    assert f"Plan: 14 of 14 trainings are left: {epochs} epochs, about " in text
     assert sorted(path.name for path in tmp_path.iterdir()) == ["oxford", "views"]
     assert main(["doctor", "--reproduce", str(tmp_path / "typo")]) == 2
     assert main(["doctor", "--quick", "--reproduce", str(root)]) == 2
@@ -641,7 +595,6 @@ def test_all_runs_on_tiny_sets_in_the_released_layouts(tmp_path: Path, capsys: p
         "2",
         "--precision",
         "float32",
-        "--no-tune",
     ]
     assert main(["reproduce", "all", *given, "--init", str(start), *flags, "--out", str(out)]) == 0
     text = capsys.readouterr().out
@@ -652,9 +605,7 @@ def test_all_runs_on_tiny_sets_in_the_released_layouts(tmp_path: Path, capsys: p
             quoted = f", and {len(table.rows) - len(own)} quoted" if len(own) < len(table.rows) else ""
             assert f"{key}: {len(own)} of {len(own)} rows{quoted}\n" in text
             assert "not run" not in (out / f"{key}.md").read_text(encoding="utf-8")
-    assert text.index("table1: 7 of 7 rows") < text.index(
-        "Plan: 22 of 22 trainings are left, 0 of them short trials: 22"
-    )
+    assert text.index("table1: 7 of 7 rows") < text.index("Plan: 22 of 22 trainings are left: 22")
     assert (
         text.index("Plan: 22")
         < text.index("resnet18 starts from start.safetensors.")
@@ -928,7 +879,6 @@ def test_the_command_collects_repeated_flags_and_wants_to_know_what(
         "--label-smoothing=0",
         "--epochs",
         "3",
-        "--no-tune",
     ]
     assert main(["reproduce", "table1", "--data", str(places), *flags]) == 0
     assert seen[1].scale.changes == {"lr": 0.01, "joint_views": False, "label_smoothing": 0.0, "epochs": 3}

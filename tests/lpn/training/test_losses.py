@@ -11,7 +11,6 @@ from torch import Tensor
 
 from lpn.core.errors import InputError
 from lpn.training.losses import (
-    contrastive_loss,
     descriptors,
     hardest_scores,
     infonce_loss,
@@ -19,9 +18,8 @@ from lpn.training.losses import (
     released_metric_loss,
     soft_margin_loss,
     total_loss,
-    triplet_loss,
 )
-from lpn.training.recipes import METHODS, RECIPES, method
+from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, method
 from tools.fixtures import released_safa
 
 B = 6
@@ -76,61 +74,23 @@ def test_descriptors_have_parts_of_equal_norm() -> None:
     torch.testing.assert_close(parts.norm(dim=2), torch.full((B, 4), 0.5, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("hardest", [False, True])
-@pytest.mark.parametrize("margin", [0.3, 0.5])
-def test_triplet_loss_by_hand(pair: tuple[Tensor, Tensor], margin: float, hardest: bool) -> None:
-    d = distances(pair)
-    ways = []
-    for table in (d, [list(column) for column in zip(*d, strict=True)]):
-        terms = []
-        for i, row in enumerate(table):
-            wrong = [row[j] for j in range(B) if j != i]
-            terms += [margin + row[i] - x for x in ([min(wrong)] if hardest else wrong)]
-        within = [term for term in terms if term > 0]
-        ways.append(sum(within) / max(len(within), 1))
-    assert float(triplet_loss(*pair, margin, hardest)) == pytest.approx(sum(ways) / 2)
-    assert sum(ways) > 0
-
-
-@pytest.mark.parametrize("hardest", [False, True])
-def test_soft_margin_loss_by_hand(pair: tuple[Tensor, Tensor], hardest: bool) -> None:
+def test_soft_margin_loss_by_hand(pair: tuple[Tensor, Tensor]) -> None:
     d = distances(pair)
     total, count = 0.0, 0
     for table in (d, [list(column) for column in zip(*d, strict=True)]):
         for i, row in enumerate(table):
-            wrong = [row[j] for j in range(B) if j != i]
-            for x in [min(wrong)] if hardest else wrong:
+            for x in (row[j] for j in range(B) if j != i):
                 total, count = total + math.log(1 + math.exp(10 * (row[i] ** 2 - x**2))), count + 1
     # The released sum over all pictures has each positive against itself, too.
-    own = 0 if hardest else math.log(2) / (B - 1)
-    assert float(soft_margin_loss(*pair, 10.0, hardest)) == pytest.approx(total / count + own)
+    own = math.log(2) / (B - 1)
+    assert float(soft_margin_loss(*pair, 10.0)) == pytest.approx(total / count + own)
 
 
-@pytest.mark.parametrize("hardest", [False, True])
-def test_contrastive_loss_by_hand(pair: tuple[Tensor, Tensor], hardest: bool) -> None:
-    d = distances(pair)
-    ways = []
-    for table in (d, [list(column) for column in zip(*d, strict=True)]):
-        short = []
-        for i, row in enumerate(table):
-            terms = [max(0.0, 1.6 - row[j]) ** 2 for j in range(B) if j != i]
-            short += [max(terms)] if hardest else terms
-        ways.append(sum(short) / len(short))
-    true = sum(d[i][i] ** 2 for i in range(B)) / B
-    assert float(contrastive_loss(*pair, 1.6, hardest)) == pytest.approx(true + sum(ways) / 2)
-    assert sum(ways) > 0
-
-
-def test_losses_on_distances_have_finite_slopes_where_views_agree() -> None:
-    for loss in (
-        lambda a, b: triplet_loss(a, b, 0.3),
-        lambda a, b: contrastive_loss(a, b, 1.0),
-        lambda a, b: soft_margin_loss(a, b, 10.0),
-    ):
-        parts = drawn(4, B, 2, 8).requires_grad_()
-        loss(descriptors(parts), descriptors(parts)).backward()  # type: ignore[no-untyped-call]
-        assert parts.grad is not None
-        assert torch.isfinite(parts.grad).all()
+def test_the_loss_on_distances_has_finite_slopes_where_views_agree() -> None:
+    parts = drawn(4, B, 2, 8).requires_grad_()
+    soft_margin_loss(descriptors(parts), descriptors(parts), 10.0).backward()  # type: ignore[no-untyped-call]
+    assert parts.grad is not None
+    assert torch.isfinite(parts.grad).all()
 
 
 def test_the_instance_loss_takes_each_set_s_own_labels() -> None:
@@ -157,15 +117,27 @@ def test_every_method_has_the_loss_it_is_named_after() -> None:
     tiles, drones = (descriptors(parts.float()) for parts, _ in outputs.values())
     expected = {
         "instance": torch.stack([instance_loss(s.float(), places).sum() for _, s in outputs.values()]).sum(),
-        "contrastive": contrastive_loss(tiles, drones, 1.0),
-        "triplet-0.3": triplet_loss(tiles, drones, 0.3),
-        "triplet-0.5": triplet_loss(tiles, drones, 0.5),
-        "soft-margin": soft_margin_loss(tiles, drones, 10.0),
         "safa": soft_margin_loss(tiles, drones, 10.0),
     }
     for name, value in expected.items():
         torch.testing.assert_close(total_loss(outputs, labels, method(name, RECIPES["paper"])), value)
-    assert set(METHODS) >= set(expected)
+    # Four drone pictures of each place: the pool holds them all.
+    outputs["drone"] = (drawn(5, 4 * B, 1, 16), drawn(6, 4 * B, 1, B))
+    labels["drone"] = places.repeat_interleave(4)
+    cosines = tiles @ descriptors(outputs["drone"][0].float()).T
+    own = labels["drone"][None, :] == places[:, None]
+    p, n = cosines.masked_fill(~own, 2).amin(1), cosines.masked_fill(own, -2).amax(1)
+    by_method = {
+        "contrastive": ((1 - p) ** 2 + (1 + n) ** 2).sum(),
+        "triplet-0.3": F.relu(n + 0.3 - p).sum(),
+        "triplet-0.5": F.relu(n + 0.5 - p).sum(),
+        "soft-margin": (n - p).exp().log1p().sum(),
+    }
+    assert len({round(float(value), 3) for value in by_method.values()}) == len(METRIC_LOSSES)
+    for name in METRIC_LOSSES:
+        for recipe in ("paper", "small", "metric-released"):
+            found = total_loss(outputs, labels, method(name, RECIPES[recipe]))
+            torch.testing.assert_close(found, by_method[name])
 
 
 def test_the_released_losses_by_hand() -> None:
@@ -222,7 +194,7 @@ def test_the_released_losses_take_the_pictures_of_a_satellite_s_own_place() -> N
 
 
 @pytest.mark.parametrize(
-    "recipe", [name for name, recipe in RECIPES.items() if not recipe.windows and recipe.protocol == "ours"]
+    "recipe", [name for name, recipe in RECIPES.items() if not recipe.windows and not recipe.compares_drones]
 )
 def test_a_method_is_the_same_network_and_loss_in_every_recipe(recipe: str) -> None:
     baseline, safa = ("average", "university", False, 1), ("safa", "university", True)
@@ -253,9 +225,12 @@ def test_a_recipe_that_cannot_be_trained_is_refused() -> None:
         replace(RECIPES["paper"], instance=0.0)
     with pytest.raises(InputError, match="no class layer"):
         replace(RECIPES["safa-paper"], instance=1.0)
-    for paired in ({"infonce": 1.0}, {"metric": "triplet"}, {"flip": "place"}, {"place_rotation": 5.0}):
+    no_street = {"street": False, "google": False}
+    for paired in ({"infonce": 1.0}, {"metric": "triplet", **no_street}, {"flip": "place"}, {"place_rotation": 5.0}):
         with pytest.raises(InputError, match=f"with {next(iter(paired))}.*; use sampling = places"):
             replace(RECIPES["released"], **paired)  # type: ignore[arg-type]
         assert replace(RECIPES["released"], sampling="places", **paired).sampling == "places"  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="metric = triplet with safa; SAFA has soft_margin alone"):
+        replace(RECIPES["safa-paper"], metric="triplet")
     with pytest.raises(InputError, match="no method 'best'"):
         method("best", RECIPES["small"])

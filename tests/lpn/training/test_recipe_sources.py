@@ -10,7 +10,7 @@ from lpn.cli.train import parse_train
 from lpn.core.errors import InputError
 from lpn.training import recipe_sources, recipes
 from lpn.training.recipe_sources import PAIRS, difference, source
-from lpn.training.recipes import RECIPES, Recipe, find
+from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe, find
 
 PUBLISHED = list(recipe_sources._CHAINS)
 KINDS = (
@@ -84,7 +84,8 @@ def test_metric_losses_train_the_baseline_at_the_baseline_s_rate(recipe: str) ->
     for method in ("contrastive", "triplet-0.3", "triplet-0.5", "soft-margin"):
         found = asdict(find(recipe, method))
         differs = {setting for setting in found if found[setting] != baseline[setting]}
-        assert {"metric", "instance", "sampling"} <= differs <= {"metric", "instance", "sampling", "margin"}, method
+        of_loss = {"metric", "instance", "sampling", "margin", *RELEASED_METRIC}
+        assert {"metric", "instance", "sampling", "positives"} <= differs <= of_loss, method
         assert source(recipe, "lr", method) == "ours: the rate of the released baseline"
 
 
@@ -128,30 +129,30 @@ def test_the_released_runs_of_cvusa_and_cvact_are_those_of_the_scripts() -> None
     assert not any("cvusa" in source("cvact-released", field.name).replace("CVUSA", "") for field in fields(Recipe))
 
 
-def test_the_released_metric_losses_are_a_protocol_of_their_own() -> None:
-    given = ["--data", "places", "--out", "run", "--protocol", "released"]
+def test_the_metric_losses_are_the_released_ones_in_every_recipe() -> None:
+    given = ["--data", "places", "--out", "run", "--recipe", "metric-released"]
     settings = parse_train(given, "lpn train").settings
     assert settings == RECIPES["metric-released"]
     assert (settings.epochs, settings.decay_epoch, settings.second_decay_epoch) == (70, 40, 60)
     assert (settings.batch, settings.positives, settings.pool, settings.padding) == (32, 4, 96, 0)
     for method, loss in (
-        ("contrastive", ("contrastive", 1.0)),
+        ("contrastive", ("contrastive", 0.3)),
         ("triplet-0.3", ("triplet", 0.3)),
         ("triplet-0.5", ("triplet", 0.5)),
         ("soft-margin", ("soft_margin", 0.3)),
     ):
-        made = parse_train([*given, "--method", method], "lpn train").settings
-        assert (made.metric, made.margin, made.protocol, made.alpha) == (*loss, "released", 1.0)
-    with pytest.raises(InputError, match="metric-released, in place of small; leave --recipe out"):
-        parse_train([*given, "--recipe", "small"], "lpn train")
+        for recipe in ("metric-released", "paper", "small"):
+            made = parse_train([*given[:-1], recipe, "--method", method], "lpn train").settings
+            assert (made.metric, made.margin, made.alpha) == (*loss, 1.0)
+            assert (made.positives, made.pool, made.street, made.google) == (4, 96, False, False)
     with pytest.raises(InputError, match="choose one of them with --method in place of lpn"):
         parse_train([*given, "--method", "lpn"], "lpn train")
-    with pytest.raises(InputError, match="protocol = released without a metric loss"):
-        replace(RECIPES["released"], protocol="released")
-    with pytest.raises(InputError, match="protocol = released with street = True; expected street = False"):
+    with pytest.raises(
+        InputError, match="metric = triplet with street = True; expected street = False, as the loss compares"
+    ):
         replace(RECIPES["metric-released"], street=True)
-    with pytest.raises(InputError, match="positives = 4 with protocol = ours"):
-        replace(RECIPES["metric-released"], protocol="ours")
+    with pytest.raises(InputError, match="positives = 4 without a metric loss on drone pictures"):
+        replace(RECIPES["released"], positives=4)
 
 
 def test_the_difference_names_each_setting_that_differs_with_both_sources() -> None:

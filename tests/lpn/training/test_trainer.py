@@ -6,7 +6,6 @@ import math
 import shutil
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -22,9 +21,8 @@ from lpn.datasets import open_dataset
 from lpn.models.backbones import build_backbone
 from lpn.models.checkpoints import load_torch, recipe_of, save
 from lpn.retrieval.evaluate import evaluate
-from lpn.training import frozen_outputs, optimizer
+from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
-from lpn.training.multi_process import ProcessGroup
 from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tests.conftest import RealRun
@@ -384,20 +382,6 @@ def test_a_step_benchmarks_convolutions_and_uses_tf32_in_mixed_precision_only(
     assert (cudnn.enabled, cudnn.benchmark, cudnn.allow_tf32) == before
 
 
-@pytest.mark.slow
-@pytest.mark.filterwarnings("default")  # of torch about itself
-def test_a_compiled_training_has_the_losses_of_an_eager_one(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The graphs run without torch's code generator, which takes a minute; a test of compiled backbones has that."""
-    monkeypatch.setattr(torch, "compile", partial(torch.compile, backend="aot_eager"))
-    two_steps = replace(QUICK, epochs=1, batch=12)
-    run, _ = trainer(places, tmp_path / "compiled", two_steps, compiled=True, test=False)
-    load_torch(run.run())
-    trainer(places, tmp_path / "eager", two_steps, test=False)[0].run()
-    assert losses(tmp_path / "compiled") == pytest.approx(losses(tmp_path / "eager"), rel=1e-3)
-
-
 def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--init FILE, let --init auto find them, or say --from-scratch"):
         trainer(places, tmp_path / "run", from_scratch=False)
@@ -409,6 +393,13 @@ def test_a_run_starts_from_given_weights_or_says_that_it_does_not(places: Path, 
     (tmp_path / "run" / "log.csv").write_text("epoch,loss\n1,2.0\n")
     with pytest.raises(InputError, match="--init FILE, let --init auto find them, or say --from-scratch"):
         trainer(places, tmp_path / "run", from_scratch=False, resume=True)
+
+
+def test_a_training_by_torchrun_is_refused(places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    with pytest.raises(InputError, match="lpn train is one process, and WORLD_SIZE is 2; start it without torchrun"):
+        trainer(places, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_cpu_says_that_it_does_not_compute_in_float16(places: Path, tmp_path: Path) -> None:
@@ -460,78 +451,6 @@ def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path,
         expected = head.add_block[1](features.mean((2, 3)))
         torch.testing.assert_close(run.network(pictures, "drone")[0][:, 0], expected)
     assert "24 places in satellite, drone: 2 steps of 12 places an epoch, 1 epoch, so 2 updates." in said.getvalue()
-
-
-@pytest.mark.parametrize("workers", [1, 40], ids=["few drawn ahead", "all drawn ahead"])
-def test_each_variant_of_a_place_passes_the_frozen_blocks_once(places: Path, tmp_path: Path, workers: int) -> None:
-    """Its output is that of the pictures drawn then, so the losses are those of the whole network on them."""
-    recipe = replace(TIMM, sampling="places", adapted_blocks=2, variants=2, epochs=3, batch=8)
-    run, _ = trainer(places, tmp_path / "run", recipe, workers=workers)
-    computed, whole = [], []
-    branch = run.network.branch("satellite")
-    run.network.get_submodule("model_1.model.network.patch_embed").register_forward_hook(
-        lambda *of: computed.append(len(of[2]))
-    )
-    with closing(run.loader.stream(0, 3)) as batches:
-        seen = [batch.sets for batch in batches]
-    assert sum(computed) == 2 * 2 * 24
-    run.loader.frozen = None
-    with closing(run.loader.stream(0, 3)) as batches:
-        whole = [batch.sets for batch in batches]
-    branch.eval()
-    for outputs, pictures in zip(seen, whole, strict=True):
-        for name, values in outputs.items():
-            assert torch.allclose(values, branch.frozen_output(pictures[name]), rtol=2e-3, atol=2e-3)
-
-
-@pytest.mark.slow
-def test_a_run_with_variants_trains_adapters_and_is_resumed(
-    places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    recipe = replace(TIMM, sampling="places", adapted_blocks=1, variants=2, epochs=3, size=32, batch=8)
-    whole = trainer(places, tmp_path / "whole", recipe, test=False)[0].run()
-    run, _ = trainer(places, tmp_path / "cut", recipe, test=False)
-    _run_one_epoch(run, monkeypatch)
-    first = load_torch(tmp_path / "cut" / "last.safetensors").network.state_dict()
-    cut = trainer(places, tmp_path / "cut", recipe, resume=True, test=False)[0].run()
-    assert (recipe_of(cut)["variants"], lpn.load(cut, "cpu").contract.level) == (2, "exact")
-    one, two = (load_torch(file).network.state_dict() for file in (cut, whole))
-    assert all(torch.equal(one[key], two[key]) for key in one)
-    assert any(not torch.equal(one[key], first[key]) for key in one if key.endswith("adapter.up.weight"))
-
-
-@pytest.mark.parametrize(
-    ("variants", "epochs", "processes", "stored"), [(2, 3, 1, 2), (9, 3, 1, 3), (2, 30, 2, 4), (9, 6, 2, 6)]
-)
-def test_variants_that_need_more_memory_than_is_free_are_refused(
-    places: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    variants: int,
-    epochs: int,
-    processes: int,
-    stored: int,
-) -> None:
-    """Every process stores what it draws: at most all variants, and at most its share of all epochs."""
-    recipe = replace(TIMM, adapted_blocks=1, variants=variants, epochs=epochs)
-    group = ProcessGroup(torch.device("cpu"), 0, processes, processes)
-    run, _ = trainer(places, tmp_path / "run", recipe, group=group, test=False, workers=1)
-    # Two views of 24 places, each a class token and 2 x 2 cells of 64 channels, float16.
-    needed = stored * 24 * 2 * 5 * 64 * 2
-    monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed - 1))
-    with closing(run.loader.stream(0, 1)) as batches, pytest.raises(InputError, match=f"for {stored * 24} variants of"):
-        next(batches)
-    monkeypatch.setattr(frozen_outputs, "memory", lambda: (needed, needed))
-    with closing(run.loader.stream(0, 1)) as batches:
-        next(batches)
-
-
-def test_variants_of_a_transformer_that_cannot_be_divided_are_refused_at_the_start(
-    places: Path, tmp_path: Path
-) -> None:
-    recipe = replace(TIMM, backbone="timm:xcit_nano_12_p16_224", adapted_blocks=1, variants=2)
-    with pytest.raises(InputError, match="map of timm:xcit_nano_12_p16_224 does not follow from the tokens"):
-        trainer(places, tmp_path / "run", recipe)
 
 
 def test_the_paper_s_recipe_is_the_default() -> None:

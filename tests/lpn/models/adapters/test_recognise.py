@@ -210,8 +210,6 @@ def test_a_kind_that_is_named_must_exist_and_fit(tmp_path: Path) -> None:
             ModelFileError, match=f"not opened as {kind}: by its entries it is a checkpoint of FSRA, so lea"
         ):
             lpn.load(file, "cpu", kind=kind)
-    with pytest.raises(InputError, match="another kind"):
-        lpn.load(file, "cpu", compiled=True)
     (tmp_path / "lpn.onnx").touch()
     with pytest.raises(InputError, match="leave --kind out"):
         lpn.load(tmp_path / "lpn.onnx", kind="fsra")
