@@ -78,19 +78,18 @@ PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n 
 test: check $(VENV)/.browser
 	$(PYTEST) --dist worksteal --durations 40
 
-# Everything: what must not get worse, all tests, a short fuzz run, and a short soak. A whole file goes to one process, which shares
+# Everything: all tests, what must not get worse, a short fuzz run, and a short soak. A whole file goes to one process, which shares
 # its servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
 test-all coverage: export LPN_MILVUS_PYTHON := $(abspath $(VENV)/milvus/bin/python)
 test-all: check $(VENV)/.browser $(VENV)/.milvus
-	$(MAKE) keep
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
+	$(MAKE) keep
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
-# Lines and branches by room, into tools/coverage.json: make coverage TESTS="-m ''" with the slow tests, TESTS="--out FILE tests/lpn/core"
-# of some tests elsewhere.
+# Lines and branches by room: make coverage OUT=slow.json TESTS="-m ''" with the slow tests.
 coverage: $(VENV)/.browser $(VENV)/.milvus
-	$(subst -m pytest,-m tools.coverage,$(PYTEST)) --dist worksteal $(TESTS)
+	$(subst -m pytest,-m tools.coverage --out $(or $(OUT),tools/coverage.json),$(PYTEST)) --dist worksteal $(TESTS)
 
 # Each planted fault must be noticed: make mutations NAMES="swapped-views" for some of tools/mutations.txt.
 mutations: $(VENV)/.dev

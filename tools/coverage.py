@@ -1,7 +1,8 @@
 """Lines and branches of each room that the tests run: `python -m tools.coverage [--out FILE] [PYTEST'S ARGUMENTS]`.
 
-`make coverage` measures the quick tests; `-m ''` among the arguments adds those marked slow. Processes that tests start count,
-unless they are killed or get an environment of their own. pyproject.toml has the settings.
+`make coverage` measures the quick tests, and writes the committed tools/coverage.json. `-m ''` among the arguments adds those
+marked slow. Processes that tests start count, unless they are killed or get an environment of their own. pyproject.toml has
+the settings.
 """
 
 from __future__ import annotations
@@ -20,7 +21,8 @@ from coverage import Coverage
 from rich.console import Console
 from rich.table import Table
 
-OUT = Path("tools/coverage.json")
+from lpn.core.files import write_atomic
+
 _COUNTS = {
     "lines": "num_statements",
     "covered_lines": "covered_lines",
@@ -70,18 +72,18 @@ def show(rooms: Rooms) -> None:
 
 
 def main(arguments: list[str]) -> None:
-    """Run the tests, print the table, and write it; exits as pytest does."""
+    """Run the tests, print the table, and write it where asked; exits as pytest does."""
     parser = argparse.ArgumentParser(prog="python -m tools.coverage", description=__doc__, allow_abbrev=False)
-    parser.add_argument("--out", type=Path, default=OUT, help="the JSON file")
+    parser.add_argument("--out", type=Path, help="a JSON file for the counts")
     options, given = parser.parse_known_args(arguments)
     with TemporaryDirectory() as folder:
         data = Path(folder) / "data"
         status = run_tests(data, given)
         rooms = by_room(data)
     show(rooms)
-    beside = options.out.with_suffix(".partial")
-    beside.write_text(json.dumps({"arguments": given, "pytest": status, "rooms": rooms}, indent=1) + "\n", "utf-8")
-    beside.replace(options.out)
+    if options.out:
+        text = json.dumps({"arguments": given, "pytest": status, "rooms": rooms}, indent=1) + "\n"
+        write_atomic(options.out, text.encode())
     sys.exit(status)
 
 

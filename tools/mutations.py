@@ -92,8 +92,8 @@ def read_table(path: Path) -> list[Mutation]:
     return list(found.values())
 
 
-def first_failure(tree: Path, tests: Sequence[str]) -> str | None:
-    """Run tests in a copy of the checkout until one fails; return that one, or None if all pass.
+def first_failure(tree: Path, tests: Sequence[str], longest: float = _LONGEST) -> str | None:
+    """Run tests in a copy of the checkout until one fails, for `longest` seconds; return that one, or None if all pass.
 
     Raises:
         InputError: if they cannot be collected or do not end, so that they tell nothing.
@@ -110,9 +110,11 @@ def first_failure(tree: Path, tests: Sequence[str]) -> str | None:
         start_new_session=True,
     )
     try:
-        output, _ = process.communicate(timeout=_LONGEST)
+        output, _ = process.communicate(timeout=longest)
     except subprocess.TimeoutExpired:
-        raise InputError(f"{' '.join(tests)} did not end within {_LONGEST} s; choose a fault that lets them.") from None
+        raise InputError(
+            f"{' '.join(tests)} did not end within {longest:g} s; choose a fault that lets them, or free the machine."
+        ) from None
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
@@ -145,7 +147,7 @@ def run(root: Path, mutations: Sequence[Mutation]) -> dict[str, str | None]:
         for name in tracked_files(root):
             (tree / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(root / name, tree / name)
-        if failed := first_failure(tree, sorted({test for one in mutations for test in one.tests})):
+        if failed := first_failure(tree, sorted({test for one in mutations for test in one.tests}), _LONGEST * 4):
             raise InputError(f"{failed} fails without a mutation, so that it would notice nothing; mend it first.")
         for one in mutations:
             began, text = time.monotonic(), (root / one.file).read_text("utf-8")

@@ -49,7 +49,7 @@ def explained() -> Figures:
             first.trace.errors(),
             second.trace.errors(),
         ]
-        errors.append(float(f"{max(np.abs(one).max() for one in sums):.2g}"))
+        errors.append(float(f"{float(np.max([np.abs(one).max() for one in sums])):.2g}"))
         cosines += _rounded(account.cosines)
         constants += _rounded(np.concatenate([account.query.constants, account.tile.constants]))
         cells += _rounded(np.concatenate([one.ravel() for one in account.cell_maps()]))

@@ -55,7 +55,7 @@ def fly():
             return
         shutil.copy(shots[0], "arrived.part")
         Path("arrived.part").rename(photos / f"{number}{shots[0].suffix}")
-threading.Thread(target=fly).start()
+threading.Thread(target=fly, daemon=True).start()
 options = ["--matcher", "sift", "--size", "400", "--idle", "5", "--out", str(fixes)]
 main(["locate", "--live", "photos", "--map", str(DEMO_FLIGHT[0]), "--model", str(DEMO_MODEL), *options])
 assert fixes.read_text()
@@ -78,7 +78,12 @@ def imports() -> Figures:
         with tempfile.TemporaryDirectory() as folder:
             site = Path(folder, "site")
             _link_packages(own, site)
-            environment = {**os.environ, "PYTHONPATH": f"{site}{os.pathsep}{_ROOT}", "HOME": folder}
+            environment = {
+                **os.environ,
+                "PYTHONPATH": f"{site}{os.pathsep}{_ROOT}",
+                "HOME": folder,
+                "LPN_CACHE": f"{folder}/cache",
+            }
             command = [sys.executable, "-S", "-c", _BEGIN + code]
             done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder, env=environment)
         if done.returncode:
