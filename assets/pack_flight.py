@@ -1,8 +1,8 @@
 """Makes `assets/demo-flight` from a rendered flight: `python -m assets.pack_flight FLIGHT OUT`.
 
-FLIGHT is what `python -m tools.world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF and
-XMP, because neighbours in time correct each other; `map-in-spring`, the folder of the map with stronger compression; `truth.csv`
-with the rows of these photos; and `flight_world.json`, which says that all of it is rendered.
+FLIGHT is what `python -m tools.world --flight` made. OUT gets `flight-in-autumn`, `COUNT` photos in a row as WebP with their EXIF
+and XMP, because neighbours in time correct each other; `map-in-spring`, the folder of the map with stronger compression;
+`truth.csv` with the rows of these photos; and `flight_world.json`, which says that all of it is rendered.
 """
 
 from __future__ import annotations
