@@ -44,7 +44,7 @@ def test_no_room_of_lpn_imports_the_explorer() -> None:
 
 
 def test_tools_and_tests_import_each_other_through_fixtures_only() -> None:
-    of_world = ("tools_world", "test_assets")  # tests of the world, and of what packs it
+    of_world = ("tools_world", "test_assets", "test_docs")  # tests of the world, of what packs it, and of its commands
     wrong = [
         f"{one.file}:{one.line}: {one.importer} imports {one.imported}"
         for one in imports(ROOT, "tests", "tools")

@@ -21,6 +21,7 @@ from lpn.cli.choices import IN_ORDER
 from lpn.cli.live import LiveCommand
 from lpn.core import log
 from lpn.core.errors import LPNError
+from tools.world.__main__ import Rendering
 
 ROOT = Path(__file__).parents[1]
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "README.md"]
@@ -28,7 +29,9 @@ PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "R
 STAND_INS = {"TASK": "drone-to-satellite", "K": "3", "N": "1"}
 # Options of every command, of a benchmark, and of the scripts that the authors released.
 FURTHER_OPTIONS = {"--help", "--version", log.FLAG, "--own-seeds", "--hide-headings"}
-FURTHER_OPTIONS |= {"--extra", "--extra-Google", "--multi-loss"}
+FURTHER_OPTIONS |= {"--extra", "--extra-Google", "--multi-loss"} | set(by_source.options(Rendering))
+# The program beside `lpn` whose commands are parsed, too.
+WORLD = "tools.world"
 
 
 def _anchors(page: Path) -> set[str]:
@@ -149,13 +152,13 @@ def commands_of(page: str) -> list[tuple[int, list[str]]]:
 
 
 def arguments_of(words: list[str]) -> list[str] | None:
-    """Return the arguments of `lpn` with words in place of placeholders; None if a command is another program's."""
+    """Return the arguments of `lpn`, or `tools.world` and its own, with words in place of placeholders; None of others."""
     words = list(dropwhile(re.compile(r"[A-Z_]+=").match, words))
     own = words[words.index("-m") + 1 :] if words[:1] == ["python"] and "-m" in words else words
-    if own[:1] != ["lpn"]:
+    if own[:1] not in (["lpn"], ["tools.world"]):
         return None
     bare = [re.sub(r"^\[|\]$|\.\.\.$|\]?\.\.\.\]?$", "", word) for word in own[1:]]
-    return [STAND_INS.get(word, word) for word in bare if word]
+    return [WORLD] * (own[0] == WORLD) + [STAND_INS.get(word, word) for word in bare if word]
 
 
 def refusal(arguments: list[str]) -> str:
@@ -163,7 +166,7 @@ def refusal(arguments: list[str]) -> str:
     _, arguments = log.parse_level(arguments)
     if not arguments or arguments[0] in ("-h", "--help", "--version"):
         return ""
-    command = main.commands().get(arguments[0])
+    command = Rendering if arguments[0] == WORLD else main.commands().get(arguments[0])
     if command is None:
         return f"lpn has no command {arguments[0]!r}"
     said = io.StringIO()
@@ -261,5 +264,5 @@ def test_the_commands_of_the_makefile_are_taken() -> None:
     while (plain := re.sub(r"\$\([^()]*\)", "", text)) != text:
         text = plain
     named = {arguments[0] for _, words in commands_of(text) if (arguments := arguments_of(words))}
-    assert named >= {"explore", "world", "train"}
+    assert named >= {"explore", WORLD, "train"}
     assert refused_commands(text) == []
