@@ -9,7 +9,7 @@ PORT   ?= 8080
 # Processes of tests. One more than CI's two cores: tests wait for browsers, servers, and other processes.
 JOBS   ?= 3
 
-.PHONY: explore setup test test-all check check-types check-style bench fuzz soak demo format audit clean
+.PHONY: explore setup test test-all check check-types check-style bench keep keep-slow fuzz soak demo format audit clean
 .DEFAULT_GOAL := test
 
 $(BIN)/python:
@@ -76,10 +76,11 @@ PYTEST := OMP_NUM_THREADS=1 PYTHONDONTWRITEBYTECODE= LPN_MILVUS_PYTHON=$(abspath
 test: check $(VENV)/.browser $(VENV)/.milvus
 	$(PYTEST) --dist worksteal
 
-# Everything: with the tests marked slow, a short fuzz run, and a short soak. A whole file goes to one process, which shares its
-# servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
+# Everything: what must not get worse, all tests, a short fuzz run, and a short soak. A whole file goes to one process, which shares
+# its servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
 # Fuzzing takes one core, and a soak waits for most of its time.
 test-all: check $(VENV)/.browser $(VENV)/.milvus
+	$(MAKE) keep
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
 
@@ -102,6 +103,13 @@ format: $(VENV)/.dev
 
 bench: $(VENV)/.browser
 	$(BIN)/python -m tools.bench $(BENCH)
+
+# What must not get worse, beside its baseline: make keep OUT=keep.json. The slow half wants the real data, and goes on after a stop.
+keep: $(VENV)/.dev
+	OMP_NUM_THREADS=1 $(BIN)/python -m tools.keep $(if $(OUT),--out "$(OUT)")
+
+keep-slow: $(VENV)/.dev
+	$(BIN)/python -m tools.keep --slow $(if $(OUT),--out "$(OUT)")
 
 # Every reader, on small real files damaged with a fixed seed; the tests give each some hundred.
 fuzz: $(VENV)/.dev

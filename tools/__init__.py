@@ -1,1 +1,1 @@
-"""Programs for developers, which are not installed: benchmarks, soak, fuzz, and the fixtures they share with the tests."""
+"""Programs for developers, which are not installed: benchmarks, what must not get worse, soak, fuzz, and shared fixtures."""

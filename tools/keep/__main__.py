@@ -18,17 +18,18 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
-from lpn.core.errors import LPNError
-from lpn.core.files import check_outputs, write_atomic, write_json
+from lpn.core.errors import InputError, LPNError
+from lpn.core.files import check_outputs, portable, write_atomic
 from lpn.core.resources import usable_cores
 from tools.keep.measures import Figures, Measure, NotMeasuredError, Value, all_measures, errors
 
 BASELINE = Path(__file__).with_name("baseline")
 _ROOT = Path(__file__).parents[2]
-# Changes elsewhere do not change what is measured.
-_MEASURED = ("lpn", "explorer", "tools", "assets", ":!tools/keep/baseline")
+# What is measured, and what measures: changes elsewhere change no figure.
+_PRODUCT, _TOOLS = ("lpn", "explorer", "assets"), ("tools", ":!tools/keep/baseline")
 
 
 def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, baseline: Path = BASELINE) -> int:
@@ -46,28 +47,29 @@ def main(arguments: Sequence[str], measures: dict[str, Measure] | None = None, b
     names = list(dict.fromkeys(names)) or [name for name, one in known.items() if one.slow == options.slow]
     try:
         check_outputs((options.out, ".json"))
-        state = _state()
+        state = _state(*_PRODUCT, *_TOOLS)
         records = _earlier(options.out, state)
         for name in names:
             if "figures" not in records.get(name, {}):
                 print(f"Measuring {name} ...", file=sys.stderr, flush=True)
                 records[name] = _measured(known[name])
-            old = _read(baseline / f"{name}.json").get("figures", {})
+            old = _read(baseline / f"{name}.json", "figures").get("figures", {})
             records[name] = _compared(known[name], records[name], old)
             if name in options.accept and "figures" in records[name]:
                 found = _values(records[name])
-                write_atomic(baseline / f"{name}.json", _text({"commit": state, "figures": found}).encode())
+                _write(baseline / f"{name}.json", {"commit": _state(*_PRODUCT), "figures": found}, 2)
                 _show({name: records[name]}, "Accepted: the old baseline beside the new one")
                 records[name] = _compared(known[name], records[name], found)
             elif name in options.accept:
                 records[name].setdefault("error", f"{name}: nothing was measured, so its baseline stays as it is.")
             if options.out is not None:
-                write_json(options.out, {"commit": state, "cores": usable_cores(), "measures": records})
+                _write(options.out, {"commit": state, "cores": usable_cores(), "measures": records}, 4)
         _show({name: records[name] for name in names})
     except LPNError as error:
         return _refuse(str(error))
     broken = [sentence for name in names for sentence in _sentences(name, records[name])]
-    for sentence in broken:
+    unmeasured = [f"{n} was not measured: {records[n]['not_measured']}." for n in names if "not_measured" in records[n]]
+    for sentence in (*unmeasured, *broken):
         print(sentence, file=sys.stderr)
     return 1 if broken else 0
 
@@ -89,26 +91,35 @@ def _refuse(sentence: str) -> int:
     return 1
 
 
-def _state() -> str:
-    """The commit, with a digest of what differs from it; empty outside of a checkout."""
-    git = ["git", "-C", str(_ROOT)]
-    head, changes = (
-        subprocess.run([*git, *command], capture_output=True, text=True, check=False).stdout
-        for command in (("rev-parse", "--short=8", "HEAD"), ("diff", "HEAD", "--", *_MEASURED))
+def _state(*paths: str) -> str:
+    """The last commit of some paths, with a digest of what differs from it; empty outside of a checkout."""
+    commands = ("log", "-1", "--format=%h", "--abbrev=8"), ("diff", "HEAD")
+    commit, changes = (
+        subprocess.run(
+            ["git", "-C", str(_ROOT), *command, "--", *paths], capture_output=True, text=True, check=False
+        ).stdout.strip()
+        for command in commands
     )
-    return head.strip() + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
+    return commit + (f"+{hashlib.sha256(changes.encode()).hexdigest()[:8]}" if changes else "")
 
 
-def _read(file: Path) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(file.read_bytes()) if file.is_file() else {}
+def _read(file: Path, key: str) -> dict[str, Any]:
+    """Read a file of this program, which has a key beside "commit"; empty without the file."""
+    if not file.is_file():
+        return {}
+    try:
+        found = json.loads(file.read_bytes())
+    except ValueError:
+        found = None
+    if not isinstance(found, dict) or not isinstance(found.get(key), dict):
+        raise InputError(f'{file} is no JSON of tools.keep with "{key}"; name another file, or delete this one.')
     return found
 
 
 def _earlier(out: Path | None, state: str) -> dict[str, Any]:
     """The records of an interrupted run of the same state of the code."""
-    found = {} if out is None else _read(out)
-    records: dict[str, Any] = found.get("measures", {}) if state and found.get("commit") == state else {}
-    return records
+    found = {} if out is None else _read(out, "measures")
+    return dict(found["measures"]) if state and found.get("commit") == state else {}
 
 
 def _measured(measure: Measure) -> dict[str, Any]:
@@ -129,7 +140,7 @@ def _values(record: dict[str, Any]) -> dict[str, Value]:
 
 
 def _compared(measure: Measure, record: dict[str, Any], baseline: Figures) -> dict[str, Any]:
-    """Add baseline, bound, and verdict to each figure of a record."""
+    """Add baseline, bound, and verdict to each figure of a record; of a list, only its largest change."""
     if "figures" not in record:
         return record
     found = _values(record)
@@ -138,7 +149,9 @@ def _compared(measure: Measure, record: dict[str, Any], baseline: Figures) -> di
     for name in {**found, **wrong}:
         bound = measure.bound(name)
         figures[name] = {"value": found[name]} if name in found else {}
-        figures[name] |= {"baseline": baseline[name]} if name in baseline else {}
+        old = baseline.get(name)
+        figures[name] |= {} if old is None or isinstance(old, list) else {"baseline": old}
+        figures[name] |= {"change": _change(found.get(name), old)}
         figures[name] |= {"bound": "" if bound is None else bound.text, "verdict": wrong.get(name, "held")}
     return {**record, "figures": figures}
 
@@ -151,13 +164,17 @@ def _sentences(name: str, record: dict[str, Any]) -> list[str]:
     return [f"{name}, {figure}: {verdict}." for figure, verdict in verdicts.items() if verdict != "held"]
 
 
-def _text(baseline: dict[str, Any]) -> str:
-    """A baseline as JSON, each figure on a line of its own."""
-    lines = ",\n".join(
-        f"  {json.dumps(name)}: {json.dumps(value, separators=(',', ':'))}"
-        for name, value in baseline["figures"].items()
-    )
-    return f'{{"commit": {json.dumps(baseline["commit"])}, "figures": {{\n{lines}\n}}}}\n'
+def _text(value: object, depth: int, indent: str = "") -> str:
+    """JSON in which the entries of the outer dictionaries have a line each, down to a depth."""
+    if not depth or not isinstance(value, dict):
+        return json.dumps(portable(value), separators=(",", ":"))
+    inner = f"{indent} "
+    lines = [f"{inner}{json.dumps(key)}: {_text(entry, depth - 1, inner)}" for key, entry in value.items()]
+    return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
+
+
+def _write(file: Path, value: object, depth: int) -> None:
+    write_atomic(file, f"{_text(value, depth)}\n".encode())
 
 
 def _show(records: dict[str, Any], title: str = "What must not get worse") -> None:
@@ -166,13 +183,13 @@ def _show(records: dict[str, Any], title: str = "What must not get worse") -> No
         table.add_column(column, justify="right" if column in ("value", "baseline", "largest change") else "left")
     for name, record in records.items():
         for figure, one in record.get("figures", {}).items():
-            values = one.get("value"), one.get("baseline")
             verdict = "held" if one["verdict"] == "held" else "[red]BROKEN[/]"
             verdict = "" if one["bound"] == "reported" else verdict
-            table.add_row(name, figure, *map(_short, values), _change(*values), one["bound"], verdict)
+            values = (_short(one.get(key)) for key in ("value", "baseline", "change"))
+            table.add_row(name, escape(figure), *values, one["bound"], verdict)
         reason = record.get("not_measured") or record.get("error")
         if reason:
-            table.add_row(name, reason, "", "", "", "", "not measured")
+            table.add_row(name, escape(reason), "", "", "", "", "not measured")
         table.add_section()
     Console(width=150).print(table)
 
@@ -184,15 +201,17 @@ def _short(value: Value | None) -> str:
         case list():
             return f"{len(value):,} values"
         case str():
-            return value if len(value) <= 40 else f"{value[:37]}..."
+            return escape(value if len(value) <= 40 else f"{value[:37]}...")
     return f"{value:g}"
 
 
-def _change(value: Value | None, baseline: Value | None) -> str:
+def _change(value: Value | None, baseline: Value | None) -> float | None:
+    """The largest difference of two numbers or lists of one length; None of others."""
     if value is None or baseline is None or isinstance(value, str) or isinstance(baseline, str):
-        return ""
+        return None
     new, old = (one if isinstance(one, list) else [one] for one in (value, baseline))
-    return f"{max((abs(a - b) for a, b in zip(new, old, strict=True)), default=0):.2g}" if len(new) == len(old) else ""
+    differences = [abs(a - b) for a, b in zip(new, old, strict=False)]
+    return float(f"{max(differences, default=0):.2g}") if len(new) == len(old) else None
 
 
 if __name__ == "__main__":
