@@ -125,6 +125,24 @@ except DataError as error:
 assert message.startswith("lpn locate ended with status 2: ") and "none.tif" in message and "\\n" not in message, message
 """
 
+SPEED = """
+from tools.bench import __main__ as bench
+from tools.bench.figures import Figure
+from tools.keep.speed import ratios
+bench.measured = lambda name: [Figure(f"{name} 9 x 9", 2.0, "ms", 6.0, 1.6), Figure("memory", 1.23456, "GB")]
+figures = ratios("search")
+assert figures == {
+    "search 9 x 9, ms": 2.0, "search 9 x 9, times the peer": 3.0, "search 9 x 9, of the limit": 1.25, "memory, GB": 1.23
+}, figures
+assert errors(known["speed-search"], figures, {}) == {}
+bench.measured = lambda name: []
+try:
+    ratios("search")
+except DataError as error:
+    message = str(error)
+assert message == "python -m tools.bench search measured nothing; run it to see why.", message
+"""
+
 COUNTS = """
 from tools.bench.single_photos import photos_of
 from tools.bench.wrong_maps import open_pair
@@ -152,8 +170,8 @@ def run(script: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "script", [TRUTH, RENDERED, REAL, WRONG_MAPS, TRAINING, GOES_ON, COMMAND],
-    ids=["truth", "rendered", "real", "wrong maps", "training", "goes on", "command"],
+    "script", [TRUTH, RENDERED, REAL, WRONG_MAPS, TRAINING, GOES_ON, COMMAND, SPEED],
+    ids=["truth", "rendered", "real", "wrong maps", "training", "goes on", "command", "speed"],
 )  # fmt: skip
 def test_figures_and_their_bounds(script: str, tmp_path: Path) -> None:
     run(script, tmp_path)

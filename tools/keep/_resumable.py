@@ -24,10 +24,14 @@ _SOURCES = ("lpn", "explorer", "tools")
 def resumable(name: str) -> Iterator[Path]:
     """Yield a folder of a measure, whose `cache` is the user's cache meanwhile; it is removed when the measure is complete.
 
-    A killed measure leaves it, and goes on there as long as no Python file of the project changes.
+    A killed measure leaves it, and goes on there unless a Python file of the project has changed.
     """
-    folder = _ROOT / "runs" / "keep" / _digest_of_sources() / name
-    (folder / "cache").mkdir(parents=True, exist_ok=True)
+    folder, sources = _ROOT / "runs" / "keep" / name, _digest_of_sources()
+    mark = folder / "sources"
+    if not mark.is_file() or mark.read_text() != sources:
+        shutil.rmtree(folder, ignore_errors=True)
+        (folder / "cache").mkdir(parents=True)
+        mark.write_text(sources)
     before = os.environ.get("LPN_CACHE")
     os.environ["LPN_CACHE"] = str(folder / "cache")
     try:
