@@ -18,7 +18,7 @@ READINGS = {"calibrated": ("--calibrate",), "CSLS": ("--calibrate", "--csls", 3)
 
 
 def trained_pairs() -> Figures:
-    """Train with each seed, and measure R@1 both ways, calibrated and by CSLS; about 15 minutes of processor time a seed."""
+    """Train with each seed, and measure R@1 both ways, calibrated and by CSLS; about ten minutes of processor time a seed."""
     data = data_folder("LPN_MINI_DATA")
     with resumable("training") as folder:
         rows = [
