@@ -109,19 +109,17 @@ def within_radii(radii: float) -> Bound:
     return Bound(f"each within {radii:g} radii", error, relative=True)
 
 
-def swapped_maps() -> Figures:
-    """Locate each shipped flight over the other's map, and count the accepted photos; about 15 minutes of processor time."""
+def swapped_map(name: str) -> Figures:
+    """Locate a shipped flight, "rendered" or "real", over the other's map, and count the accepted photos.
+
+    It takes about 4 minutes of processor time for the rendered one, and 12 for the real one.
+    """
     from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
 
-    figures: dict[str, Value] = {}
-    with resumable("swapped") as folder:
-        for name, basemap, flight in (
-            ("rendered over real", DEMO_PLACE[0], DEMO_FLIGHT[1]),
-            ("real over rendered", DEMO_FLIGHT[0], DEMO_PLACE[1]),
-        ):
-            track = _track(basemap, flight, folder / f"{name}.csv")
-            figures |= {f"{name} photos": len(track), f"{name} accepted": sum(row["state"] in PLACED for row in track)}
-    return figures
+    basemap, flight = {"rendered": (DEMO_PLACE[0], DEMO_FLIGHT[1]), "real": (DEMO_FLIGHT[0], DEMO_PLACE[1])}[name]
+    with resumable(f"swapped-{name}") as folder:
+        track = _track(basemap, flight, folder / "track.csv")
+    return {"photos": len(track), "accepted": sum(row["state"] in PLACED for row in track)}
 
 
 def _track(basemap: Path, flight: Path, out: Path) -> list[dict[str, str]]:
@@ -292,7 +290,15 @@ MEASURES = (
         },
         slow=True,
     ),
-    Measure("swapped", swapped_maps, {"* photos": equal(), "* accepted": at_most(0)}, slow=True),
+    *(
+        Measure(
+            f"swapped-{name}",
+            partial(swapped_map, name),
+            {"photos": at_least(photos), "accepted": at_most(0)},
+            slow=True,
+        )
+        for name, photos in (("rendered", 40), ("real", 30))
+    ),
     Measure(
         "forged",
         forged_tags,
