@@ -82,9 +82,15 @@ def at_most(limit: float | None = None) -> Bound:
     return Bound("at most the baseline" if limit is None else f"at most {limit:g}", error, relative=limit is None)
 
 
-def at_least(limit: float) -> Bound:
-    """A number from a limit on."""
-    return Bound(f"at least {limit:g}", lambda _, value, __: "" if _number(value) >= limit else f"found {value}")
+def at_least(limit: float | None = None) -> Bound:
+    """A number from a limit on; by default from the baseline's number on."""
+
+    def error(name: str, value: Value, before: Figures) -> str:
+        least = _number(before[name]) if limit is None else limit
+        told = f"found {value}" if limit is not None else f"found {value}; the baseline has {least:g}"
+        return "" if _number(value) >= least else told
+
+    return Bound("at least the baseline" if limit is None else f"at least {limit:g}", error, relative=limit is None)
 
 
 def equal(gaps: str = "", above: float = 0.0) -> Bound:
