@@ -16,7 +16,7 @@ from typing import Any
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 
-# Formats that surveys hand over. None of them opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
+# Formats that surveys hand over. Of these only HFA opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
 _DRIVERS = [
     *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF"),
     *("AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
@@ -123,6 +123,15 @@ def open_raster(path: Path, overviews: Path | None = None) -> Any:
     return file if overviews is None else _with_overviews(file, overviews)
 
 
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Open files without rasterio's warning that one has no georeference."""
+    library = rasterio()
+    with _opening, warnings.catch_warnings(), library.Env():
+        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+        yield
+
+
 def _checked(path: Path) -> Any:
     """Open a file by the drivers of the list, after the files beside it that GDAL opens by any driver."""
     library = rasterio()
@@ -133,8 +142,7 @@ def _checked(path: Path) -> Any:
     for beside in path.parent.iterdir():
         if beside.name.lower() in names and beside.name != path.name and beside.is_file():
             _check_beside(beside)
-    with _opening, warnings.catch_warnings(), library.Env():
-        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+    with _quietly():
         try:
             # From the root on it is a path, and no address or other name that GDAL knows.
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
@@ -168,25 +176,39 @@ def _check_beside(path: Path) -> None:
 
 
 def _with_overviews(file: Any, overviews: Path) -> Any:
-    """Return an open raster with the overviews of another file: a VRT in memory, which no file can change."""
+    """Return an open raster with the overviews of another file, as a VRT in memory."""
     library = rasterio()
     if not overviews.is_file():
         raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
     _check_beside(overviews)
-    with library.Env(), file, library.MemoryFile(ext=".vrt") as made:
-        library.shutil.copy(file, made.name, driver="VRT")
+    with _quietly(), file, library.MemoryFile(ext=".vrt") as made:
+        made.write(vrt_of(file))
         with library.open(made.name, "r+", driver="VRT") as vrt:
             vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
         return library.io.DatasetReader(made.name, driver="VRT")
 
 
+def vrt_of(file: Any) -> bytes:
+    """Return a VRT of an open raster that opens it by its own driver; GDAL's own VRT would try all drivers.
+
+    Raises:
+        DataError: if a VRT cannot hold the raster's path.
+    """
+    library = rasterio()
+    if "?" in file.name:
+        raise DataError(f"{printable(file.name)} has a question mark in its path, and a large map cannot; rename it.")
+    with library.Env(), library.MemoryFile(ext=".vrt") as made:
+        library.shutil.copy(file, made.name, driver="VRT")
+        source = rb'<SourceFilename relativeToVRT="0">vrt://\1?if=%b<' % file.driver.encode()
+        return re.sub(rb"<SourceFilename[^>]*>([^<]*)<", source, made.read())
+
+
 def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
     """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
     library = rasterio()
-    with (
-        library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"),
-        library.open(path, "r+", driver=driver) as file,
-    ):
+    with _quietly():
+        opened_file = library.open(path, "r+", driver=driver)
+    with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), opened_file as file:
         side = max(file.width, file.height)
         factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
         file.build_overviews(factors, library.enums.Resampling[method])

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -20,7 +21,7 @@ from lpn.core.errors import DataError, LPNError
 from lpn.maps import MapOptions, open_map
 from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import build_map
-from tests.lpn.maps.small_maps import smooth, write_geotiff
+from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 _LISTENER = """
 import socket, sys
@@ -236,6 +237,53 @@ def test_a_raw_band_over_a_text_file_is_refused(tmp_path: Path, suffix: str) -> 
         said = outcome(door)
         assert "is a VRT" in said or said == "a command said it", name
     assert not (tmp_path / "map").exists()
+
+
+def dimap(folder: Path, side: int) -> bytes:
+    """Write a raw band over a text file, and return the head of a file that a driver of GDAL takes for its index."""
+    (folder / "secret.txt").write_bytes(b"what no map shows. " * (side * side // 19 + 1))
+    (folder / "raw.vrt").write_text(_RAW.replace("20", str(side)))
+    index = (
+        f"<Dimap_Document><Raster_Dimensions><NCOLS>{side}</NCOLS><NROWS>{side}</NROWS><NBANDS>1</NBANDS></Raster_Dimensions>"
+        '<Data_Access><Data_File><DATA_FILE_PATH href="raw.vrt"/></Data_File></Data_Access></Dimap_Document>'
+    )
+    return index.encode()
+
+
+def grid(folder: Path, pixels: bytes, side: int) -> Path:
+    """Write a grid of bytes at 1 m, which only its header tells from any other file."""
+    (folder / "town.hdr").write_text(
+        f"NROWS {side}\nNCOLS {side}\nNBITS 8\nULXMAP {EAST}\nULYMAP {NORTH}\nXDIM 1\nYDIM 1\n"
+    )
+    (folder / "town.bil").write_bytes(pixels)
+    return folder / "town.bil"
+
+
+def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
+    """Above 2048 pixels a sheet is read through a VRT that carries our overviews."""
+    import rasterio
+
+    side = 2100
+    index = dimap(tmp_path, side)
+    pixels = index + b"\0" + smooth(side, side)[:, :, 0].tobytes()[len(index) + 1 :]
+    path = grid(tmp_path, pixels, side)
+    with rasterio.open(path) as file:
+        assert b"no map shows" in file.read(1).tobytes()
+    options = MapOptions(crs="EPSG:32632")
+    for whole in (build_map([path], tmp_path / "map", options), open_map(tmp_path / "map")):
+        raster = whole.sheets[0].raster
+        assert raster.read((0, 1000, side, 1), (side, 1))[0][0, :, 0].tobytes() == pixels[1000 * side : 1001 * side]
+        reduced = raster.read((0, 1000, side, 1000), (side // 4, 250))[0][:, :, 0]
+        assert {file.name for file in raster.files()} == {"town.bil", "town.hdr", "01.ovr"}
+        assert np.abs(reduced - smooth(side, side)[1002:2000:4, 2::4, 0].astype(float)).max() < 12
+        whole.close()
+
+
+def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    with pytest.raises(DataError, match="has a question mark in its path"):
+        build_map([path], tmp_path / "map")
+    open_map(path).close()
 
 
 @pytest.mark.parametrize("change", ["a sheet", "overviews"])
