@@ -6,10 +6,11 @@ import logging
 import os
 import re
 import threading
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -139,8 +140,8 @@ def _checked(path: Path) -> Any:
     if not path.is_file():
         raise DataError(f"There is no file {file_name}; check the path.")
     names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
-    for beside in path.parent.iterdir():
-        if beside.name.lower() in names and beside.name != path.name and beside.is_file():
+    for beside in named(path.parent, names):
+        if beside.name != path.name:
             _check_beside(beside)
     with _quietly():
         try:
@@ -153,18 +154,53 @@ def _checked(path: Path) -> Any:
                 f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
-    start = os.fsencode(path.absolute()) + _head(path).partition(b"\0")[0]
-    if _NAMES_OTHERS.search(start) or file.tags(ns="OVERVIEWS"):
+    if error := _flaw(file, path):
         file.close()
-        raise DataError(
-            f"{file_name} names other files, in its own name, before its picture, or for its overviews; make a copy "
-            "without, such as with gdal_translate."
-        )
+        raise DataError(f"{file_name} {error}")
     return file
+
+
+def named(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Return what a folder holds under any of these names, which are in lower case, in any case, in their order."""
+    stat = folder.stat()
+    changed = max(stat.st_mtime_ns, stat.st_ctime_ns)
+    # Several changes may have one time.
+    listing = _listing if time.time_ns() - changed > 2_000_000_000 else _listing.__wrapped__
+    by_name = listing(folder, changed)
+    return [path for name in names for path in by_name.get(name, ())]
+
+
+@lru_cache(maxsize=8)
+def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
+    """Return what a folder holds by its name in lower case, as of a time of change in nanoseconds."""
+    by_name: dict[str, list[Path]] = {}
+    for path in folder.iterdir():
+        by_name.setdefault(path.name.lower(), []).append(path)
+    return by_name
+
+
+def _flaw(file: Any, path: Path) -> str | None:
+    """Return what makes an open raster name other files."""
+    if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
+        return "has a name that GDAL takes for a list of files; rename it."
+    if _NAMES_OTHERS.search(_head(path).partition(b"\0")[0]):
+        return "begins with a list of files before its picture; make a copy without, such as with gdal_translate."
+    if file.tags(ns="OVERVIEWS"):
+        return "names a file of its overviews; make a copy without, such as with gdal_translate."
+    folder = os.path.normpath(path.absolute().parent)
+    if other := next((name for name in file.files if not Path(os.path.normpath(name)).is_relative_to(folder)), None):
+        return (
+            f"takes pixels from another folder ({printable(other)}); make one file of it, such as with gdal_translate."
+        )
+    return None
 
 
 def _check_beside(path: Path) -> None:
     """Refuse a file beside a raster that GDAL could take for more than overviews, a mask, or notes."""
+    if not path.is_file():
+        raise DataError(
+            f"{printable(str(path))} is no file, and GDAL would read it with the raster beside it; rename it."
+        )
     head = _head(path)
     if path.suffix.lower() == ".aux" and not head.startswith(b"EHFA"):
         return

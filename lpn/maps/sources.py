@@ -274,9 +274,7 @@ def _text(path: Path) -> str:
 
 def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:
     """Return the file beside another one with its stem and one of these suffixes, case ignored."""
-    wanted = [path.stem.lower() + suffix.lower() for suffix in suffixes]
-    by_name = {other.name.lower(): other for other in path.parent.iterdir() if other.name.lower() in wanted}
-    return next((by_name[name] for name in wanted if name in by_name), None)
+    return next(iter(_gdal.named(path.parent, [(path.stem + suffix).lower() for suffix in suffixes])), None)
 
 
 def _from_corners(corners: Sequence[float], width: int, height: int, what: str) -> tuple[Any, Float64Array]:

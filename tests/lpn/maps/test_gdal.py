@@ -7,8 +7,10 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -279,6 +281,78 @@ def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> N
         whole.close()
 
 
+@pytest.mark.parametrize("end", [".ovr", ".MSK"])
+def test_a_folder_beside_a_raster_is_not_taken_for_its_overviews(tmp_path: Path, end: str) -> None:
+    import rasterio
+
+    path = write_geotiff(tmp_path / "town.tif", smooth(600, 600)[:, :, :1])
+    folder = tmp_path / f"town.tif{end}"
+    folder.mkdir()
+    index = dimap(folder, 300)
+    for name in ("metadata.dim", "METADATA.DIM"):
+        (folder / name).write_bytes(index)
+    if end == ".ovr":
+        with rasterio.open(path) as file:
+            assert b"no map shows" in file.read(1, out_shape=(300, 300)).tobytes()
+    with pytest.raises(DataError, match=rf"town\.tif\{end} is no file"):
+        open_map(path)
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path, elsewhere: bool) -> None:
+    import rasterio.shutil
+
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    mine.mkdir()
+    other.mkdir()
+    written = mine / "a-long-name-of-a-town.img"
+    plain = write_geotiff(tmp_path / "town.tif", smooth(60, 60))
+    rasterio.shutil.copy(plain, written, driver="HFA", USE_SPILL="YES")
+    name = b"a-long-name-of-a-town.ige"
+    if elsewhere:
+        written.with_suffix(".ige").rename(other / "secret.ige")
+        named = b"../other/".ljust(len(name) - len(b"secret.ige"), b"/") + b"secret.ige"
+        written.write_bytes(written.read_bytes().replace(name, named))
+    (mine / "link.img").symlink_to(written.name)
+    for path in (written, mine / ".." / "mine" / written.name, mine / "link.img"):
+        with rasterio.open(path) as file:
+            assert np.array_equal(file.read(1), smooth(60, 60)[:, :, 0])
+        if elsewhere:
+            with pytest.raises(DataError, match=r"takes pixels from another folder \(.*other.*secret\.ige\); make one"):
+                open_map(path)
+        else:
+            open_map(path).close()
+
+
+def test_a_folder_of_many_files_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.maps import _gdal
+
+    paths = [write_geotiff(tmp_path / f"{i}.tif", smooth(60, 60)) for i in range(3)]
+    (tmp_path / "0.TIF.Ovr").write_text("")
+    later = time.time_ns() + 60_000_000_000
+    monkeypatch.setattr(_gdal, "time", SimpleNamespace(time_ns=lambda: later))
+    listed: list[Path] = []
+    iterdir = Path.iterdir
+
+    def noted(folder: Path) -> Iterator[Path]:
+        listed.append(folder)
+        return iterdir(folder)
+
+    monkeypatch.setattr(Path, "iterdir", noted)
+    with pytest.raises(DataError, match=r"0\.TIF\.Ovr holds neither"):
+        open_map(paths[0])
+    for path in paths[1:]:
+        open_map(path).close()
+    assert listed == [tmp_path]
+    # A folder that changed is listed anew, at once where the clock cannot tell the changes apart.
+    (tmp_path / "0.TIF.Ovr").unlink()
+    open_map(paths[0]).close()
+    assert listed == [tmp_path] * 2
+    later = time.time_ns()
+    open_map(paths[0]).close()
+    assert len(listed) > 2
+
+
 def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
     with pytest.raises(DataError, match="has a question mark in its path"):
@@ -346,7 +420,7 @@ def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
 
 def test_a_name_that_gdal_takes_for_xml_is_refused(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / "<VRTDataset>.tif")
-    with pytest.raises(DataError, match="names other files, in its own name"):
+    with pytest.raises(DataError, match="has a name that GDAL takes for a list of files; rename it"):
         open_map(path)
 
 
