@@ -27,6 +27,9 @@ _BESIDE = (".ovr", ".msk", ".aux")
 _TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
 # GDAL takes a file for one of these if such words stand before its first zero, or in its name.
 _NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
+# Parameters by which PROJ opens files, where such a path stands in the text; bare names lie in its own folders.
+_GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
+_PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
 # The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
 # defence: a file that is opened all the same reaches no server, and runs no code.
 _ENVIRONMENT = {
@@ -154,7 +157,9 @@ def _checked(path: Path) -> Any:
                 f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
-    if error := _flaw(file, path):
+    with library.Env():
+        error = _flaw(file, path)
+    if error:
         file.close()
         raise DataError(f"{file_name} {error}")
     return file
@@ -192,7 +197,15 @@ def _flaw(file: Any, path: Path) -> str | None:
         return (
             f"takes pixels from another folder ({printable(other)}); make one file of it, such as with gdal_translate."
         )
+    systems = [crs for crs in (file.crs, file.gcps[1]) if crs]
+    if any(names_a_path(crs.to_wkt(version=version)) for version in (None, "WKT2_2019") for crs in systems):
+        return "has a CRS that names a file by its path; give it another one, such as with gdal_edit -a_srs EPSG:32632."
     return None
+
+
+def names_a_path(crs: str) -> bool:
+    """Return whether the text of a CRS makes PROJ open a path or an address."""
+    return bool(_GRIDS.search(crs) and _PATH.search(crs))
 
 
 def _check_beside(path: Path) -> None:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from xml.sax.saxutils import escape
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from lpn.core.errors import DataError, LPNError
 from lpn.maps import MapOptions, open_map
 from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import build_map
+from lpn.maps.sources import parse_crs
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 _LISTENER = """
@@ -401,6 +403,69 @@ def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file
     asked = f"from rasterio.crs import CRS\ntry:\n    CRS.from_user_input('{listener.address}/crs')\nexcept ValueError:\n    pass"
     subprocess.run([sys.executable, "-c", asked], check=True)
     assert listener.heard()
+
+
+_DEGREES = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+_BOUND = (
+    'BOUNDCRS[SOURCECRS[GEOGCRS["x",DATUM["d",ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],'
+    'AXIS["lon",east],UNIT["degree",0.0174532925199433]]],TARGETCRS[GEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
+    'ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
+    'UNIT["degree",0.0174532925199433],ID["EPSG",4326]]],ABRIDGEDTRANSFORMATION["t",METHOD["NTv2",ID["EPSG",9615]],'
+    'PARAMETERFILE["Latitude and longitude difference file","{}"]]]'
+)
+_GRIDS = {
+    "PROJ": "+proj=longlat +ellps=WGS84 +nadgrids=@null,{} +no_defs",
+    "heights": "+proj=utm +zone=32 +ellps=WGS84 +geoidgrids={}",
+    "quoted": '+proj=longlat +ellps=WGS84 +nadgrids="{}"',
+    "init": "+proj=longlat +init={}:x",
+    "WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572],EXTENSION["PROJ4_GRIDS","{}"]],' + _DEGREES,
+    "PROJ in WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572]],'
+    + _DEGREES.removesuffix("]")
+    + ',EXTENSION["PROJ4","+proj=longlat +ellps=WGS84 +nadgrids={}"]]',
+    "WKT 2": _BOUND,
+}
+
+
+@pytest.mark.parametrize("kind", _GRIDS)
+def test_no_coordinate_reference_system_makes_proj_open_a_path(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str
+) -> None:
+    """A pipe without a writer holds the process that opens it."""
+    os.mkfifo(tmp_path / "grid")
+    crs = _GRIDS[kind].format(tmp_path / "grid")
+    for text in (crs, f" {crs}\n"):
+        with pytest.raises(DataError, match="names a file by its path"):
+            parse_crs(text)
+    plain = write_geotiff(tmp_path / "a.tif", smooth(60, 60), crs=None)
+    plain.with_suffix(".prj").write_text(crs)
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(plain)
+    plain.with_suffix(".prj").unlink()
+    build_map([write_geotiff(tmp_path / "b.tif", smooth(60, 60))], tmp_path / "map").close()
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    known["sheets"][0]["crs"] = crs
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(tmp_path / "map")
+    if kind != "init":  # which GDAL itself refuses
+        # Rasterio opens the path where it lies in a raster, before any of us knows of it.
+        (tmp_path / "grid.txt").write_text("what no map shows")
+        crs = _GRIDS[kind].format(tmp_path / "grid.txt")
+        Path(f"{plain}.aux.xml").write_text(f"<PAMDataset><SRS>{escape(crs)}</SRS></PAMDataset>")
+        for door in (lambda: open_map(plain), lambda: ElevationSource(ElevationFile(plain))):
+            with pytest.raises(DataError, match="has a CRS that names a file by its path"):
+                door()
+    assert "PROJ" not in capfd.readouterr().err
+
+
+def test_grids_of_bare_names_and_none_are_no_paths() -> None:
+    from rasterio.crs import CRS
+
+    mercator = CRS.from_epsg(3857)
+    assert "nadgrids=@null" in mercator.to_wkt()
+    for text in (mercator.to_wkt(), mercator.to_proj4(), "+proj=longlat +ellps=bessel +nadgrids=BETA2007.gsb"):
+        assert parse_crs(text)
 
 
 def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
