@@ -19,7 +19,7 @@ from lpn.core.files import first_few, printable
 
 # Formats that surveys hand over. Of these only HFA opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
 _DRIVERS = [
-    *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF"),
+    *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
     *("AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
 ]
 # GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.

@@ -355,6 +355,33 @@ def test_a_folder_of_many_files_is_listed_once(tmp_path: Path, monkeypatch: pyte
     assert len(listed) > 2
 
 
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_large_picture_without_georeference_warns_of_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder, copied: bool
+) -> None:
+    if copied:
+        monkeypatch.setattr("lpn.maps.folder._MAX_UNTILED", 1000)
+    path = tmp_path / "town.png"
+    Image.fromarray(smooth(500, 2100)).save(path)
+    build_map([path], tmp_path / "map", MapOptions(corners=(48.0, 9.0, 47.998, 9.012))).close()
+    assert {file.name for file in (tmp_path / "map" / "sheets").iterdir()} == {"01.tif" if copied else "01.ovr"}
+    open_map(tmp_path / "map").overview(8)
+    assert not recwarn.list
+
+
+def test_a_raster_of_envi_is_read(tmp_path: Path) -> None:
+    import rasterio.shutil
+
+    town = write_geotiff(tmp_path / "town.tif", smooth(60, 60))
+    rasterio.shutil.copy(town, tmp_path / "cube.dat", driver="ENVI")
+    made, plain = open_map(tmp_path / "cube.dat"), open_map(town)
+    assert np.array_equal(made.overview(60)[0], plain.overview(60)[0])
+    assert np.allclose(made.sheets[0].matrix, plain.sheets[0].matrix)
+    (tmp_path / "cube.hdr").unlink()
+    with pytest.raises(DataError, match=r"cube\.dat cannot be read as a map"):
+        open_map(tmp_path / "cube.dat")
+
+
 def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
     with pytest.raises(DataError, match="has a question mark in its path"):
