@@ -453,13 +453,24 @@ _GRIDS = {
 }
 
 
+@pytest.fixture
+def pipe(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """A pipe, and a file that has a line for each time that it was opened for reading."""
+    path, log = tmp_path / "grid", tmp_path / "opened.txt"
+    os.mkfifo(path)
+    log.touch()
+    # Nobody who opens it waits.
+    writer = subprocess.Popen(["sh", "-c", 'while : > "$0"; do echo opened >> "$1"; done', path, log])
+    yield path, log
+    writer.kill()
+    writer.wait()
+
+
 @pytest.mark.parametrize("kind", _GRIDS)
 def test_no_coordinate_reference_system_makes_proj_open_a_path(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str], kind: str
+    tmp_path: Path, pipe: tuple[Path, Path], capfd: pytest.CaptureFixture[str], kind: str
 ) -> None:
-    """A pipe without a writer holds the process that opens it."""
-    os.mkfifo(tmp_path / "grid")
-    crs = _GRIDS[kind].format(tmp_path / "grid")
+    crs = _GRIDS[kind].format(pipe[0])
     for text in (crs, f" {crs}\n"):
         with pytest.raises(DataError, match="names a file by its path"):
             parse_crs(text)
@@ -475,6 +486,7 @@ def test_no_coordinate_reference_system_makes_proj_open_a_path(
     manifest.write_text(json.dumps(known))
     with pytest.raises(DataError, match="names a file by its path"):
         open_map(tmp_path / "map")
+    assert not pipe[1].read_text()
     if kind != "init":  # which GDAL itself refuses
         # Rasterio opens the path where it lies in a raster, before any of us knows of it.
         (tmp_path / "grid.txt").write_text("what no map shows")
