@@ -27,7 +27,8 @@ _BESIDE = (".ovr", ".msk", ".aux")
 _TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
 # GDAL takes a file for one of these if such words stand before its first zero, or in its name.
 _NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
-# Parameters by which PROJ opens files, where such a path stands in the text; bare names lie in its own folders.
+# Parameters by which PROJ opens files, and a path; bare names lie in PROJ's own folders, and names of CRS have blanks around
+# their slashes.
 _GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
 _PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
 # The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
@@ -150,6 +151,7 @@ def _checked(path: Path) -> Any:
         try:
             # From the root on it is a path, and no address or other name that GDAL knows.
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
+            flaw = _flaw(file, path)
         except failures() as error:
             if other := _other(path):
                 raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
@@ -157,16 +159,14 @@ def _checked(path: Path) -> Any:
                 f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
-    with library.Env():
-        error = _flaw(file, path)
-    if error:
+    if flaw:
         file.close()
-        raise DataError(f"{file_name} {error}")
+        raise DataError(f"{file_name} {flaw}")
     return file
 
 
 def named(folder: Path, names: Iterable[str]) -> list[Path]:
-    """Return what a folder holds under any of these names, which are in lower case, in any case, in their order."""
+    """Return what a folder holds under names in lower case, whatever its own case, in the order of the names."""
     stat = folder.stat()
     changed = max(stat.st_mtime_ns, stat.st_ctime_ns)
     # Several changes may have one time.
@@ -185,7 +185,7 @@ def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
 
 
 def _flaw(file: Any, path: Path) -> str | None:
-    """Return what makes an open raster name other files."""
+    """Return what is wrong with an open raster that names other files, and what to do; None if it names none."""
     if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
         return "has a name that GDAL takes for a list of files; rename it."
     if _NAMES_OTHERS.search(_head(path).partition(b"\0")[0]):
@@ -245,7 +245,9 @@ def vrt_of(file: Any) -> bytes:
     """
     library = rasterio()
     if "?" in file.name:
-        raise DataError(f"{printable(file.name)} has a question mark in its path, and a large map cannot; rename it.")
+        raise DataError(
+            f"{printable(file.name)} has a question mark in its path, and GDAL reads a large map by paths without; rename it."
+        )
     with library.Env(), library.MemoryFile(ext=".vrt") as made:
         library.shutil.copy(file, made.name, driver="VRT")
         source = rb'<SourceFilename relativeToVRT="0">vrt://\1?if=%b<' % file.driver.encode()
