@@ -6,19 +6,20 @@ import logging
 import os
 import re
 import threading
+import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 
-# Formats that surveys hand over. None of them opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
+# Formats that surveys hand over. Of these only HFA opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
 _DRIVERS = [
-    *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF"),
+    *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
     *("AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
 ]
 # GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
@@ -26,6 +27,10 @@ _BESIDE = (".ovr", ".msk", ".aux")
 _TIFF_OR_IMAGINE = re.compile(rb"II[*+]\0|MM\0[*+]|EHFA_HEADER_TAG\0")
 # GDAL takes a file for one of these if such words stand before its first zero, or in its name.
 _NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilities)", re.IGNORECASE)
+# Parameters by which PROJ opens files, and a path; bare names lie in PROJ's own folders, and names of CRS have blanks around
+# their slashes.
+_GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
+_PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
 # The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
 # defence: a file that is opened all the same reaches no server, and runs no code.
 _ENVIRONMENT = {
@@ -123,6 +128,15 @@ def open_raster(path: Path, overviews: Path | None = None) -> Any:
     return file if overviews is None else _with_overviews(file, overviews)
 
 
+@contextmanager
+def _quietly() -> Iterator[None]:
+    """Open files without rasterio's warning that one has no georeference."""
+    library = rasterio()
+    with _opening, warnings.catch_warnings(), library.Env():
+        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+        yield
+
+
 def _checked(path: Path) -> Any:
     """Open a file by the drivers of the list, after the files beside it that GDAL opens by any driver."""
     library = rasterio()
@@ -130,14 +144,14 @@ def _checked(path: Path) -> Any:
     if not path.is_file():
         raise DataError(f"There is no file {file_name}; check the path.")
     names = {name.lower() for name in (*(f"{path.name}{end}" for end in _BESIDE), f"{path.stem}.aux")}
-    for beside in path.parent.iterdir():
-        if beside.name.lower() in names and beside.name != path.name and beside.is_file():
+    for beside in named(path.parent, names):
+        if beside.name != path.name:
             _check_beside(beside)
-    with _opening, warnings.catch_warnings(), library.Env():
-        warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+    with _quietly():
         try:
             # From the root on it is a path, and no address or other name that GDAL knows.
             file = library.io.DatasetReader(str(path.absolute()), driver=_DRIVERS)
+            flaw = _flaw(file, path)
         except failures() as error:
             if other := _other(path):
                 raise DataError(f"{file_name} is {other[0]}; {other[1]}.") from error
@@ -145,18 +159,61 @@ def _checked(path: Path) -> Any:
                 f"{file_name} cannot be read as a map ({_reason(error, path)}); expected a GeoTIFF, a picture, or an "
                 ".mbtiles of pictures."
             ) from error
-    start = os.fsencode(path.absolute()) + _head(path).partition(b"\0")[0]
-    if _NAMES_OTHERS.search(start) or file.tags(ns="OVERVIEWS"):
+    if flaw:
         file.close()
-        raise DataError(
-            f"{file_name} names other files, in its own name, before its picture, or for its overviews; make a copy "
-            "without, such as with gdal_translate."
-        )
+        raise DataError(f"{file_name} {flaw}")
     return file
+
+
+def named(folder: Path, names: Iterable[str]) -> list[Path]:
+    """Return what a folder holds under names in lower case, whatever its own case, in the order of the names."""
+    stat = folder.stat()
+    changed = max(stat.st_mtime_ns, stat.st_ctime_ns)
+    # Several changes may have one time.
+    listing = _listing if time.time_ns() - changed > 2_000_000_000 else _listing.__wrapped__
+    by_name = listing(folder, changed)
+    return [path for name in names for path in by_name.get(name, ())]
+
+
+@lru_cache(maxsize=8)
+def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
+    """Return what a folder holds by its name in lower case, as of a time of change in nanoseconds."""
+    by_name: dict[str, list[Path]] = {}
+    for path in folder.iterdir():
+        by_name.setdefault(path.name.lower(), []).append(path)
+    return by_name
+
+
+def _flaw(file: Any, path: Path) -> str | None:
+    """Return what is wrong with an open raster that names other files, and what to do; None if it names none."""
+    if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
+        return "has a name that GDAL takes for a list of files; rename it."
+    if _NAMES_OTHERS.search(_head(path).partition(b"\0")[0]):
+        return "begins with a list of files before its picture; make a copy without, such as with gdal_translate."
+    if file.tags(ns="OVERVIEWS"):
+        return "names a file of its overviews; make a copy without, such as with gdal_translate."
+    folder = os.path.normpath(path.absolute().parent)
+    if other := next((name for name in file.files if not Path(os.path.normpath(name)).is_relative_to(folder)), None):
+        return (
+            f"takes pixels from another folder ({printable(other)}); make one file of it, such as with gdal_translate."
+        )
+    systems = [crs for crs in (file.crs, file.gcps[1]) if crs]
+    if any(names_a_path(crs.to_wkt(version=version)) for version in (None, "WKT2_2019") for crs in systems):
+        return "has a CRS that names a file by its path; give it another one, such as with gdal_edit -a_srs EPSG:32632."
+    return None
+
+
+def names_a_path(crs: str) -> bool:
+    """Return whether the text of a CRS makes PROJ open a path or an address."""
+    return bool(_GRIDS.search(crs) and _PATH.search(crs))
 
 
 def _check_beside(path: Path) -> None:
     """Refuse a file beside a raster that GDAL could take for more than overviews, a mask, or notes."""
+    if not path.is_file():
+        raise DataError(
+            f"{printable(str(path))} is no file, and GDAL would read it with the raster beside it; rename it."
+        )
     head = _head(path)
     if path.suffix.lower() == ".aux" and not head.startswith(b"EHFA"):
         return
@@ -168,25 +225,41 @@ def _check_beside(path: Path) -> None:
 
 
 def _with_overviews(file: Any, overviews: Path) -> Any:
-    """Return an open raster with the overviews of another file: a VRT in memory, which no file can change."""
+    """Return an open raster with the overviews of another file, as a VRT in memory."""
     library = rasterio()
     if not overviews.is_file():
         raise DataError(f"There is no file {printable(str(overviews))}; write the map again with lpn map.")
     _check_beside(overviews)
-    with library.Env(), file, library.MemoryFile(ext=".vrt") as made:
-        library.shutil.copy(file, made.name, driver="VRT")
+    with _quietly(), file, library.MemoryFile(ext=".vrt") as made:
+        made.write(vrt_of(file))
         with library.open(made.name, "r+", driver="VRT") as vrt:
             vrt.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=str(overviews.absolute()))
         return library.io.DatasetReader(made.name, driver="VRT")
 
 
+def vrt_of(file: Any) -> bytes:
+    """Return a VRT of an open raster that opens it by its own driver; GDAL's own VRT would try all drivers.
+
+    Raises:
+        DataError: if a VRT cannot hold the raster's path.
+    """
+    library = rasterio()
+    if "?" in file.name:
+        raise DataError(
+            f"{printable(file.name)} has a question mark in its path, and GDAL reads a large map by paths without; rename it."
+        )
+    with library.Env(), library.MemoryFile(ext=".vrt") as made:
+        library.shutil.copy(file, made.name, driver="VRT")
+        source = rb'<SourceFilename relativeToVRT="0">vrt://\1?if=%b<' % file.driver.encode()
+        return re.sub(rb"<SourceFilename[^>]*>([^<]*)<", source, made.read())
+
+
 def build_overviews(path: Path, driver: str = "GTiff", method: str = "average") -> None:
     """Write the overviews of a file that we wrote, by one of rasterio's methods of resampling."""
     library = rasterio()
-    with (
-        library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"),
-        library.open(path, "r+", driver=driver) as file,
-    ):
+    with _quietly():
+        opened_file = library.open(path, "r+", driver=driver)
+    with library.Env(COMPRESS_OVERVIEW="DEFLATE", BIGTIFF_OVERVIEW="IF_SAFER"), opened_file as file:
         side = max(file.width, file.height)
         factors = [1 << i for i in range(1, 20) if side >> (i - 1) > _COARSEST]
         file.build_overviews(factors, library.enums.Resampling[method])

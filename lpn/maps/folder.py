@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 import os
-import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -506,18 +505,17 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
             "BIGTIFF": "IF_SAFER",
         }
     try:
-        with library.Env(), warnings.catch_warnings():
-            warnings.simplefilter("ignore", library.errors.NotGeoreferencedWarning)
+        with library.Env(), _gdal.open_raster(source) as file:
             if copied:
                 on_progress(f"Copying {printable(source.name)} into tiles: its own file is slow to read in windows.")
-            driver = "GTiff" if copied else "VRT"
-            with _gdal.open_raster(source) as file:
-                library.shutil.copy(file, str(part), driver=driver, **options)
+                library.shutil.copy(file, str(part), driver="GTiff", **options)
+            else:
+                part.write_bytes(_gdal.vrt_of(file))
             minutes = width * height / _gdal.PIXELS_PER_MINUTE
             about = f", which takes about {minutes:.0f} minutes" if minutes >= 2 else ""
             on_progress(f"Making overviews of {printable(source.name)}{about}.")
-            _gdal.build_overviews(part, driver, "nearest" if paletted else "average")
-    except _gdal.failures() as error:
+            _gdal.build_overviews(part, "GTiff" if copied else "VRT", "nearest" if paletted else "average")
+    except _gdal.failures(OSError) as error:
         raise OutputError(
             f"{printable(str(whole))} cannot be written ({printable(str(error))[:200]}); free space, or check "
             f"{printable(source.name)}."

@@ -166,8 +166,9 @@ class GdalRaster:
 
     def files(self) -> list[Path]:
         """See `Raster.files`: the file, overviews, and masks."""
-        with self._handle() as file:
-            return sorted(Path(name) for name in file.files if not name.endswith(".aux.xml"))
+        with _gdal.opened(self.path) as file:
+            files = {Path(name) for name in file.files if not name.endswith(".aux.xml")}
+        return sorted(files if self.overviews is None else files | {self.overviews})
 
     def close(self) -> None:
         """Close the file's handles."""

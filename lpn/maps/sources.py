@@ -153,7 +153,9 @@ def parse_crs(text: str) -> Any:
 
     Raises:
         InputError: if it is none.
+        DataError: if it names a file by its path.
     """
+    text = text.strip()
     try:
         return _crs(f"EPSG:{text}" if text.isdecimal() else text)
     except _gdal.failures(ValueError) as error:
@@ -162,10 +164,14 @@ def parse_crs(text: str) -> Any:
 
 def _crs(text: str, **options: bool) -> Any:
     """Return the rasterio CRS of a text; `from_user_input` alone would open a text that is a path or an address."""
-    known = _gdal.rasterio().crs.CRS
-    if re.match(r"[A-Z]+:[A-Z0-9+]+$|\+proj=", text, re.IGNORECASE):
-        return known.from_user_input(text)
-    return known.from_wkt(text, **options)
+    if _gdal.names_a_path(text):
+        raise DataError(f"The CRS {printable(text)[:100]!r} names a file by its path; expected one such as EPSG:32632.")
+    library = _gdal.rasterio()
+    known = library.crs.CRS
+    with library.Env():
+        if re.match(r"\w+:[\w+]+$|urn:ogc:def:crs:\w+:[\w.]*:\w+$|WGS84$|\+proj=", text, re.ASCII | re.IGNORECASE):
+            return known.from_user_input(text)
+        return known.from_wkt(text, **options)
 
 
 def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
@@ -274,9 +280,7 @@ def _text(path: Path) -> str:
 
 def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:
     """Return the file beside another one with its stem and one of these suffixes, case ignored."""
-    wanted = [path.stem.lower() + suffix.lower() for suffix in suffixes]
-    by_name = {other.name.lower(): other for other in path.parent.iterdir() if other.name.lower() in wanted}
-    return next((by_name[name] for name in wanted if name in by_name), None)
+    return next(iter(_gdal.named(path.parent, [(path.stem + suffix).lower() for suffix in suffixes])), None)
 
 
 def _from_corners(corners: Sequence[float], width: int, height: int, what: str) -> tuple[Any, Float64Array]:

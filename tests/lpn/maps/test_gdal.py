@@ -7,10 +7,14 @@ import json
 import os
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
+from xml.sax.saxutils import escape
 
+import numpy as np
 import pytest
 from PIL import Image
 
@@ -20,7 +24,8 @@ from lpn.core.errors import DataError, LPNError
 from lpn.maps import MapOptions, open_map
 from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import build_map
-from tests.lpn.maps.small_maps import smooth, write_geotiff
+from lpn.maps.sources import parse_crs
+from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 _LISTENER = """
 import socket, sys
@@ -238,6 +243,152 @@ def test_a_raw_band_over_a_text_file_is_refused(tmp_path: Path, suffix: str) -> 
     assert not (tmp_path / "map").exists()
 
 
+def dimap(folder: Path, side: int) -> bytes:
+    """Write a raw band over a text file, and return the head of a file that a driver of GDAL takes for its index."""
+    (folder / "secret.txt").write_bytes(b"what no map shows. " * (side * side // 19 + 1))
+    (folder / "raw.vrt").write_text(_RAW.replace("20", str(side)))
+    index = (
+        f"<Dimap_Document><Raster_Dimensions><NCOLS>{side}</NCOLS><NROWS>{side}</NROWS><NBANDS>1</NBANDS></Raster_Dimensions>"
+        '<Data_Access><Data_File><DATA_FILE_PATH href="raw.vrt"/></Data_File></Data_Access></Dimap_Document>'
+    )
+    return index.encode()
+
+
+def grid(folder: Path, pixels: bytes, side: int) -> Path:
+    """Write a grid of bytes at 1 m, which only its header tells from any other file."""
+    (folder / "town.hdr").write_text(
+        f"NROWS {side}\nNCOLS {side}\nNBITS 8\nULXMAP {EAST}\nULYMAP {NORTH}\nXDIM 1\nYDIM 1\n"
+    )
+    (folder / "town.bil").write_bytes(pixels)
+    return folder / "town.bil"
+
+
+def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
+    """Above 2048 pixels a sheet is read through a VRT that carries our overviews."""
+    import rasterio
+
+    side = 2100
+    index = dimap(tmp_path, side)
+    pixels = index + b"\0" + smooth(side, side)[:, :, 0].tobytes()[len(index) + 1 :]
+    path = grid(tmp_path, pixels, side)
+    with rasterio.open(path) as file:
+        assert b"no map shows" in file.read(1).tobytes()
+    options = MapOptions(crs="EPSG:32632")
+    for whole in (build_map([path], tmp_path / "map", options), open_map(tmp_path / "map")):
+        raster = whole.sheets[0].raster
+        assert raster.read((0, 1000, side, 1), (side, 1))[0][0, :, 0].tobytes() == pixels[1000 * side : 1001 * side]
+        reduced = raster.read((0, 1000, side, 1000), (side // 4, 250))[0][:, :, 0]
+        assert {file.name for file in raster.files()} == {"town.bil", "town.hdr", "01.ovr"}
+        assert np.abs(reduced - smooth(side, side)[1002:2000:4, 2::4, 0].astype(float)).max() < 12
+        whole.close()
+
+
+@pytest.mark.parametrize("end", [".ovr", ".MSK"])
+def test_a_folder_beside_a_raster_is_not_taken_for_its_overviews(tmp_path: Path, end: str) -> None:
+    import rasterio
+
+    path = write_geotiff(tmp_path / "town.tif", smooth(600, 600)[:, :, :1])
+    folder = tmp_path / f"town.tif{end}"
+    folder.mkdir()
+    index = dimap(folder, 300)
+    for name in ("metadata.dim", "METADATA.DIM"):
+        (folder / name).write_bytes(index)
+    if end == ".ovr":
+        with rasterio.open(path) as file:
+            assert b"no map shows" in file.read(1, out_shape=(300, 300)).tobytes()
+    with pytest.raises(DataError, match=rf"town\.tif\{end} is no file"):
+        open_map(path)
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path, elsewhere: bool) -> None:
+    import rasterio.shutil
+
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    mine.mkdir()
+    other.mkdir()
+    written = mine / "a-long-name-of-a-town.img"
+    plain = write_geotiff(tmp_path / "town.tif", smooth(60, 60))
+    rasterio.shutil.copy(plain, written, driver="HFA", USE_SPILL="YES")
+    name = b"a-long-name-of-a-town.ige"
+    if elsewhere:
+        written.with_suffix(".ige").rename(other / "secret.ige")
+        named = b"../other/".ljust(len(name) - len(b"secret.ige"), b"/") + b"secret.ige"
+        written.write_bytes(written.read_bytes().replace(name, named))
+    (mine / "link.img").symlink_to(written.name)
+    for path in (written, mine / ".." / "mine" / written.name, mine / "link.img"):
+        with rasterio.open(path) as file:
+            assert np.array_equal(file.read(1), smooth(60, 60)[:, :, 0])
+        if elsewhere:
+            with pytest.raises(DataError, match=r"takes pixels from another folder \(.*other.*secret\.ige\); make one"):
+                open_map(path)
+        else:
+            open_map(path).close()
+
+
+def test_a_folder_of_many_files_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.maps import _gdal
+
+    paths = [write_geotiff(tmp_path / f"{i}.tif", smooth(60, 60)) for i in range(3)]
+    (tmp_path / "0.TIF.Ovr").write_text("")
+    later = time.time_ns() + 60_000_000_000
+    monkeypatch.setattr(_gdal, "time", SimpleNamespace(time_ns=lambda: later))
+    listed: list[Path] = []
+    iterdir = Path.iterdir
+
+    def noted(folder: Path) -> Iterator[Path]:
+        listed.append(folder)
+        return iterdir(folder)
+
+    monkeypatch.setattr(Path, "iterdir", noted)
+    with pytest.raises(DataError, match=r"0\.TIF\.Ovr holds neither"):
+        open_map(paths[0])
+    for path in paths[1:]:
+        open_map(path).close()
+    assert listed == [tmp_path]
+    # A folder that changed is listed anew, at once where the clock cannot tell the changes apart.
+    (tmp_path / "0.TIF.Ovr").unlink()
+    open_map(paths[0]).close()
+    assert listed == [tmp_path] * 2
+    later = time.time_ns()
+    open_map(paths[0]).close()
+    assert len(listed) > 2
+
+
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_large_picture_without_georeference_warns_of_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder, copied: bool
+) -> None:
+    if copied:
+        monkeypatch.setattr("lpn.maps.folder._MAX_UNTILED", 1000)
+    path = tmp_path / "town.png"
+    Image.fromarray(smooth(500, 2100)).save(path)
+    build_map([path], tmp_path / "map", MapOptions(corners=(48.0, 9.0, 47.998, 9.012))).close()
+    assert {file.name for file in (tmp_path / "map" / "sheets").iterdir()} == {"01.tif" if copied else "01.ovr"}
+    open_map(tmp_path / "map").overview(8)
+    assert not recwarn.list
+
+
+def test_a_raster_of_envi_is_read(tmp_path: Path) -> None:
+    import rasterio.shutil
+
+    town = write_geotiff(tmp_path / "town.tif", smooth(60, 60))
+    rasterio.shutil.copy(town, tmp_path / "cube.dat", driver="ENVI")
+    made, plain = open_map(tmp_path / "cube.dat"), open_map(town)
+    assert np.array_equal(made.overview(60)[0], plain.overview(60)[0])
+    assert np.allclose(made.sheets[0].matrix, plain.sheets[0].matrix)
+    (tmp_path / "cube.hdr").unlink()
+    with pytest.raises(DataError, match=r"cube\.dat cannot be read as a map"):
+        open_map(tmp_path / "cube.dat")
+
+
+def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    with pytest.raises(DataError, match="has a question mark in its path"):
+        build_map([path], tmp_path / "map")
+    open_map(path).close()
+
+
 @pytest.mark.parametrize("change", ["a sheet", "overviews"])
 def test_a_folder_of_a_map_from_elsewhere_reads_no_text_file(tmp_path: Path, change: str) -> None:
     path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
@@ -281,6 +432,81 @@ def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file
     assert listener.heard()
 
 
+_DEGREES = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+_BOUND = (
+    'BOUNDCRS[SOURCECRS[GEOGCRS["x",DATUM["d",ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],'
+    'AXIS["lon",east],UNIT["degree",0.0174532925199433]]],TARGETCRS[GEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
+    'ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
+    'UNIT["degree",0.0174532925199433],ID["EPSG",4326]]],ABRIDGEDTRANSFORMATION["t",METHOD["NTv2",ID["EPSG",9615]],'
+    'PARAMETERFILE["Latitude and longitude difference file","{}"]]]'
+)
+_GRIDS = {
+    "PROJ": "+proj=longlat +ellps=WGS84 +nadgrids=@null,{} +no_defs",
+    "heights": "+proj=utm +zone=32 +ellps=WGS84 +geoidgrids={}",
+    "quoted": '+proj=longlat +ellps=WGS84 +nadgrids="{}"',
+    "init": "+proj=longlat +init={}:x",
+    "WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572],EXTENSION["PROJ4_GRIDS","{}"]],' + _DEGREES,
+    "PROJ in WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572]],'
+    + _DEGREES.removesuffix("]")
+    + ',EXTENSION["PROJ4","+proj=longlat +ellps=WGS84 +nadgrids={}"]]',
+    "WKT 2": _BOUND,
+}
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """A pipe, and a file that has a line for each time that it was opened for reading."""
+    path, log = tmp_path / "grid", tmp_path / "opened.txt"
+    os.mkfifo(path)
+    log.touch()
+    # Nobody who opens it waits.
+    writer = subprocess.Popen(["sh", "-c", 'while : > "$0"; do echo opened >> "$1"; done', path, log])
+    yield path, log
+    writer.kill()
+    writer.wait()
+
+
+@pytest.mark.parametrize("kind", _GRIDS)
+def test_no_coordinate_reference_system_makes_proj_open_a_path(
+    tmp_path: Path, pipe: tuple[Path, Path], capfd: pytest.CaptureFixture[str], kind: str
+) -> None:
+    crs = _GRIDS[kind].format(pipe[0])
+    for text in (crs, f" {crs}\n"):
+        with pytest.raises(DataError, match="names a file by its path"):
+            parse_crs(text)
+    plain = write_geotiff(tmp_path / "a.tif", smooth(60, 60), crs=None)
+    plain.with_suffix(".prj").write_text(crs)
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(plain)
+    plain.with_suffix(".prj").unlink()
+    build_map([write_geotiff(tmp_path / "b.tif", smooth(60, 60))], tmp_path / "map").close()
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    known["sheets"][0]["crs"] = crs
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(tmp_path / "map")
+    assert not pipe[1].read_text()
+    if kind != "init":  # which GDAL itself refuses
+        # Rasterio opens the path where it lies in a raster, before any of us knows of it.
+        (tmp_path / "grid.txt").write_text("what no map shows")
+        crs = _GRIDS[kind].format(tmp_path / "grid.txt")
+        Path(f"{plain}.aux.xml").write_text(f"<PAMDataset><SRS>{escape(crs)}</SRS></PAMDataset>")
+        for door in (lambda: open_map(plain), lambda: ElevationSource(ElevationFile(plain))):
+            with pytest.raises(DataError, match="has a CRS that names a file by its path"):
+                door()
+    assert "PROJ" not in capfd.readouterr().err
+
+
+def test_grids_of_bare_names_and_none_are_no_paths() -> None:
+    from rasterio.crs import CRS
+
+    mercator = CRS.from_epsg(3857)
+    assert "nadgrids=@null" in mercator.to_wkt()
+    for text in (mercator.to_wkt(), mercator.to_proj4(), "+proj=longlat +ellps=bessel +nadgrids=BETA2007.gsb"):
+        assert parse_crs(text)
+
+
 def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
     import rasterio
 
@@ -298,7 +524,7 @@ def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
 
 def test_a_name_that_gdal_takes_for_xml_is_refused(tmp_path: Path) -> None:
     path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / "<VRTDataset>.tif")
-    with pytest.raises(DataError, match="names other files, in its own name"):
+    with pytest.raises(DataError, match="has a name that GDAL takes for a list of files; rename it"):
         open_map(path)
 
 

@@ -671,3 +671,32 @@ def test_a_map_has_one_note_for_all_sheets_on_an_old_datum(tmp_path: Path) -> No
     assert re.match(r"2 sheets, such as [ab]\.tif, lie on", note)
     assert open_map(tmp_path / "map").notes == made.notes
     assert any(note.startswith("a.tif lies on the datum") for note in open_map(files[0]).notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        (" EPSG:32632\n", 32632),
+        ("32632 ", 32632),
+        ("urn:ogc:def:crs:EPSG::32632", 32632),
+        ("urn:ogc:def:crs:EPSG:9.9:32632", 32632),
+        ("wgs84", 4326),
+        ("IAU_2015:30100", None),
+    ],
+)
+def test_spellings_of_a_crs(text: str, code: int | None) -> None:
+    assert parse_crs(text).to_epsg() == code
+
+
+def test_what_is_no_crs_is_said_without_a_line_of_gdal(capfd: pytest.CaptureFixture[str]) -> None:
+    for text in (
+        "nonsense",
+        "FOO:BAR",
+        "urn:ogc:def:crs:EPSG::1",
+        "urn:ogc:def:crs:../a:b:c",
+        "WGS84 or so",
+        "+proj=none",
+    ):
+        with pytest.raises(InputError, match="There is no CRS"):
+            parse_crs(text)
+    assert capfd.readouterr() == ("", "")
