@@ -1,4 +1,4 @@
-"""Consoles for tables, progress bars, and streams: no text from outside commands the terminal through them."""
+"""Consoles for tables, progress bars, and streams, which keep control characters of names and messages from the terminal."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
-from typing import Any, TextIO
+from typing import IO, Any, TextIO
 
 from rich import console as rich_console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
@@ -28,6 +28,16 @@ class Console(rich_console.Console):
         """Yield the segments of the base class, their texts by `printable`."""
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else printable(text, _LAYOUT), style, control)
+
+    @property
+    def file(self) -> IO[str]:
+        """The terminal's own stream. A running bar wraps that of `plain_streams`, and `rich` unwraps one of the two."""
+        file = super().file
+        return getattr(file, "rich_proxied_file", file)
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
 
 
 class _PlainStream:
