@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
 from typing import IO, Any, TextIO
@@ -43,6 +43,8 @@ class Console(rich_console.Console):
 class _PlainStream:
     """A stream that writes texts by `printable`; `rich`'s consoles write to the stream behind it.
 
+    A carriage return is hidden too, as a name that begins with one would overwrite the line.
+
     Args:
         colours: let the colours of a terminal through.
     """
@@ -55,6 +57,9 @@ class _PlainStream:
         pieces = _COLOUR.split(text) if self._colours else [text]
         pieces[::2] = [printable(piece, _LAYOUT) for piece in pieces[::2]]
         return self.rich_proxied_file.write("".join(pieces))
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        self.write("".join(lines))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.rich_proxied_file, name)

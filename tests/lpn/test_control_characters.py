@@ -185,10 +185,11 @@ def test_streams_are_plain_but_for_a_library_that_prints_colours() -> None:
         with plain_streams():
             print(f"one{NAME}\ttwo\nthree")
             print(NAME, file=sys.stderr)
+            sys.stderr.writelines([f"{NAME}\n", "\rover"])
             with plain_streams(colours=True):
                 print("\x1b[1mbold\x1b[0m\x1b]0;title\x07")
         assert (sys.stdout, sys.stderr) == (out, err)
-    assert evil(err.getvalue()) == ""
+    assert err.getvalue() == f"{printable(NAME)}\n" * 2 + "?over"
     assert out.getvalue() == f"one{printable(NAME)}\ttwo\nthree\n\x1b[1mbold\x1b[0m?]0;title?\n"
 
 
