@@ -17,6 +17,7 @@ from lpn import report
 from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import InputError, LPNError
+from lpn.core.files import TYPED, printable
 from lpn.core.progress import CountProgress
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
@@ -148,7 +149,7 @@ class Reporter:
     def refuse(self, why: str) -> None:
         """Say why there is no report, in a sentence."""
         if not self._left:
-            self._client.add_notification("No report", why, auto_close_seconds=_TOLD)
+            self._client.add_notification("No report", printable(why, TYPED), auto_close_seconds=_TOLD)
 
     def leave(self) -> None:
         """Cancel the report in progress; the browser has disconnected."""
@@ -172,7 +173,7 @@ class Reporter:
             if isinstance(error, WorkCancelledError):
                 text = f"The {noun} was cancelled."
             elif isinstance(error, LPNError):
-                text = str(error)
+                text = printable(str(error), TYPED)
             notification.title, notification.body, notification.loading = f"No {noun}", text, False
             raise
         finally:

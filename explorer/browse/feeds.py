@@ -12,6 +12,7 @@ from typing import Any, Literal
 from weakref import WeakSet
 
 from explorer.server.picture_route import PREFIX, EncodedPicture
+from explorer.web.render import shown_json
 from explorer.workspace import Workspace
 from lpn.tasks.task import Task
 
@@ -136,5 +137,5 @@ _NOTHING = EncodedPicture(b"[]", "application/json")
 
 
 def as_json(value: Any) -> EncodedPicture:
-    """Return a value as JSON."""
-    return EncodedPicture(json.dumps(value, separators=(",", ":")).encode("ascii"), "application/json")
+    """Return a value as JSON, without control characters in its texts."""
+    return EncodedPicture(json.dumps(shown_json(value), separators=(",", ":")).encode("ascii"), "application/json")

@@ -354,8 +354,8 @@ def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit
         start, width = 50 - max(-value, 0) / limit * 50, abs(value) / limit * 50
         colour = theme.css(theme.verdict_colour(None if findings.is_doubtful(row) else value >= 0))
         return _Cell("number margin", signed(value, _DIGITS), bar=(start, width, colour))
-    if column.name == "distance":
+    if column.name == "distance" and column.kind == "number":
         text = f"{float(column.values[row]):,.0f}"
-    elif column.name.startswith("margin_"):
+    elif column.name.startswith("margin_") and column.kind == "number":
         text = signed(float(column.values[row]), _DIGITS)
     return _Cell(column.kind, text, title=text)

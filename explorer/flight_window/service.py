@@ -128,6 +128,8 @@ class FlightService:
     def correct(self, frame: int, corners: Float64Array | None) -> None:
         """Keep a frame's correction on disk, for all browsers; None removes it.
 
+        Only what another program has written meanwhile is refused: of two browsers of this server, the later one wins.
+
         Args:
             corners: of the picture in metres of the map's frame, (4, 2).
 
@@ -143,6 +145,7 @@ class FlightService:
                 kept = corrections.set_correction(self.corrections_file, name, correction, view.corrections)
             except InputError:
                 self._view = None  # the next one has what the other program wrote
+                self.watchers.tell()
                 raise
             self._view = replace(view, corrections=kept, corrections_error="")
         self.watchers.tell()

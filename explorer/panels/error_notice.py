@@ -6,6 +6,8 @@ import threading
 
 import viser
 
+from lpn.core.files import TYPED, printable
+
 
 class ErrorNotice:
     """Shows one error at a time, until a person closes it or it is forgotten; thread-safe."""
@@ -18,7 +20,8 @@ class ErrorNotice:
         """Show an error in place of the one before."""
         with self._lock:
             self._take_away()
-            self._notification = self._client.add_notification(title, text, color="red", auto_close_seconds=None)
+            texts = printable(title, TYPED), printable(text, TYPED)
+            self._notification = self._client.add_notification(*texts, color="red", auto_close_seconds=None)
 
     def forget(self) -> None:
         """Take the last error away: it speaks of something that is over."""

@@ -26,6 +26,7 @@ from explorer.web import style
 from explorer.web.render import render
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core.errors import InputError
+from lpn.core.files import TYPED, printable
 from lpn.drawing import charts, overlays, verdicts
 from lpn.retrieval import Match
 
@@ -115,7 +116,7 @@ def export(
         ),
         script=Markup(_read("js/exported_story.js")),
     )
-    return f"{safe_file_name(whole.name)}.html", page.encode()
+    return f"{safe_file_name(whole.name)}.html", printable(page, TYPED).encode()
 
 
 def _go_on() -> None:

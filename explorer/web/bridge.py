@@ -15,7 +15,7 @@ from explorer.server.message_filter import MAX_TEXT
 from explorer.server.viser_compat import thread_pool, uuid_of
 from explorer.web.html import Html
 from explorer.web.messages import Receivers
-from explorer.web.render import call, render, run, run_once
+from explorer.web.render import call, render, run, run_once, shown_json
 
 log = logging.getLogger(__name__)
 
@@ -93,7 +93,7 @@ class PageBridge:
         self._tasks: set[asyncio.Task[None]] = set()
         self._dropped = 0
         uuid = uuid_of(self._text)
-        initial = json.dumps({**properties, "bridge": uuid})
+        initial = json.dumps(shown_json({**properties, "bridge": uuid}))
         script = f"{_SCRIPT};Object.assign(lpn,{initial});{call('head', styles)};lpn.greet();lpn.work(0,0)"
         gui.add_html(render("hide_bridge", uuid=uuid) + run(script))
         self._address, self._ground, self._call, self._tab, self._stage, self._photo, self._theme, self._work = (

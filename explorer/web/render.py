@@ -32,16 +32,16 @@ def press(button: str) -> Markup:
 
 def call(function: str, *arguments: object) -> str:
     """Return JavaScript that calls a function of the page's script."""
-    return f"lpn.{function}({','.join(json.dumps(_shown(argument)) for argument in arguments)})"
+    return f"lpn.{function}({','.join(json.dumps(shown_json(argument)) for argument in arguments)})"
 
 
-def _shown(value: object) -> object:
-    """Return a value of JSON without control characters in its texts: in a script they are escaped, which `Html` passes on."""
+def shown_json(value: object) -> object:
+    """Return a value of JSON whose texts hold no control characters: JSON escapes them, and `Html` passes these escapes on."""
     match value:
         case Mapping():
-            return {key: _shown(entry) for key, entry in value.items()}
+            return {key: shown_json(entry) for key, entry in value.items()}
         case list() | tuple():
-            return [_shown(entry) for entry in value]
+            return [shown_json(entry) for entry in value]
     return shown(str(value) if isinstance(value, str) else value)
 
 

@@ -12,7 +12,7 @@ from lpn.tasks.query_outcomes import Outcomes
 
 # Fewer right answers than this tell nothing about how large a lead usually is.
 _FEWEST = 20
-# The column of a table that says how far an answer lies from the place.
+# The column of a table that says how far an answer lies from the place; one that metadata.csv names so has no unit.
 _METRES = "distance"
 
 
@@ -23,7 +23,8 @@ def worst_first(outcomes: Outcomes, table: Table) -> Int64Array:
     one that is not in the gallery before all others; then those whose positive is farthest behind.
     """
     failed = np.flatnonzero(outcomes.failed)
-    metres = table.columns[_METRES].values[failed] if _METRES in table.columns else np.full(len(failed), np.nan)
+    column = table.columns.get(_METRES)
+    metres = column.values[failed] if column is not None and column.unit == "m" else np.full(len(failed), np.nan)
     far = np.where(np.isfinite(metres), -metres, np.inf)
     rank = outcomes.rank[failed]
     last = np.where(rank < 0, np.iinfo(np.int64).max, rank)

@@ -1,13 +1,13 @@
-"""Consoles for tables, progress bars, and streams: no text from outside commands the terminal through them."""
+"""Consoles for tables, progress bars, and streams, which keep control characters of names and messages from the terminal."""
 
 from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import partial
-from typing import Any, TextIO
+from typing import IO, Any, TextIO
 
 from rich import console as rich_console
 from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
@@ -29,9 +29,21 @@ class Console(rich_console.Console):
         for text, style, control in super().render(renderable, options):
             yield Segment(text if control else printable(text, _LAYOUT), style, control)
 
+    @property
+    def file(self) -> IO[str]:
+        """The terminal's own stream. A running bar wraps that of `plain_streams`, and `rich` unwraps one of the two."""
+        file = super().file
+        return getattr(file, "rich_proxied_file", file)
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
+
 
 class _PlainStream:
     """A stream that writes texts by `printable`; `rich`'s consoles write to the stream behind it.
+
+    A carriage return is hidden too, as a name that begins with one would overwrite the line.
 
     Args:
         colours: let the colours of a terminal through.
@@ -45,6 +57,9 @@ class _PlainStream:
         pieces = _COLOUR.split(text) if self._colours else [text]
         pieces[::2] = [printable(piece, _LAYOUT) for piece in pieces[::2]]
         return self.rich_proxied_file.write("".join(pieces))
+
+    def writelines(self, lines: Iterable[str]) -> None:
+        self.write("".join(lines))
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.rich_proxied_file, name)

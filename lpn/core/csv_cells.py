@@ -39,21 +39,20 @@ def unescape(text: str) -> str:
     return _ESCAPED.sub("", text)
 
 
-def csv_bytes(rows: Iterable[Iterable[object]], errors: str = "replace", keep: str = "\n\t") -> bytes:
+def csv_bytes(rows: Iterable[Iterable[object]], *, keep: str = "\n\t", own: bool = False) -> bytes:
     """Return rows as comma-separated values in UTF-8, texts by `escape_formula` and `printable`, None as an empty cell.
 
     Args:
-        errors: of the encoding; other than "replace" for a file of ours, which keeps all characters to be read back:
-            "surrogateescape" also keeps the bytes of a file name that is not UTF-8.
         keep: see `printable`.
+        own: of a file that is read back; texts keep all characters, also the bytes of a file name that is not UTF-8.
     """
-    shown = partial(printable, keep=keep) if errors == "replace" else str
+    shown = str if own else partial(printable, keep=keep)
     lines: list[str] = []
     # Only with this terminator does the writer quote a carriage return in a cell.
     writer = csv.writer(SimpleNamespace(write=lines.append), lineterminator="\r\n")
     for row in rows:
         writer.writerow([escape_formula(shown(cell)) if isinstance(cell, str) else cell for cell in row])
-    return "".join(line.removesuffix("\r\n") + "\n" for line in lines).encode("utf-8", errors)
+    return "".join(line.removesuffix("\r\n") + "\n" for line in lines).encode("utf-8", "surrogateescape")
 
 
 def decode_text(data: bytes, errors: str = "strict") -> str:

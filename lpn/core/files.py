@@ -48,8 +48,10 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 # Folders that a displayed name has at most.
 _MAX_FOLDERS = 8
-# Zero-width non-joiner and joiner: parts of letters in Persian and in Indian scripts, and of emoji.
-_JOINERS = "\u200c\u200d"
+# What turns the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one.
+_TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+# Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.
+_HIDDEN = "Cc", "Cs", "Zl", "Zp"
 # What people type into a note besides: line breaks, tabs, and the marks that keyboards for Arabic and Hebrew have.
 TYPED = "\n\t\u061c\u200e\u200f"
 # Bytes of the name of a folder.
@@ -305,10 +307,10 @@ def distinct_names(files: Sequence[Path]) -> list[str]:
 
 
 def printable(text: str, keep: str = "", instead: str = "?") -> str:
-    """Return a text, such as a file's name, with "?" for each character that is none to a reader.
+    """Return a text, such as a file's name, with "?" for each control character and whatever else could mislead a reader.
 
-    These are control characters, separators of lines, what turns the direction of writing, and bytes that are not UTF-8. Spaces
-    of any width stay.
+    These are separators of lines, what turns the direction of writing, and bytes that are not UTF-8. All other characters stay,
+    also those that take no space, that are for private use, or that are newer than this Python.
 
     Args:
         keep: such characters that stay, as line breaks do in our own layout.
@@ -327,7 +329,7 @@ def first_few(texts: Sequence[str], most: int) -> str:
 
 
 def _shows(character: str) -> bool:
-    return character.isprintable() or character in _JOINERS or unicodedata.category(character) == "Zs"
+    return character not in _TURNING and unicodedata.category(character) not in _HIDDEN
 
 
 def _temporary(path: Path) -> Path:

@@ -14,9 +14,10 @@ from contextlib import contextmanager
 from typing import Final, Literal, get_args
 from urllib.parse import quote, quote_plus
 
-from rich.console import Console, ConsoleRenderable
+from rich.console import ConsoleRenderable
 from rich.logging import RichHandler
 
+from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 

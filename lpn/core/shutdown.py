@@ -182,9 +182,10 @@ def exit_now(status: int, report: Callable[[], int] | None = None) -> None:
                 child.kill()
             if report is not None:
                 statuses.append(report())
-            for stream in (sys.stdout, sys.stderr):
-                if stream.isatty():  # show the cursor, which a progress bar hides; `plain_streams` would not write this
-                    getattr(stream, "rich_proxied_file", stream).write("\x1b[?25h")
+            # Neither `plain_streams` nor a running bar wraps these.
+            for stream in filter(None, (sys.__stdout__, sys.__stderr__)):
+                if stream.isatty():  # show the cursor, which a progress bar hides
+                    stream.write("\x1b[?25h")
                 stream.flush()
 
     # `tidy` may wait for a lock that another thread holds, so give it a thread and a time limit.

@@ -98,6 +98,12 @@ class Positions:
         self._by_path = by_path
         self._data = _read(root / NAME) if by_path is None else b""
 
+    def all(self) -> Mapping[str, Position]:
+        """Return the positions of all lines by path; raises DataError for a malformed line, and names it."""
+        if self._by_path is None:
+            self._by_path = read_positions(self._data)
+        return self._by_path
+
     def of(self, pictures: Sequence[Picture]) -> list[Position]:
         """Return the position of each picture.
 
@@ -118,11 +124,11 @@ class Positions:
         """Return the positions of these pictures if all are listed by their very names, else those of all lines."""
         if self._by_path is not None:
             return self._by_path
-        with suppress(DataError):  # whose line number would be wrong
+        with suppress(DataError):  # among some of the lines it would name a wrong number, so all lines are read below
             some = read_positions(_lines_of(self._data, set(names)))
             if all(name in some for name in names):
                 return some
-        return read_positions(self._data)
+        return self.all()
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:

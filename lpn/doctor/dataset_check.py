@@ -21,7 +21,7 @@ from lpn.datasets import Dataset, LeftOut, Picture, geo, metadata
 from lpn.datasets.folder import Folder
 from lpn.datasets.integrity import picture_errors
 from lpn.tasks import notes
-from lpn.tasks.query_outcomes import RESERVED
+from lpn.tasks.query_outcomes import reserved
 from lpn.training.recipes import RECIPES
 from lpn.training.training_set import trainable
 
@@ -164,7 +164,7 @@ def check_dataset(
         shared=tuple(_shared(dataset, lists)),
         positions=positions,
         gap=gap,
-        refused=tuple(dict.fromkeys(message for message in _refused(dataset) if message != gap)),
+        refused=tuple(dict.fromkeys(_refused(dataset, gap is None, positions is not None))),
         runs=tuple(_runs(dataset, lists)),
     )
 
@@ -293,6 +293,7 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
         if dataset.measured_by is not None:
             dataset.coordinates(pictures)
         if known is not None:
+            known.all()  # also the lines that no picture needs
             known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
@@ -300,12 +301,19 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     return f"Each of the {len(pictures)} test pictures has a position, {source}.", None
 
 
-def _refused(dataset: Dataset) -> Iterable[str]:
-    """Read what stands beside the queries as the commands do that list them; yield their errors."""
+def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str]:
+    """Read what stands beside the queries as the commands do that list them; yield their errors.
+
+    Args:
+        positions: read those of `geo.csv` too.
+        distances: the positions of queries and tiles are known.
+    """
     reads: list[Callable[[], object]] = [lambda: notes.read_notes(own_file(dataset.root, notes.NAME))]
-    for view in dict.fromkeys(views_of(task)[0] for task in dataset.tasks()):
-        paths = metadata.relative(dataset.root, dataset.queries(view))
-        reads.append(partial(metadata.columns, dataset.root, paths, RESERVED))
+    for task in dataset.tasks():
+        queries = dataset.queries(views_of(task)[0])
+        taken = reserved(dataset.truth(task), distances, dataset.columns(queries))
+        paths = metadata.relative(dataset.root, queries)
+        reads.append(partial(metadata.columns, dataset.root, paths, taken, positions))
     for read in reads:
         try:
             read()

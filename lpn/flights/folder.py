@@ -91,9 +91,7 @@ def write_flight(flight: Flight, folder: Path) -> None:
         }
         rows.append(list(values.values()))
     header = msgspec.to_builtins(_Header(FORMAT, flight.name, flight.utc, list(flight.notes)))
-    write_together(
-        {folder / TABLE: csv_bytes(rows, "surrogateescape"), folder / HEADER: json_bytes(header, ensure_ascii=False)}
-    )
+    write_together({folder / TABLE: csv_bytes(rows, own=True), folder / HEADER: json_bytes(header, ensure_ascii=False)})
 
 
 def read_flight(folder: Path) -> Flight:

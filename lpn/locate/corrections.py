@@ -167,7 +167,7 @@ def _encode(corrections: Mapping[str, Correction]) -> bytes:
         latitude, longitude = one.middle.tolist()
         corners = [f"{a:.9f} {b:.9f}" for a, b in one.corners.tolist()]
         rows.append([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
-    return csv_bytes(rows, "surrogateescape")
+    return csv_bytes(rows, own=True)
 
 
 _FORMAT = OwnFileFormat("corrections", _decode, _encode, dict, "remove some of them")

@@ -41,7 +41,7 @@ class LineRecords(Generic[Kept]):
         return self._records.get(key)
 
     def append(self, key: str, record: Kept) -> None:
-        """Write a record; OutputError if that cannot be."""
+        """Write a record; raises OutputError if the file cannot be written."""
         try:
             self._file.parent.mkdir(parents=True, exist_ok=True)
             with self._file.open("ab") as file:

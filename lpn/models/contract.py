@@ -19,6 +19,7 @@ import numpy as np
 
 from lpn.core.arrays import AnyArray, Float32Array
 from lpn.core.errors import InputError, ModelFileError
+from lpn.core.files import printable
 from lpn.core.images import MEAN, STD, Triple
 from lpn.core.views import VIEWS, View
 from lpn.models.partition import Partition
@@ -155,7 +156,7 @@ class Contract:
     def names(self, view: View) -> list[str]:
         """Return a short name for each part of a view."""
         if view in self.part_names:
-            return list(self.part_names[view])
+            return [printable(name) for name in self.part_names[view]]
         partition = self.partition(view)
         return [str(part + 1) for part in range(self.n_parts)] if partition is None else partition.names()
 

@@ -9,6 +9,7 @@ from jinja2 import Environment
 from markupsafe import Markup
 
 from lpn.core.arrays import UInt8Array
+from lpn.core.files import TYPED, printable
 from lpn.core.templates import environment
 from lpn.drawing import charts, overlays, theme
 
@@ -16,8 +17,8 @@ _THUMBNAIL = 60
 
 
 def render(template: str, **context: object) -> Markup:
-    """Fill a template of the report; every value that is no markup is escaped."""
-    return Markup(_environment().get_template(template).render(context))
+    """Fill a template of the report; every value that is no markup is escaped, and no control character is left."""
+    return Markup(printable(_environment().get_template(template).render(context), TYPED))
 
 
 def style_sheet() -> str:

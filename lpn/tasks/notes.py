@@ -191,9 +191,8 @@ def _decode(content: bytes, file: Path) -> dict[str, Note]:
 
 
 def _encode(notes: dict[str, Note]) -> bytes:
-    return csv_bytes(
-        [_HEADER, *([path, " ".join(note.tags), note.text] for path, note in sorted(notes.items()))], "strict"
-    )
+    rows = ([path, " ".join(note.tags), note.text] for path, note in sorted(notes.items()))
+    return csv_bytes([_HEADER, *rows], own=True)
 
 
 def typed(text: str) -> str:

@@ -13,6 +13,7 @@ from explorer.compute.background_jobs import ReportProgress
 from explorer.explain_window import window
 from explorer.explain_window.window import ExplainWindow
 from explorer.reports import Reporter
+from lpn.core.errors import InputError
 from lpn.drawing.words import Vocabulary
 from tools.fixtures.waiting import wait_until
 
@@ -50,6 +51,27 @@ def test_a_report_before_there_is_an_answer_is_refused_by_a_sentence() -> None:
     unready: Any = SimpleNamespace(_content=None, _open=False, _failure="", _reporter=Reporter(client, None))  # type: ignore[arg-type]
     ExplainWindow._report(unready)
     assert told == [("No report", "The answer is still being computed. Press “Save” again when it is shown.")]
+
+
+def test_no_control_character_of_a_name_is_in_a_reason() -> None:
+    shown: list[Any] = []
+
+    def add_notification(title: str, body: str, **_: Any) -> Any:
+        shown.append(SimpleNamespace(title=title, body=body))
+        return shown[-1]
+
+    def work(*_: object) -> tuple[str, bytes]:
+        raise InputError("a\x1b[2J.jpg is damaged.")
+
+    client: Any = SimpleNamespace(add_notification=add_notification)
+    reporter = Reporter(client, None)
+    reporter.refuse("\u202egpj.a cannot be read.")
+    reporter.make(work, "story", "Export")
+    wait_until(lambda: shown[-1].body.endswith("damaged."))
+    assert [(told.title, told.body) for told in shown] == [
+        ("No report", "?gpj.a cannot be read."),
+        ("No story", "a?[2J.jpg is damaged."),
+    ]
 
 
 def test_after_a_failure_a_report_is_refused_with_its_reason_though_the_answer_before_is_known() -> None:

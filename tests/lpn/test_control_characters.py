@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import shutil
 import subprocess
 import sys
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 
 import cv2
@@ -184,20 +185,64 @@ def test_streams_are_plain_but_for_a_library_that_prints_colours() -> None:
         with plain_streams():
             print(f"one{NAME}\ttwo\nthree")
             print(NAME, file=sys.stderr)
+            sys.stderr.writelines([f"{NAME}\n", "\rover"])
             with plain_streams(colours=True):
                 print("\x1b[1mbold\x1b[0m\x1b]0;title\x07")
         assert (sys.stdout, sys.stderr) == (out, err)
-    assert evil(err.getvalue()) == ""
+    assert err.getvalue() == f"{printable(NAME)}\n" * 2 + "?over"
     assert out.getvalue() == f"one{printable(NAME)}\ttwo\nthree\n\x1b[1mbold\x1b[0m?]0;title?\n"
 
 
-def test_a_stop_shows_the_cursor_that_a_bar_hid() -> None:
+def on_terminal(code: str) -> tuple[int, str]:
+    """The status of Python code run on a terminal, and what the terminal received."""
     ours, its = os.openpty()
-    code = "from lpn.core import consoles, shutdown\nwith consoles.plain_streams():\n    shutdown.exit_now(3)"
-    assert subprocess.run([sys.executable, "-c", code], stdout=its, check=False).returncode == 3
-    assert os.read(ours, 100) == b"\x1b[?25h"
+    environment = {**os.environ, "TERM": "xterm-256color", "NO_COLOR": "", "LPN_LOG": ""}
+    with subprocess.Popen([sys.executable, "-c", code], stdout=its, stderr=its, env=environment) as process:
+        os.close(its)
+        received = b""
+        with suppress(OSError):  # the end of a terminal that nobody writes to
+            while piece := os.read(ours, 10_000):
+                received += piece
     os.close(ours)
-    os.close(its)
+    return process.returncode, received.decode()
+
+
+def test_a_stop_shows_the_cursor_that_a_bar_hid() -> None:
+    opened = "from lpn.core import consoles, shutdown\nwith consoles.plain_streams():\n "
+    assert on_terminal(f"{opened}shutdown.exit_now(3)") == (3, "\x1b[?25h" * 2)
+    status, received = on_terminal(
+        f"{opened}with consoles.counting_bar('Reading') as bar: bar(1, 3); shutdown.exit_now(4)"
+    )
+    assert status == 4
+    assert received.endswith("\x1b[?25h" * 2)
+
+
+def test_a_terminal_gets_bars_and_spinners_whole_and_no_command_of_a_name() -> None:
+    code = """
+import logging, sys
+from lpn.core import consoles, log
+with consoles.plain_streams(), log.log_to_stderr("info"):
+    with consoles.stage_bars() as report:
+        report("tiles\x1b]0;title\x07", 1, 3)
+        print("out \x1b[2J")
+        print("err \x1b[2J", file=sys.stderr)
+        logging.getLogger("lpn.x").info("a line of the log")
+        report("tiles\x1b]0;title\x07", 2, 3)
+    with consoles.counting_bar("Reading") as bar:
+        bar(2, 3)
+    with consoles.terminal().status("Opening"):
+        pass
+"""
+    status, received = on_terminal(code)
+    assert status == 0
+    assert "\x1b[?25l" in received  # a bar hides the cursor
+    assert not re.search(
+        r"\?\[(\?|\d+[mK]|1A)", received
+    )  # what is left of a bar's own commands without their first character
+    assert "\x1b]" not in received
+    assert "\x1b[2J" not in received
+    for text in ("Describing tiles?]0;t", "Reading", "Opening", "lpn.x: a line of the log"):
+        assert text in received
 
 
 def test_a_notebooks_table_holds_none() -> None:

@@ -51,3 +51,14 @@ def test_nothing_is_written_into_a_fresh_home_but_the_cache(tmp_path: Path) -> N
     assert files
     assert [file for file in files if cache not in file.parents] == []
     assert {"matplotlib", "descriptors"} <= {entry.name for entry in cache.iterdir()}
+
+
+def test_the_settings_that_a_user_has_for_matplotlib_hold(tmp_path: Path) -> None:
+    settings = tmp_path / ".config" / "matplotlib" / "matplotlibrc"
+    settings.parent.mkdir(parents=True)
+    settings.write_text("figure.dpi: 123\n")
+    code = "from lpn.drawing.plots import pyplot\nprint(pyplot().rcParams['figure.dpi'])"
+    environ = {name: value for name, value in os.environ.items() if not name.startswith(("MPL", "MATPLOTLIB", "XDG"))}
+    environ |= {"HOME": str(tmp_path), "LPN_CACHE": str(tmp_path / "cache")}
+    done = subprocess.run([sys.executable, "-c", code], env=environ, capture_output=True, text=True, check=True)
+    assert done.stdout == "123.0\n"

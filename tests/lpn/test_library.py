@@ -14,6 +14,7 @@ import pytest
 
 import lpn
 import lpn.__main__
+import lpn.core
 from lpn.core.errors import LPNError
 from tools.fixtures import small_worlds
 from tools.fixtures.without_torch import run_without_torch
@@ -28,6 +29,13 @@ def desk(data: Path, tmp_path: Path) -> Path:
     (tmp_path / "ROOT").symlink_to(data)
     small_worlds.write(tmp_path / "query.jpg", small_worlds.place(7))
     return tmp_path
+
+
+def test_core_has_the_errors_that_a_caller_catches_and_the_views() -> None:
+    errors = [LPNError, *(error for error in LPNError.__subclasses__() if error.__module__ == LPNError.__module__)]
+    assert len(errors) > 5
+    assert all(vars(lpn.core).get(error.__name__) is error for error in errors)
+    assert {*(error.__name__ for error in errors), "VIEWS", "TaskName", "View", "views_of"} == set(lpn.core.__all__)
 
 
 def test_readme_snippet_runs(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -146,9 +146,12 @@ def test_two_servers_that_correct_one_photo_lose_neither_correction(flight: Loca
     first.correct(0, CORNERS)
     second.correct(1, CORNERS)
     stored = (tmp_path / NAME).read_bytes()
+    shown: list[bool] = []  # by the other browsers of the first server: the second one's correction
+    first.watchers.watch(lambda: shown.append("photo1.png" in first.view().corrections))
     with pytest.raises(InputError, match="Somebody else has corrected this photo meanwhile; save again to replace"):
         first.correct(1, CORNERS + 5)
     assert (tmp_path / NAME).read_bytes() == stored
+    assert shown == [True]
     assert first.view().corrected(1) == pytest.approx((20.0, 15.0), abs=1e-3)
     first.correct(1, CORNERS + 5)
     with pytest.raises(InputError, match="Somebody else"):

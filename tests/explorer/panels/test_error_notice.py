@@ -19,3 +19,9 @@ def test_an_error_stays_until_the_next_one_or_until_it_is_over() -> None:
     notice.forget()
     notice.forget()
     second.remove.assert_called_once()
+
+
+def test_a_name_in_an_error_holds_no_control_characters() -> None:
+    client = MagicMock()
+    ErrorNotice(client).show("No\x1b[2J", "\u202egpj.exe is damaged")
+    assert client.add_notification.call_args.args == ("No?[2J", "?gpj.exe is damaged")

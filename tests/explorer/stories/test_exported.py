@@ -55,6 +55,13 @@ def test_an_export_shows_each_step_and_needs_nothing_else(workspace: Workspace, 
         assert cv2.imdecode(np.frombuffer(base64.b64decode(encoded), np.uint8), cv2.IMREAD_COLOR) is not None
 
 
+def test_an_export_is_utf_8_whatever_its_markup_holds(
+    workspace: Workspace, sources: WindowSources, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(exported, "render", lambda *_, **__: "<p>caf\udce9\x1b\u202e\n")
+    assert exported.export(sources, UrlState(workspace), Story("a", ()), True)[1] == b"<p>caf???\n"
+
+
 def links_and_handlers(page: str) -> list[str]:
     """Find addresses other than data, and handlers of clicks, which need a server."""
     return re.findall(r"""(?:src|href)="(?!data:)[^"]*"|onclick=|url\(|@import|https?:""", page)

@@ -118,3 +118,12 @@ def test_a_page_that_sends_faster_than_its_handlers_work_has_a_bounded_queue(cap
     ]
     gui.send(region(7))
     assert got[-1] == [7]
+
+
+def test_properties_hold_no_control_characters() -> None:
+    gui = Gui()
+    PageBridge(gui, {}, {"name": "a\x1b[31m\u202eb"}, "")  # type: ignore[arg-type]
+    page = "".join(gui.html)
+    assert "a?[31m?b" in page
+    assert "001b" not in page
+    assert "202e" not in page

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lpn.analysis.wrong_answers import most_alike, share_of_larger_leads, worst_first
-from lpn.core.tables import Table, number_column
+from lpn.core.tables import Table, number_column, text_column
 from lpn.tasks.query_outcomes import Outcomes
 
 
@@ -26,6 +26,8 @@ def test_the_farthest_answer_comes_first_and_then_the_last_right_one() -> None:
     assert worst_first(found, Table(names, [])).tolist() == [2, 4, 1, 5, 3]
     metres = number_column("distance", [0.0, 500.0, np.nan, 7.0, np.nan, 80.0], "m")
     assert worst_first(found, Table(names, [metres])).tolist() == [1, 5, 3, 2, 4]
+    of_metadata = text_column("distance", ["near"] * len(names))
+    assert worst_first(found, Table(names, [of_metadata])).tolist() == [2, 4, 1, 5, 3]
     unknown = replace(found, known=np.array([True, True, False, True, True, True]))
     assert 2 not in worst_first(unknown, Table(names, []))
 

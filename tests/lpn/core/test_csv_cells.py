@@ -46,22 +46,22 @@ def test_numbers_stay_numbers(number: str) -> None:
 def test_any_text_is_read_back() -> None:
     rng, letters = Random(36), "=+-@'\t\r\n;,\"a1. \uff1d5e\x0b\u2028\0"
     rows = [["".join(rng.choices(letters, k=rng.randrange(8))) for _ in range(4)] for _ in range(2000)]
-    data = csv_bytes(rows, "strict")
+    data = csv_bytes(rows, own=True)
     assert list(csv.reader(io.StringIO(data.decode(), newline=""))) == [list(map(escape_formula, row)) for row in rows]
     read = [[unescape(cell) for cell in values] for _, values in delimited("a,b,c,d\n" + data.decode()).rows][1:]
     assert read == [row for row in rows if any(map(str.strip, row))]
     # A table for others holds what a terminal would not obey, see `printable`.
     shown = [[printable(cell, "\n\t") for cell in row] for row in rows]
-    assert csv_bytes(rows) == csv_bytes(shown, "strict")
+    assert csv_bytes(rows) == csv_bytes(shown, own=True)
     assert not {"\r", "\x0b", "\u2028", "\0"} & set(csv_bytes(rows).decode())
 
 
 def test_numbers_unknown_values_and_other_bytes() -> None:
-    assert csv_bytes([["a\r b", None, -0.25, -3, True]], "strict") == b'"a\r b",,-0.25,-3,True\n'
+    assert csv_bytes([["a\r b", None, -0.25, -3, True]], own=True) == b'"a\r b",,-0.25,-3,True\n'
     assert csv_bytes([["a\r b", None, -0.25, -3, True]]) == b"a? b,,-0.25,-3,True\n"
     assert csv_bytes([["\u200f(1)\x07"]], keep="\u200f") == "\u200f(1)?\n".encode()
     assert csv_bytes([["caf\udce9"]]) == b"caf?\n"
-    assert csv_bytes([["caf\udce9"]], "surrogateescape") == b"caf\xe9\n"
+    assert csv_bytes([["caf\udce9"]], own=True) == b"caf\xe9\n"
     assert list(delimited('a,"b\nc"\n\nd\n').rows) == [(2, ["a", "b\nc"]), (4, ["d"])]
 
 

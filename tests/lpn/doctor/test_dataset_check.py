@@ -77,6 +77,32 @@ def test_positions_are_checked(tmp_path: Path) -> None:
     assert "no position for 1 of 12 pictures" in found["gap"]
 
 
+def test_a_fault_of_positions_is_told_once_and_in_each_line(tmp_path: Path) -> None:
+    root = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places", train=2, test=3))
+    lines = (root / "geo.csv").read_text().splitlines()
+    of_query = next(line for line in lines if "query_drone" in line)
+    (root / "geo.csv").write_text("\n".join(line for line in lines if line != of_query))
+    (root / "metadata.csv").write_text(f"path,weather\n{of_query.split(',')[0]},rain,1\n")
+    status, found = doctor(root, tmp_path)
+    assert status == 1
+    assert "no position for 1 of 12 pictures" in found["gap"]
+    assert found["refused"] == ["Line 2 of metadata.csv has 3 values; expected 2: path,weather."]
+    (root / "metadata.csv").unlink()
+    # A line that no picture needs is read too.
+    (root / "geo.csv").write_text("\n".join([*lines, f"elsewhere.png,north{',' * (lines[0].count(',') - 1)}"]))
+    status, found = doctor(root, tmp_path)
+    assert (status, found["refused"]) == (1, [])
+    assert f"Line {len(lines) + 1} of geo.csv has the latitude 'north'" in found["gap"]
+
+
+def test_only_names_of_columns_that_the_tables_have_are_refused(tmp_path: Path) -> None:
+    root = small_worlds.make_dataset(tmp_path / "places", train=2, test=3)
+    queries = "test/query_drone/0003/image-01.png", "test/query_satellite/0003/0003.png"
+    (root / "metadata.csv").write_text("\n".join(["path,distance,semi", *(f"{path},1,2" for path in queries)]))
+    assert doctor(root, tmp_path)[1]["refused"] == []
+    assert "'distance', which there is already" in doctor(small_worlds.map_dataset(root), tmp_path)[1]["refused"][0]
+
+
 @pytest.mark.parametrize(
     ("name", "text", "said"),
     [

@@ -52,6 +52,11 @@ def test_cells_and_constants_of_each_picture_add_up(model: Model) -> None:
         np.testing.assert_allclose(rows, found.query.cells[part].reshape(-1), atol=1e-6)
 
 
+def test_names_of_parts_hold_no_control_characters() -> None:
+    contract = replace(REGIONS, part_names={"drone": ("1\x1b[2J", "2\u202e", "3", "4")})
+    assert contract.names("drone") == ["1?[2J", "2?", "3", "4"]
+
+
 def test_an_account_that_does_not_add_up_has_no_closure() -> None:
     class Wrong(RegionModel):
         def run(self, images: Any, view: View) -> ForwardPass:

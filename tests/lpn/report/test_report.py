@@ -13,6 +13,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from jinja2 import DictLoader, Environment
+from markupsafe import Markup
 
 import lpn
 from lpn import report, retrieval
@@ -25,7 +27,7 @@ from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import counterfactual
-from lpn.report import Options, OwnPicture, Said, SaidPicture
+from lpn.report import Options, OwnPicture, Said, SaidPicture, _rendering
 from lpn.retrieval import Ranking
 from lpn.tasks.notes import NAME as NOTES
 from lpn.tasks.opening import describe_task
@@ -207,6 +209,12 @@ def test_markup_in_names_notes_and_metadata_is_escaped(data: Path, model_file: P
     assert not page.all("i") or "<i>m</i>.onnx" in page.text
     for text in (evil, f"{evil} & more", "mood & tone", "odd", "<u>mine</u>", root.name):
         assert text in page.text
+
+
+def test_a_page_is_utf_8_whatever_its_markup_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    templates = Environment(loader=DictLoader({"page": "{{ name }}\n,"}))
+    monkeypatch.setattr(_rendering, "_environment", lambda: templates)
+    assert _rendering.render("page", name=Markup("caf\udce9\x1b\u202e")).encode() == b"caf???\n,"
 
 
 def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_file: Path, tmp_path: Path) -> None:

@@ -28,6 +28,16 @@ def test_notes_are_kept_and_read_back(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [file]
 
 
+def test_a_change_leaves_the_letters_of_other_notes(tmp_path: Path) -> None:
+    file, text = (
+        tmp_path / notes.NAME,
+        "shaking \U0001fae8 \u1781\u200b\u1798\u17d2\u1798\u17c2 \ue000 so\xadft \U000e0fff",
+    )
+    file.write_text(f"path,tags,note\na.jpg,,{text}\n", "utf-8")
+    assert notes.set_note(file, "b.jpg", "x", "other")["a.jpg"].text == text
+    assert text in file.read_text("utf-8")
+
+
 def test_a_file_edited_by_hand_is_read(tmp_path: Path) -> None:
     file = tmp_path / "notes.csv"
     file.write_bytes('\ufeffPath,Tags,Note\r\n./a.jpg,"x; y",ü\r\n\r\n'.encode())

@@ -228,6 +228,17 @@ def test_a_table_has_a_row_for_each_query_and_a_column_for_all_that_is_known(kno
     assert made.columns["weather"].values[:4].tolist() == ["rain", "=sun", "", "rain"]
 
 
+def test_metadata_may_have_columns_that_the_table_has_not(tmp_path: Path) -> None:
+    root = small_worlds.make_dataset(tmp_path / "places", train=0)
+    queries, gallery = open_dataset(root).queries("drone"), open_dataset(root).gallery("satellite")
+    outcomes = build(descriptors(14)[:, :1], descriptors(14)[:, :1], labels_of(queries), labels_of(gallery))
+    names = ["part", "distance", "overlap", "semi", "margin_1", "margin_9"]
+    path = queries[0].path.relative_to(root).as_posix()
+    (root / "metadata.csv").write_text(f"path,{','.join(names)}\n{path},1,2,3,4,5,6\n")
+    made = table(root, queries, gallery, outcomes)
+    assert [made.columns[name].values[0] for name in names] == [1, 2, 3, 4, 5, 6]
+
+
 def test_a_data_set_of_which_nothing_is_known_has_its_outcomes_only(data: Path, model_file: Path) -> None:
     queries, gallery, outcomes = described(data, model_file)
     made = table(data, queries, gallery, outcomes)
