@@ -194,9 +194,7 @@ def _flaw(file: Any, path: Path) -> str | None:
         return "names a file of its overviews; make a copy without, such as with gdal_translate."
     folder = os.path.normpath(path.absolute().parent)
     if other := next((name for name in file.files if not Path(os.path.normpath(name)).is_relative_to(folder)), None):
-        return (
-            f"takes pixels from another folder ({printable(other)}); make one file of it, such as with gdal_translate."
-        )
+        return f"takes pixels from another folder ({printable(other)}); make one file of it with gdal_translate."
     systems = [crs for crs in (file.crs, file.gcps[1]) if crs]
     if any(names_a_path(crs.to_wkt(version=version)) for version in (None, "WKT2_2019") for crs in systems):
         return "has a CRS that names a file by its path; give it another one, such as with gdal_edit -a_srs EPSG:32632."
@@ -211,9 +209,7 @@ def names_a_path(crs: str) -> bool:
 def _check_beside(path: Path) -> None:
     """Refuse a file beside a raster that GDAL could take for more than overviews, a mask, or notes."""
     if not path.is_file():
-        raise DataError(
-            f"{printable(str(path))} is no file, and GDAL would read it with the raster beside it; rename it."
-        )
+        raise DataError(f"{printable(str(path))} is no file, and GDAL would read it with the raster; rename it.")
     head = _head(path)
     if path.suffix.lower() == ".aux" and not head.startswith(b"EHFA"):
         return
@@ -318,15 +314,10 @@ def _other(path: Path) -> tuple[str, str] | None:
         return None
     if not head:
         return "empty", "copy or download it again"
-    suffix = path.suffix.lower()
-    return next(
-        (
-            (kind, remedy)
-            for suffixes, magic, kind, remedy in _OTHERS
-            if suffix in suffixes or (magic and head.lower().startswith(magic.lower()))
-        ),
-        None,
-    )
+    for suffixes, magic, kind, remedy in _OTHERS:
+        if path.suffix.lower() in suffixes or (magic and head.lower().startswith(magic.lower())):
+            return kind, remedy
+    return None
 
 
 def _head(path: Path) -> bytes:

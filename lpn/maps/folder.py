@@ -55,6 +55,7 @@ _KINDS = (".tif", ".ovr", ".part.tif", ".part.vrt")
 _LARGE = 2048
 # Pixels above which a file that is not tiled is copied.
 _MAX_UNTILED = 25_000_000
+_TILED = {"TILED": "YES", "BLOCKXSIZE": "512", "BLOCKYSIZE": "512", "COMPRESS": "DEFLATE", "BIGTIFF": "IF_SAFER"}
 
 
 class SheetRecord(msgspec.Struct, frozen=True):
@@ -495,20 +496,11 @@ def _prepared(source: Path, target: Path, on_progress: Callable[[str], None]) ->
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_suffix(".part.tif" if copied else ".part.vrt")
     whole = target.with_suffix(".tif" if copied else ".ovr")
-    options = {}
-    if copied:
-        options = {
-            "TILED": "YES",
-            "BLOCKXSIZE": "512",
-            "BLOCKYSIZE": "512",
-            "COMPRESS": "DEFLATE",
-            "BIGTIFF": "IF_SAFER",
-        }
     try:
         with library.Env(), _gdal.open_raster(source) as file:
             if copied:
                 on_progress(f"Copying {printable(source.name)} into tiles: its own file is slow to read in windows.")
-                library.shutil.copy(file, str(part), driver="GTiff", **options)
+                library.shutil.copy(file, str(part), driver="GTiff", **_TILED)
             else:
                 part.write_bytes(_gdal.vrt_of(file))
             minutes = width * height / _gdal.PIXELS_PER_MINUTE

@@ -167,11 +167,10 @@ def _crs(text: str, **options: bool) -> Any:
     if _gdal.names_a_path(text):
         raise DataError(f"The CRS {printable(text)[:100]!r} names a file by its path; expected one such as EPSG:32632.")
     library = _gdal.rasterio()
-    known = library.crs.CRS
     with library.Env():
         if re.match(r"\w+:[\w+]+$|urn:ogc:def:crs:\w+:[\w.]*:\w+$|WGS84$|\+proj=", text, re.ASCII | re.IGNORECASE):
-            return known.from_user_input(text)
-        return known.from_wkt(text, **options)
+            return library.crs.CRS.from_user_input(text)
+        return library.crs.CRS.from_wkt(text, **options)
 
 
 def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
