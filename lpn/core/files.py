@@ -48,8 +48,9 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 # Folders that a displayed name has at most.
 _MAX_FOLDERS = 8
-# What turns the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one.
-_TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+# What turns the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one; and the two
+# characters besides that no XML may hold.
+_MISLEADING = "\ufffe\uffff\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 # Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.
 _HIDDEN = "Cc", "Cs", "Zl", "Zp"
 # What people type into a note besides: line breaks, tabs, and the marks that keyboards for Arabic and Hebrew have.
@@ -329,7 +330,7 @@ def first_few(texts: Sequence[str], most: int) -> str:
 
 
 def _shows(character: str) -> bool:
-    return character not in _TURNING and unicodedata.category(character) not in _HIDDEN
+    return character not in _MISLEADING and unicodedata.category(character) not in _HIDDEN
 
 
 def _temporary(path: Path) -> Path:
