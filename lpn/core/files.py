@@ -67,12 +67,7 @@ def cache_folder() -> Path:
     """
     if folder := os.environ.get("LPN_CACHE"):
         return Path(folder)
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
-    except RuntimeError as error:
-        raise OutputError(
-            "This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
-        ) from error
+    return _user_folder("XDG_CACHE_HOME", ".cache", "a cache; set LPN_CACHE")
 
 
 def data_folder() -> Path:
@@ -81,12 +76,14 @@ def data_folder() -> Path:
     Raises:
         OutputError: if the user has no home folder, and XDG_DATA_HOME is not set.
     """
+    return _user_folder("XDG_DATA_HOME", ".local/share", "notes; set XDG_DATA_HOME")
+
+
+def _user_folder(variable: str, below_home: str, use: str) -> Path:
     try:
-        return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "lpn-explorer"
+        return Path(os.environ.get(variable) or Path.home() / below_home) / "lpn-explorer"
     except RuntimeError as error:
-        raise OutputError(
-            "This user has no home folder for notes; set XDG_DATA_HOME to a folder that can be written."
-        ) from error
+        raise OutputError(f"This user has no home folder for {use} to a folder that can be written.") from error
 
 
 def fingerprint(*paths: Path, also: str = "") -> str:
