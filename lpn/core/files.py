@@ -48,8 +48,9 @@ _OPEN_FILES = 65_536
 _OPEN_FILES_MACOS = 10_240
 # Folders that a displayed name has at most.
 _MAX_FOLDERS = 8
-# What turns the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one.
-_TURNING = "\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
+# What turns the direction of writing (marks, embeddings, overrides, isolates), so that a text reads as another one; and the two
+# characters besides that no XML may hold.
+_MISLEADING = "\ufffe\uffff\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 # Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.
 _HIDDEN = "Cc", "Cs", "Zl", "Zp"
 # What people type into a note besides: line breaks, tabs, and the marks that keyboards for Arabic and Hebrew have.
@@ -66,12 +67,7 @@ def cache_folder() -> Path:
     """
     if folder := os.environ.get("LPN_CACHE"):
         return Path(folder)
-    try:
-        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lpn-explorer"
-    except RuntimeError as error:
-        raise OutputError(
-            "This user has no home folder for a cache; set LPN_CACHE to a folder that can be written."
-        ) from error
+    return _user_folder("XDG_CACHE_HOME", ".cache", "a cache; set LPN_CACHE")
 
 
 def data_folder() -> Path:
@@ -80,12 +76,14 @@ def data_folder() -> Path:
     Raises:
         OutputError: if the user has no home folder, and XDG_DATA_HOME is not set.
     """
+    return _user_folder("XDG_DATA_HOME", ".local/share", "notes; set XDG_DATA_HOME")
+
+
+def _user_folder(variable: str, below_home: str, use: str) -> Path:
     try:
-        return Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share") / "lpn-explorer"
+        return Path(os.environ.get(variable) or Path.home() / below_home) / "lpn-explorer"
     except RuntimeError as error:
-        raise OutputError(
-            "This user has no home folder for notes; set XDG_DATA_HOME to a folder that can be written."
-        ) from error
+        raise OutputError(f"This user has no home folder for {use} to a folder that can be written.") from error
 
 
 def fingerprint(*paths: Path, also: str = "") -> str:
@@ -329,7 +327,7 @@ def first_few(texts: Sequence[str], most: int) -> str:
 
 
 def _shows(character: str) -> bool:
-    return character not in _TURNING and unicodedata.category(character) not in _HIDDEN
+    return character not in _MISLEADING and unicodedata.category(character) not in _HIDDEN
 
 
 def _temporary(path: Path) -> Path:

@@ -84,10 +84,6 @@ class _Console(Console):
         raise
 
 
-def _console() -> Console:
-    return _Console(stderr=True, soft_wrap=True)
-
-
 class StderrHandler(RichHandler):
     """Writes one line a record; tracebacks follow, indented: of our own loggers, or of all with `whole_tracebacks`.
 
@@ -96,7 +92,7 @@ class StderrHandler(RichHandler):
     """
 
     def __init__(self, whole_tracebacks: bool = False) -> None:
-        super().__init__(console=_console())
+        super().__init__(console=_Console(stderr=True, soft_wrap=True))
         self.setFormatter(
             logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%Y-%m-%d %H:%M:%S")
         )
@@ -125,7 +121,7 @@ class StderrHandler(RichHandler):
 
     def handleError(self, record: logging.LogRecord) -> None:  # noqa: ARG002, N802
         """Drop a line that cannot be written: logging would print the record with its secrets, and rich would keep it."""
-        self.console = _console()
+        self.console = _Console(stderr=True, soft_wrap=True)
 
     def _clean(self, text: str, length: int = _MAX_LENGTH) -> str:
         """Hide secrets before cutting: half a token would not be recognised."""

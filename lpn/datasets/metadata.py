@@ -25,7 +25,7 @@ from lpn.core.files import printable
 from lpn.core.formats import WORLD as WORLD_FORMAT
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.tables import Column, number_column, text_column
-from lpn.datasets import Picture, geo
+from lpn.datasets import geo
 from lpn.datasets.base import read_rows
 from lpn.datasets.listed_paths import by_name, plain_path
 
@@ -44,11 +44,6 @@ _ABOUT = {
 }
 _UNITS = {"latitude": "°", "longitude": "°", "altitude": "m", "heading": "°", "tilt": "°", "fov": "°", "width": "m"}
 _OPERATOR_CHARACTERS = set('<>=!~"')
-
-
-def relative(root: Path, pictures: Sequence[Picture]) -> list[str]:
-    """Return the path of each picture below the data set's folder, with forward slashes."""
-    return geo.names_below(root, pictures)
 
 
 def columns(root: Path, paths: Sequence[str], taken: Sequence[str] = (), positions: bool = True) -> list[Column]:

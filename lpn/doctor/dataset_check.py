@@ -302,17 +302,12 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
 
 
 def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str]:
-    """Read what stands beside the queries as the commands do that list them; yield their errors.
-
-    Args:
-        positions: read those of `geo.csv` too.
-        distances: the positions of queries and tiles are known.
-    """
+    """Read what stands beside the queries as the commands that list them do, `geo.csv` only if asked to; yield their errors."""
     reads: list[Callable[[], object]] = [lambda: notes.read_notes(own_file(dataset.root, notes.NAME))]
     for task in dataset.tasks():
         queries = dataset.queries(views_of(task)[0])
         taken = reserved(dataset.truth(task), distances, dataset.columns(queries))
-        paths = metadata.relative(dataset.root, queries)
+        paths = geo.names_below(dataset.root, queries)
         reads.append(partial(metadata.columns, dataset.root, paths, taken, positions))
     for read in reads:
         try:

@@ -91,11 +91,7 @@ def set_note(
         OutputError: when the file cannot be written.
     """
     note = Note(parse_tags(tags), typed(text))
-    if not path or printable(path) != path:
-        raise InputError(
-            f"The query's path is {printable(path)!r}; expected the path of the picture relative to the data set's "
-            "folder, in printable UTF-8, so rename the file."
-        )
+    _check_path(path)
     if len(note.text) > LONGEST_NOTE:
         raise InputError(f"The note has {len(note.text)} letters; expected {LONGEST_NOTE} at most.")
 
@@ -120,10 +116,8 @@ def add_tags(file: Path, paths: Sequence[str], tags: str | Iterable[str]) -> dic
     added = parse_tags(tags)
     if not added:
         raise InputError("There is no tag; write a word, such as night.")
-    if unusable := [path for path in paths if not path or printable(path) != path]:
-        raise InputError(
-            f"The query's path is {printable(unusable[0])!r}; expected printable UTF-8, so rename the file."
-        )
+    for path in paths:
+        _check_path(path)
 
     def change(notes: dict[str, Note]) -> dict[str, Note]:
         for path in map(plain_path, paths):
@@ -151,6 +145,14 @@ def parse_tags(tags: str | Iterable[str]) -> tuple[str, ...]:
     if len(unique) > MOST_TAGS:
         raise InputError(f"There are {len(unique)} tags; expected {MOST_TAGS} at most.")
     return unique
+
+
+def _check_path(path: str) -> None:
+    if not path or printable(path) != path:
+        raise InputError(
+            f"The query's path is {printable(path)!r}; expected the path of the picture relative to the data set's "
+            "folder, in printable UTF-8, so rename the file."
+        )
 
 
 def columns(notes: Mapping[str, Note], paths: Sequence[str]) -> list[Column]:

@@ -20,7 +20,7 @@ import numpy.typing as npt
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
-from lpn.datasets import Picture, Truth, metadata
+from lpn.datasets import Picture, Truth, geo, metadata
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.retrieval import metrics, scoring
 from lpn.retrieval.gallery_search import NOT_RETURNED
@@ -213,7 +213,7 @@ def table(
         *(number_column(f"margin_{i + 1}", outcomes.parts[:, i]) for i in range(n) if n > 1),
         *more,
     ]
-    paths = metadata.relative(root, queries)
+    paths = geo.names_below(root, queries)
     taken = [*(column.name for column in columns), RANK_A, RANK_B]
     return Table(paths, columns).with_columns(metadata.columns(root, paths, taken))
 

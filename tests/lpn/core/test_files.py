@@ -124,7 +124,7 @@ def test_json_is_read_by_any_reader(tmp_path: Path) -> None:
             for text in ("\u1781\u200b\u1798", "a\xadb", "\ue000", "\U000e0fff", "\U0001f3f4\U000e0067\U000e007f")
         ],
         ("a\u202egpj.exe", "a?gpj.exe"),
-        ("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u2066\u2067\u2068\u2069", "?" * 11),
+        ("\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u2066\u2067\u2068\u2069\ufffe\uffff", "?" * 13),
         ("a\nb\x1b[31m\u2028\u2029\x85", "a?b?[31m???"),
         ("caf\udce9", "caf?"),
     ],
