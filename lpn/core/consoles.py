@@ -91,7 +91,7 @@ def terminal() -> Console:
 def counting_bar(title: str, transient: bool = False) -> Iterator[CountProgress]:
     """Show a bar with the number of things that are done and the remaining time; a `transient` one is deleted at its end."""
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Bars(*columns, console=Console(), transient=transient) as bar:
+    with Bars(*columns, console=Console(force_jupyter=False), transient=transient) as bar:
         task = bar.add_task(title, total=None)
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
