@@ -432,9 +432,7 @@ def test_class_layers_begin_as_the_text_or_the_released_code_says(places: Path, 
 @pytest.mark.slow
 def test_a_head_without_a_linear_layer_has_the_channels_of_the_map(places: Path, tmp_path: Path) -> None:
     recipe = replace(QUICK, epochs=1, n_parts=1, size=96, batch=12, last_layer="layer4", last_stride=2)
-    recipe = replace(
-        recipe, **RELEASED_METRIC, metric="soft_margin", instance=0.0, infonce=0.0, ema=0.0, linear=False
-    )
+    recipe = replace(recipe, **RELEASED_METRIC, metric="soft_margin", instance=0.0, infonce=0.0, ema=0.0, linear=False)
     run, said = trainer(places, tmp_path / "run", recipe)
     assert lpn.load(run.run()).spec == run.network.spec
     assert (run.network.spec.embedding, run.network.spec.last_stride) == (512, 2)
