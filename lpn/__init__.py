@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from lpn.retrieval.evaluate import evaluate
     from lpn.tasks.task import Task
 
-# As soon as it is imported, ONNX Runtime would write an identifier into the user's home, and tell Microsoft of its use.
+# Without this, importing ONNX Runtime writes an identifier into the user's home folder, and reports its use to Microsoft.
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
 
 __all__ = [

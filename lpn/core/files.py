@@ -53,7 +53,7 @@ _MAX_FOLDERS = 8
 _MISLEADING = "\ufffe\uffff\u061c\u200e\u200f\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 # Categories of Unicode: control characters, bytes that are not UTF-8, separators of lines and of paragraphs.
 _HIDDEN = "Cc", "Cs", "Zl", "Zp"
-# What people type into a note besides: line breaks, tabs, and the marks that keyboards for Arabic and Hebrew have.
+# Characters that a note may hold besides: line breaks, tabs, and the direction marks of Arabic and Hebrew keyboards.
 TYPED = "\n\t\u061c\u200e\u200f"
 # Bytes of the name of a folder.
 _MAX_LINK = 255

@@ -27,5 +27,5 @@ def environment(package: str) -> Environment:
 
 
 def shown(value: object) -> object:
-    """Return what a page shows of a value: of a text that is no `Markup`, what is `printable`."""
+    """Return a value for a page: a text that is no `Markup` is made `printable`."""
     return printable(value, TYPED) if isinstance(value, str) and not isinstance(value, Markup) else value

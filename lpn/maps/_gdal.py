@@ -166,7 +166,7 @@ def _checked(path: Path) -> Any:
 
 
 def named(folder: Path, names: Iterable[str]) -> list[Path]:
-    """Return what a folder holds under names in lower case, whatever its own case, in the order of the names."""
+    """Return the entries of a folder with these names (in lower case) in any case, in the order of the names."""
     stat = folder.stat()
     changed = max(stat.st_mtime_ns, stat.st_ctime_ns)
     # Several changes may have one time.
@@ -177,7 +177,7 @@ def named(folder: Path, names: Iterable[str]) -> list[Path]:
 
 @lru_cache(maxsize=8)
 def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
-    """Return what a folder holds by its name in lower case, as of a time of change in nanoseconds."""
+    """Return the entries of a folder by their names in lower case; the time of change, in nanoseconds, is a key of the cache."""
     by_name: dict[str, list[Path]] = {}
     for path in folder.iterdir():
         by_name.setdefault(path.name.lower(), []).append(path)
@@ -185,7 +185,7 @@ def _listing(folder: Path, _changed: int) -> dict[str, list[Path]]:
 
 
 def _flaw(file: Any, path: Path) -> str | None:
-    """Return what is wrong with an open raster that names other files, and what to do; None if it names none."""
+    """Return the fault and the remedy of an open raster that names other files; None if it names none."""
     if _NAMES_OTHERS.search(os.fsencode(path.absolute())):
         return "has a name that GDAL takes for a list of files; rename it."
     if _NAMES_OTHERS.search(_head(path).partition(b"\0")[0]):
@@ -276,7 +276,7 @@ def opened(path: Path) -> Iterator[Any]:
 
 
 def check_work(file: Any, path: Path) -> None:
-    """Refuse a raster of which a first look, at all pixels of its coarsest overview, would take too long."""
+    """Refuse a raster if reading all pixels of its coarsest overview would take too long."""
     minutes = file.width * file.height / max(file.overviews(1), default=1) ** 2 / PIXELS_PER_MINUTE
     if minutes > _MOST_MINUTES:
         raise DataError(
