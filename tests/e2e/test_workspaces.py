@@ -151,6 +151,18 @@ def test_a_page_changes_its_workspace_and_back(
     assert "Traceback" not in caplog.text
 
 
+# The next session's script runs twice, and its control of messages is drawn late, as on a busy machine.
+LATE = """() => {
+  const { greet } = lpn, { field } = lpn.viser, before = lpn.bridge;
+  lpn.greet = () => {
+    greet();
+    greet();
+  };
+  let asked;
+  lpn.viser.field = (uuid) => (uuid !== before && performance.now() - (asked ??= performance.now()) < 1000 ? null : field(uuid));
+}"""
+
+
 @pytest.mark.slow
 def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses_no_press(
     offer: Offer, new_page: Callable[[], Page], monkeypatch: pytest.MonkeyPatch
@@ -192,6 +204,7 @@ def test_the_first_screen_of_another_place_is_there_before_its_session_and_loses
     assert drawn.wait(PATIENCE)
     assert order[-1] == "the next place"
     page.locator("#lpn-first [data-act=why]").click()
+    page.evaluate(LATE)
     may_build.set()
     expect(page.locator("#lpn-first .reason")).to_be_visible()
     expect(page).to_have_url(re.compile("(?=.*show=whole)(?=.*why=1)"))

@@ -55,6 +55,7 @@ interface Lpn {
   store(storage: "local" | "session", key: string, text: string | null): void;
   send(kind: string, value?: unknown): void;
   resume(): [string, unknown][];
+  begins(): boolean;
   holdMessages(): void;
   mouse: Point;
   cell(map: HTMLElement, event: MouseEvent): number;

@@ -51,7 +51,7 @@
     sending = waiting.length > 0 && !paused;
     if (!sending) return;
     setTimeout(next, 60); // before `write`, which may throw
-    write(...waiting.shift());
+    if (!lpn.begins() || lpn.viser.field(lpn.bridge)) write(...waiting.shift()); // viser may yet have to draw the control
   };
   // Send messages again, and return those that waited for this session.
   lpn.resume = () => {
@@ -62,11 +62,13 @@
   lpn.holdMessages = () => {
     paused = true;
     // The message before may still wait to be sent by viser.
-    const confirm = () => paused && (sending ? setTimeout(confirm, 20) : write("previewed"));
+    const confirm = () => paused && !lpn.begins() && (sending ? setTimeout(confirm, 20) : write("previewed"));
     requestAnimationFrame(() => requestAnimationFrame(confirm));
   };
   lpn.send = (kind, value) => {
-    waiting.push([kind, value]);
+    const same = kind === "hello" && waiting.find(([other]) => other === kind);
+    if (same) same[1] = value;
+    else waiting.push([kind, value]);
     if (!sending) next();
   };
   lpn.onChange(100, () => {

@@ -16,6 +16,7 @@
   let written = 0; // when one that a person asked for was written last
   let ready = false;
   let begun = false; // a session of the server has begun, and has not answered yet
+  lpn.begins = () => begun;
 
   // Each action of a person is a step of the browser's history, which Back undoes. A drag, which changes one thing many times, is one
   // step; what changes by itself, such as the frame of a flight that plays, is none. A change of these is always a step.
@@ -78,7 +79,6 @@
   lpn.greet = () => {
     clearInterval(greeting);
     const now = (lpn.greeted = performance.now());
-    const held = lpn.resume();
     begun = true;
     setTimeout(() => cover()?.remove(), UNANSWERED); // the page says below it what it waits for
     const names = [...new URLSearchParams(search).keys()].filter((key) => !["theme", "words"].includes(key) && lpn.keys.includes(key));
@@ -90,6 +90,7 @@
     const hello = () => lpn.send("hello", { search: search, small: lpn.folded(), ...speech, light: window.lpnWay.theme(search) === "light", viewport: lpn.openingSize() });
     lpn.settled(() => {
       if (now !== lpn.greeted) return; // the page has been drawn anew
+      const held = lpn.resume();
       greeting = lpn.every(500, hello);
       hello();
       held.filter(([kind]) => kind !== "hello").forEach(([kind, value]) => lpn.send(kind, value));
