@@ -111,7 +111,7 @@ class WindowSources:
         elif lab.map == "ground" and task.geometry is None:
             lost = "No position is known, so there is no map of the ground."
         elif lab.map == "umap" and not self.lab.has_umap:
-            lost = "The map of neighbours is left out: it needs the extra umap (pip install lpn-explorer[umap])."
+            lost = "The map of neighbours is left out: it needs the extra train (pip install lpn-explorer[train])."
         if lost:
             return Markup(render("stories/lab_map", lost=lost))
         points = _finish(self.lab.points(lab.map, task.key, self), wait)

@@ -95,7 +95,7 @@ def umap(queries: npt.ArrayLike, gallery: npt.ArrayLike, neighbours: int = 15, s
         from umap import UMAP
     except ModuleNotFoundError as error:
         raise MissingPackageError(
-            "A UMAP needs the package umap-learn, which is not installed; pip install 'lpn-explorer[umap]', or use the PCA."
+            "A UMAP needs the package umap-learn, which is not installed; pip install 'lpn-explorer[train]', or use the PCA."
         ) from error
     # With a seed, umap-learn uses one thread, and warns unless n_jobs is 1.
     reducer = UMAP(n_neighbors=neighbours, metric="cosine", random_state=seed, n_jobs=1)

@@ -1,4 +1,4 @@
-"""Reading complete folders of shards: tile by tile, or gathered into a store. Needs the extra `ray`."""
+"""Reading complete folders of shards: tile by tile, or gathered into a store. Needs the extra `cluster`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Ray session: started quietly on this machine, or joined on a cluster, and always shut down. Needs the extra `ray`."""
+"""A Ray session: started quietly on this machine, or joined on a cluster, and always shut down. Needs the extra `cluster`."""
 
 from __future__ import annotations
 

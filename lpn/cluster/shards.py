@@ -1,4 +1,4 @@
-"""Shards of descriptors: a folder or a prefix of Parquet files that many workers write. Needs the extra `ray`.
+"""Shards of descriptors: a folder or a prefix of Parquet files that many workers write. Needs the extra `cluster`.
 
     plan.json         format, model fingerprint, view, n and D, precision, the number of partitions, pictures of a shard,
                       whether the last run finished, and a digest of all shards

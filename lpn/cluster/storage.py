@@ -1,4 +1,4 @@
-"""Files in a folder or under a prefix in object storage, behind one interface. Needs the extra `ray`.
+"""Files in a folder or under a prefix in object storage, behind one interface. Needs the extra `cluster`.
 
 pyarrow opens the schemes that it knows (s3://, gs://, abfss://, hdfs://, file://); fsspec opens all others, where it is
 installed with the package of the scheme.

@@ -1,4 +1,4 @@
-"""A worker of distributed inference, which describes one partition at a time (`lpn.cluster.driver`). Needs the extra `ray`."""
+"""A worker of distributed inference, which describes one partition at a time (`lpn.cluster.driver`). Needs the extra `cluster`."""
 
 from __future__ import annotations
 

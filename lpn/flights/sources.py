@@ -551,7 +551,7 @@ def _telemetry(
         notes.append(str(error))
     if known_subtitles is None:
         inside = "" if find_spec("av") is not None or file is not None else (
-            "; those inside of it need the package av: pip install 'lpn-explorer[video]'"
+            "; those inside of it need the package av: pip install 'lpn-explorer[maps]'"
         )  # fmt: skip
         return None, None, [*notes, f"{printable(video.name)} has no subtitles with telemetry{inside}."]
     where = file.name if file is not None else "the subtitle stream"

@@ -1,8 +1,8 @@
 """Indexes of millions of tiles: names, descriptors, and positions, searched under any part weights.
 
     exact     a folder, searched in process without extras; exact (`lpn.index.exact`)
-    faiss     a folder, for 10^6 to 10^7 tiles on one machine (`lpn.index.faiss`, the extra `faiss`)
-    milvus    a collection on a server or a cluster (`lpn.index.milvus`, the extra `milvus`)
+    faiss     a folder, for 10^6 to 10^7 tiles on one machine (`lpn.index.faiss`, the extra `search`)
+    milvus    a collection on a server or a cluster (`lpn.index.milvus`, the extra `cluster`)
 
 All implement the protocol `Index`, and `open_index` detects which one it opens. The package imports `retrieval` and the
 packages below it; `lpn.index.tiles` also reads shards of `cluster`. `doctor` and `cli` import it.

@@ -1,4 +1,4 @@
-"""faiss (the extra `faiss`), for 10^6 to 10^7 tiles on one machine: a faiss index beside the vectors of each larger segment.
+"""faiss (the extra `search`), for 10^6 to 10^7 tiles on one machine: a faiss index beside the vectors of each larger segment.
 
     faiss.index     in a segment's folder, with its rows in the segment's order
 

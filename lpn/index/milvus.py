@@ -1,4 +1,4 @@
-"""Milvus (the extra `milvus`): an index in a collection on a server or a cluster.
+"""Milvus (the extra `cluster`): an index in a collection on a server or a cluster.
 
 A collection has the fields id (primary key: a 128-bit hash of the tile's name in hexadecimal, which needs no escaping in
 expressions), name, vector (n D numbers, inner product), latitude, and longitude. Its description holds the format.

@@ -1,4 +1,4 @@
-"""A map from a flight's own photos: an orthophoto by pyOrthomosaic (the extra `orthophoto`), in the folder of a map.
+"""A map from a flight's own photos: an orthophoto by pyOrthomosaic (the extra `maps`), in the folder of a map.
 
 Photos are laid side by side as if the ground were a plane. Place, turn, and scale are fitted to the GPS tags, so the map is as
 good as these are together, and no better: an error that all tags share is one of the map. `place_error` is the part that they do

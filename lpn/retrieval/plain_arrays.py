@@ -4,7 +4,7 @@ An array is (N, D), (N, n, D), or (N, D, n), floats of any precision, in one of 
 
     .npy        the array
     .npz        one array; or `query` and `gallery`, so that one file may hold both sides
-    .mat        MATLAB 5: query_f, query, gallery_f, gallery, descriptors, or features (extra `data`)
+    .mat        MATLAB 5: query_f, query, gallery_f, gallery, descriptors, or features (extra `train`)
     .parquet    one column of lists, such as `descriptor`; else all columns of numbers (pyarrow)
 
 The list (`paths.csv`) has a line for each row of both arrays, those of one side in the order of their rows:

@@ -180,7 +180,7 @@ def check_n_parts(n_parts: int | None) -> int:
 
 
 def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
-    """Read a `pytorch_result.mat`; needs the extra `data`.
+    """Read a `pytorch_result.mat`; needs the extra `train`.
 
     Args:
         n_parts: number of parts of a descriptor. With 1, descriptors are not divided; metrics over all parts are then the same,

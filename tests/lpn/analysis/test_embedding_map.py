@@ -65,7 +65,7 @@ def test_umap_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
         umap(drawn(5), drawn(5))
 
 
-@pytest.mark.skipif(importlib.util.find_spec("umap") is None, reason="the extra umap is not installed")
+@pytest.mark.skipif(importlib.util.find_spec("umap") is None, reason="the extra train is not installed")
 @pytest.mark.filterwarnings("default")
 def test_umap_keeps_groups_together_and_repeats_itself() -> None:
     queries, gallery = drawn(40), drawn(40, seed=1)

@@ -23,8 +23,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-pytest.importorskip("ray", reason="the extra ray is not installed")
-pytest.importorskip("pyarrow", reason="the extra ray is not installed")
+pytest.importorskip("ray", reason="the extra cluster is not installed")
+pytest.importorskip("pyarrow", reason="the extra cluster is not installed")
 
 from lpn import descriptors
 from lpn.cli import main

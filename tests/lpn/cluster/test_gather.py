@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("pyarrow", reason="the extra ray is not installed")
+pytest.importorskip("pyarrow", reason="the extra cluster is not installed")
 
 from lpn import descriptors
 from lpn.cli import main

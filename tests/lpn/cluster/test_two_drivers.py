@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("pyarrow", reason="the extra ray is not installed")
+pytest.importorskip("pyarrow", reason="the extra cluster is not installed")
 
 from lpn.cli import main
 from lpn.cluster import driver

@@ -87,5 +87,5 @@ def test_without_scipy_the_extra_is_named(tmp_path: Path) -> None:
     command = [sys.executable, "-c", WITHOUT_SCIPY, "doctor", "--data", str(layouts.cvact(tmp_path))]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "lpn-explorer[data]" in done.stderr
+    assert "lpn-explorer[train]" in done.stderr
     assert done.stderr.count("\n") == 1

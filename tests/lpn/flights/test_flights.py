@@ -177,7 +177,7 @@ def test_without_the_extra_video_the_note_says_what_to_install(tmp_path: Path, m
     video = write_video(tmp_path / "a.mp4", 0.5)
     monkeypatch.setattr(sources, "find_spec", lambda _: None)
     flight = make_flight([video], tmp_path / "flight")
-    assert any("pip install 'lpn-explorer[video]'" in note for note in flight.notes)
+    assert any("pip install 'lpn-explorer[maps]'" in note for note in flight.notes)
     (tmp_path / "a.SRT").write_text(srt(["[latitude: 1.0] [longitude: 2.0] [rel_alt: 3.0 abs_alt: 4.0]"]))
     assert make_flight([video], tmp_path / "flight").frames[0].latitude == 1.0
 

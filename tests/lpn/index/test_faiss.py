@@ -17,7 +17,7 @@ from lpn.index import DegreeBox, open_index
 from lpn.models.base import normalise
 from tests.lpn.index.test_index import KIND, Tiles
 
-pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
 from lpn.index.faiss import FaissIndex
 
 COUNT = 12_000

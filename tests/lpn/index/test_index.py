@@ -103,7 +103,7 @@ class Tiles:
 
 
 def _faiss(path: Path, codes: Any) -> Index:
-    pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+    pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
     from lpn.index.faiss import FaissIndex
 
     index = FaissIndex.create(path, KIND, codes, nprobe=10_000, depth=50)
@@ -732,7 +732,7 @@ def test_codes_and_structure_can_be_chosen(
 ) -> None:
     from lpn.index import FaissIndex, MilvusIndex
 
-    pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+    pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
     store = _options(descriptors=described.store)
     assert main(["index", *store, *_options(out=tmp_path / "i", engine="faiss", codes="pq")]) == 0
     with open_index(tmp_path / "i") as index:
@@ -754,7 +754,7 @@ def test_effort_and_depth_reach_the_engine(
 ) -> None:
     from lpn.index import FaissIndex
 
-    pytest.importorskip("faiss", reason="faiss is not installed (the extra faiss)")
+    pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
     places = {"exact": str(tmp_path / "exact"), "faiss": str(tmp_path / "faiss"), "milvus": COLLECTION}
     making = ["index", *_options(descriptors=described.store)]
     assert main([*making, *_options(out=places["exact"])]) == 0

@@ -20,7 +20,7 @@ def client(monkeypatch: pytest.MonkeyPatch) -> type[FakeMilvusClient]:
 
 
 def test_no_server_is_told_in_a_sentence() -> None:
-    pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra milvus)")
+    pytest.importorskip("pymilvus", reason="pymilvus is not installed (the extra cluster)")
     with pytest.raises(StoreError, match="does not answer after 1 s") as told:
         MilvusIndex("milvus://someone:secret@127.0.0.1:9/tiles", patience=1)
     assert "secret" not in str(told.value)

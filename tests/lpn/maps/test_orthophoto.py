@@ -181,7 +181,7 @@ def test_the_extra_is_named_where_the_library_is_missing(
     write_photo(tmp_path / "photos" / "a.jpg", exif(48.0, 9.0))
     monkeypatch.setitem(sys.modules, "orthomosaic", None)
     assert command(tmp_path / "photos", tmp_path / "map") == 2
-    assert "pip install 'lpn-explorer[orthophoto]'" in capsys.readouterr().err
+    assert "pip install 'lpn-explorer[maps]'" in capsys.readouterr().err
     assert not (tmp_path / "map").exists()
 
 
