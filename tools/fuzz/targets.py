@@ -703,7 +703,7 @@ def flights(folder: Path) -> list[FuzzCase]:
 
 
 def maps(folder: Path) -> list[FuzzCase]:
-    """GeoTIFFs, side files, lists of corners, databases and folders of tiles, and map.json."""
+    """GeoTIFFs, side files, lists of corners, .mbtiles, folders of tiles, and map.json."""
     import rasterio
     from PIL import Image
 
@@ -782,9 +782,6 @@ def maps(folder: Path) -> list[FuzzCase]:
         file("map/map.json", (folder / "map" / "map.json").read_bytes(), "map"),
     ]
     cases += [file("a.mbtiles", seed) for seed in databases]
-    cases.append(
-        file("a.sqlitedb", small_tiles.write_sqlitedb(folder / "a.sqlitedb", small_worlds.place(3)).read_bytes())
-    )
     small_tiles.write_folder(folder / "south", tiles, side=32)
     cases.append(file("south/tilemapresource.xml", b"<TileMap><SRS>EPSG:3857</SRS></TileMap>", "south"))
     return cases
