@@ -28,7 +28,7 @@ _EXTRAS = {
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
     "av": "video",
     "playwright": "film",
-    **dict.fromkeys(("pymavlink", "pyulog", "rosbags"), "live"),
+    **dict.fromkeys(("pymavlink", "pyulog"), "live"),
 }
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
