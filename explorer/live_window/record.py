@@ -113,9 +113,6 @@ class LiveRecord:
             self._sight = None
         self.watchers.tell()
 
-    def close(self) -> None:
-        """Keep what there is; the page goes on showing it."""
-
     def forget(self) -> None:
         """Remove the photos."""
         self._folder.cleanup()

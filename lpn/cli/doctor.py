@@ -56,21 +56,10 @@ class DoctorCommand:
             return self._check_environment()  # works without any package
 
         from lpn.core.consoles import counting_bar, wide_console
-        from lpn.core.posed_samples import sample_folders
         from lpn.datasets import open_dataset
         from lpn.doctor.dataset_check import check_dataset, print_report
 
         console = wide_console()
-        if samples := sample_folders(self.data):
-            from lpn.doctor.sample_check import check_samples
-
-            with counting_bar("Reading samples", transient=True) as progress:
-                reports = check_samples(samples, self.quick, progress)
-            for line in (line for one in reports for line in one.lines):
-                console.print(line, soft_wrap=True, markup=False, highlight=False)
-            if self.json is not None:
-                write_json(self.json, [one.to_dict() for one in reports])
-            return 1 if any(one.problems for one in reports) else 0
         with counting_bar("Reading pictures", transient=True) as progress:
             report = check_dataset(open_dataset(self.data), not self.quick, progress)
         print_report(report, console)

@@ -19,9 +19,8 @@ class FlightCommand:
     """Read the photos or videos of a flight with their positions, heights, and headings into a folder."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Photos with EXIF and XMP, or videos with .SRT, .ASS, or .VTT files or subtitles inside; .csv logs; .gpx, .kml, or .kmz
-    tracks; logs of autopilots, .ulg, .tlog, or .bin, and bags of ROS (extra live); folders of photos or videos. Else a scene of
-    AnyVisLoc, or a sample of OrthoLoC (.npz)."""
+    """Photos with EXIF and XMP, or videos with .SRT files or subtitles inside; .csv logs; .gpx tracks; logs of autopilots, .ulg,
+    .tlog, or .bin (extra live); folders of photos or videos."""
     out: Path
     """Folder to write: flight.csv, flight.json, and the frames of videos in frames. Photos stay where they are."""
     every: float = 1.0

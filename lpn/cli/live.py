@@ -20,7 +20,6 @@ if TYPE_CHECKING:
     from lpn.live.frames import Say
     from lpn.live.locator import LiveOptions
     from lpn.live.run import FixOutput, LiveRun
-    from lpn.live.telemetry import LiveTelemetry
 
 # Seconds between two sentences about the windows that are described.
 _SAID = 5.0
@@ -31,7 +30,7 @@ class LiveInput:
     """The map, the model, and what arrives."""
 
     live: str
-    """Pictures: a folder that fills, a video, the number of a camera, or the address of a stream (rtsp://, udp://, http://)."""
+    """Pictures: a folder that fills, a video, or the address of a stream (rtsp://, udp://, http://)."""
     map: Path
     """Map: a folder of lpn map, or a georeferenced picture."""
     model: Path
@@ -52,11 +51,9 @@ class LiveInput:
     """Metres a second that the flight moves, one standard deviation."""
     map_error: MapError = None
     fov: float | None = None
-    """Horizontal field of view in degrees, for frames of videos, cameras, and streams."""
+    """Horizontal field of view in degrees, for frames of videos and streams."""
     idle: float | None = None
     """Seconds without a frame after which the flight counts as ended; by default it is waited for."""
-    belief: Path | None = None
-    """File that keeps the belief, so that a run that starts again in flight goes on; by default beside --out."""
 
     def options(self) -> LiveOptions:
         """Return how frames are located."""
@@ -74,7 +71,7 @@ class LiveInput:
         """Open map, model, pictures, and telemetry.
 
         Args:
-            outputs: beside those that need the telemetry.
+            outputs: that take each fix.
             on_windows: are called while the map's windows are described.
             stack: closes what was opened, if something later fails.
 
@@ -84,7 +81,7 @@ class LiveInput:
         from lpn.core.resources import one_thread_a_library
         from lpn.live.frames import open_source
         from lpn.live.locator import LiveLocator
-        from lpn.live.run import LiveRun, LiveSettings
+        from lpn.live.run import LiveRun
         from lpn.live.telemetry import open_telemetry
         from lpn.maps import open_map
 
@@ -102,37 +99,23 @@ class LiveInput:
         locator = LiveLocator(basemap, network, options, _progress([_windows_said(), *on_windows]))
         if options.sizes is not None:
             locator.prepare(options.sizes)
-        more = self.more_outputs(say, telemetry, stack)
         if not stack.enter_context(one_thread_a_library()):
             say(
                 "The package threadpoolctl is not installed, so NumPy computes by several threads, and a frame may take twice as "
                 "long; pip install 'lpn-explorer[live]', or set OMP_NUM_THREADS=1."
             )
-        return LiveRun(source, telemetry, locator, [*outputs, *more], say, LiveSettings(self.idle, self.belief))
-
-    def more_outputs(self, say: Say, telemetry: LiveTelemetry, stack: ExitStack) -> list[FixOutput]:
-        """Return the outputs that options ask for."""
-        del say, telemetry, stack
-        return []
+        return LiveRun(source, telemetry, locator, outputs, say, self.idle)
 
 
 @dataclass(kw_only=True)
 class LiveCommand(LiveInput):
-    """Find where the newest picture of a flight was taken, while it flies: answers as GeoJSON lines, MAVLink, and a websocket.
+    """Find where the newest picture of a flight was taken, while it flies: answers as lines of GeoJSON.
 
     A frame that comes while another is located waits, and a newer one replaces it.
     """
 
     out: Path | None = None
     """File of GeoJSON lines, ending in .jsonl, .geojsonl, or .ndjson, which are appended; by default they are printed."""
-    send: str | None = None
-    """MAVLink address that accepted places are sent to, such as udpout:127.0.0.1:14551."""
-    send_as: Literal["gps", "vision"] = "gps"
-    """Message to send: GPS_INPUT, or VISION_POSITION_ESTIMATE, which needs the vehicle's origin by --telemetry."""
-    serve: int | None = None
-    """Port of a websocket that sends the lines."""
-    host: str = "127.0.0.1"
-    """Address for the websocket to listen on; any other than 127.0.0.1 shows the flight to other machines, without a password."""
 
     def run(self) -> None:
         with ExitStack() as stack:
@@ -141,46 +124,11 @@ class LiveCommand(LiveInput):
             else:
                 check_outputs((self.out, ".jsonl", ".geojsonl", ".ndjson"))
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
-                self.belief = self.belief or self.out.with_name(self.out.name + ".belief")
             from lpn.live.outputs import LineOutput
 
             run = self.open_run(_say, [LineOutput(lines)], stack)
             count = run.run()
         _say(f"{count} frames were located.")
-
-    def resume_hint(self) -> str:
-        """Return how to go on after a stop."""
-        return "The same command goes on from the belief that is kept." if self.belief else "Nothing was kept."
-
-    def more_outputs(self, say: Say, telemetry: LiveTelemetry, stack: ExitStack) -> list[FixOutput]:
-        from lpn.core.resources import is_loopback
-        from lpn.live.outputs import MavlinkOutput, WebsocketOutput
-        from lpn.live.telemetry import MavlinkLink
-
-        outputs: list[FixOutput] = []
-        if self.send is not None:
-            link = telemetry if isinstance(telemetry, MavlinkLink) else None
-            if self.send_as == "vision" and link is None:
-                raise InputError(
-                    "VISION_POSITION_ESTIMATE is told from the vehicle's origin; give its MAVLink address with --telemetry."
-                )
-            sender = MavlinkOutput(
-                self.send,
-                self.send_as,
-                say,
-                lambda: None if link is None else link.origin,
-                lambda: self.system if link is None else link.system,
-            )
-            stack.callback(sender.close)
-            outputs.append(sender)
-        if self.serve is not None:
-            server = WebsocketOutput(self.host, self.serve)
-            stack.callback(server.close)
-            if not is_loopback(self.host):
-                say(f"Other machines can read the flight at port {server.port}, without a password.")
-            say(f"The websocket is ws://{printable(self.host)}:{server.port}.")
-            outputs.append(server)
-        return outputs
 
 
 def _progress(receivers: Sequence[CountProgress]) -> Progress:

@@ -19,8 +19,8 @@ class MapCommand:
     """Make a map of a GeoTIFF, a picture with corners, tiles, sheets, or your own photos; other commands take its folder."""
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles, .sqlitedb; several
-    are sheets of one map. A scene of AnyVisLoc or a sample of OrthoLoC (.npz) is a map with heights."""
+    """GeoTIFF (any CRS), picture with a world file or corners, map.csv, folder of tiles {z}/{x}/{y}, .mbtiles; several are
+    sheets of one map."""
     out: Path
     """Folder of the map; sheets that are quick to read stay where they are, and are named in it."""
     crs: str | None = None
@@ -97,13 +97,7 @@ class MapCommand:
         options = MapOptions(self.crs, self.corners, self.bands, self.keep_borders)
         place = MapPlace(self.place, self.photographed)
         if self.from_flight is None:
-            if len(self.files) == 1:
-                from lpn.maps.posed_scenes import build_scene
-
-                scene = build_scene(self.files[0], self.out, options, on_progress, place, elevation)
-                if scene is not None:
-                    return scene
-            return build_map(self.files, self.out, options, on_progress, elevation, place=place)
+            return build_map(self.files, self.out, options, on_progress, elevation, place)
         if self.files or options != MapOptions():
             raise InputError(
                 "--from-flight makes the map of photos alone; leave the other files and options, except --elevation, out."

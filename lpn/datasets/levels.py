@@ -13,7 +13,6 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.images import SUFFIXES
-from lpn.core.posed_samples import sample_folders
 from lpn.datasets.base import hidden_name
 
 # Folders right below a data set's, in any layout; the drone pictures of SUES-200 have a name of the user's.
@@ -50,7 +49,7 @@ _ARCHIVE = re.compile(
     r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
     re.IGNORECASE,
 )
-_OF_A_VIDEO = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt", ".ass", ".vtt", ".lrf")
+_OF_A_VIDEO = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt", ".lrf")
 _MODELS = (".pth", ".pt", ".ckpt", ".safetensors", ".onnx")
 # First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
 _MAGIC = (
@@ -106,20 +105,6 @@ def videos_alone(root: Path) -> DataError | None:
     return DataError(
         f"{shown} holds {first_few([printable(name) for name in videos], 2)}, which are of a flight and no data set; read the "
         f"frames with lpn flight {shown} --out FLIGHT, then give that folder to lpn locate or lpn explore flight."
-    )
-
-
-def arrays(root: Path) -> DataError | None:
-    """Return the error about AnyVisLoc or OrthoLoC, at most two levels below; None for another folder."""
-    found = sample_folders(root)
-    if not found:
-        return None
-    first = found[0]
-    one = first.folder if first.layout == "AnyVisLoc" else first.samples[0]
-    return DataError(
-        f"{printable(str(root))} is {first.layout}, photos with poses over maps with heights, and no data set for retrieval; "
-        f"make a map and a flight of it for lpn locate, such as lpn map {printable(str(one))} --out MAP and lpn flight "
-        f"{printable(str(one))} --out FLIGHT."
     )
 
 

@@ -11,9 +11,6 @@ from lpn.core.files import printable
 
 PLAN = "world.json"
 FLIGHT_PLAN, TRUTH = "flight_world.json", "truth.csv"
-# The exact poses of a flight of AnyVisLoc or OrthoLoC, beside the folder of its pictures.
-POSES = "poses.csv"
-POSE_COLUMNS = ("file", "latitude", "longitude", "altitude", "heading", "pitch", "roll")
 # Present in a world's folder until its last picture is rendered.
 UNFINISHED = "unfinished.txt"
 
@@ -42,10 +39,7 @@ def is_rendered_flight(photos: Path) -> bool:
 
 @dataclass(frozen=True)
 class TruePose:
-    """The exact pose of a photo's camera: WGS 84 degrees, metres above the elevation's datum, and angles in degrees.
-
-    Altitude and roll are NaN where a data set does not tell them.
-    """
+    """The exact pose of a photo's camera: WGS 84 degrees, metres above the elevation's datum, and angles in degrees."""
 
     latitude: float
     longitude: float
@@ -56,26 +50,21 @@ class TruePose:
 
 
 def true_poses(photos: Path) -> dict[str, TruePose]:
-    """Return the exact poses of the photos in a folder of a rendered flight, or of one of AnyVisLoc or OrthoLoC, by their names.
+    """Return the exact poses of the photos in a folder of a rendered flight, by their names.
 
     There are none for another folder.
 
     Raises:
         DataError: if the file of the poses is damaged.
     """
-    rendered = is_rendered_flight(photos)
-    file = photos.parent / (TRUTH if rendered else POSES)
-    if not file.is_file():
+    file = photos.parent / TRUTH
+    if not is_rendered_flight(photos) or not file.is_file():
         return {}
-    names = ("latitude", "longitude", "z", "true_heading", "true_pitch", "true_roll") if rendered else POSE_COLUMNS[1:]
+    names = ("latitude", "longitude", "z", "true_heading", "true_pitch", "true_roll")
     try:
         with file.open(newline="", encoding="utf-8") as text:
-            rows = csv.DictReader(text)
-            if not rendered and tuple(rows.fieldnames or ()) != POSE_COLUMNS:
-                return {}  # somebody's own file of this name
-            return {row["file"]: TruePose(*(float(row[name]) for name in names)) for row in rows}
+            return {row["file"]: TruePose(*(float(row[name]) for name in names)) for row in csv.DictReader(text)}
     except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
-        command = "the rendering" if rendered else "lpn flight"
         raise DataError(
-            f"{printable(str(file))} has no exact poses; expected the file that {command} wrote, so delete it or bring it back."
+            f"{printable(str(file))} has no exact poses; expected the file that the rendering wrote, so bring it back."
         ) from error

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -83,9 +84,9 @@ def fit_clocks(photos: Sequence[Photo], telemetry: Telemetry, utc: bool) -> Cloc
         off = _off(telemetry, known[plain], places, 0.0)
         if off <= _NEAR or off == math.inf or _spread(places) <= _LEAST_SPREAD:
             return ClockFit(0.0, plain, "")
-    for find in (_by_zone, _by_places):
+    for find in (partial(_by_zone, utc=utc), _by_places):
         for basis, times in known.items():
-            if (fit := find(telemetry, times, places, basis, utc)) is not None:
+            if (fit := find(telemetry, times, places, basis)) is not None:
                 return fit
     if fits:
         return ClockFit(0.0, plain, _warning(off))
@@ -153,11 +154,8 @@ def _by_zone(telemetry: Telemetry, times: Float64Array, places: Float64Array, ba
     return ClockFit(offset, basis, f"with a constant offset: {what}")
 
 
-def _by_places(
-    telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str, utc: bool
-) -> ClockFit | None:
+def _by_places(telemetry: Telemetry, times: Float64Array, places: Float64Array, basis: str) -> ClockFit | None:
     """Return the one offset at which the log passes where the photos were taken; None if there is none."""
-    del utc
     known = np.isfinite(times) & np.isfinite(places[:, 0])
     if known.sum() < 3 or _spread(places[known]) <= _LEAST_SPREAD or not telemetry.entries:
         return None

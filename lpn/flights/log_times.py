@@ -26,13 +26,6 @@ _EPOCHS = (1e9, 1e11)
 _MILLISECONDS, _MICROSECONDS = 1e3, 2e4
 
 
-def seconds_of(text: str) -> tuple[float | None, bool]:
-    """Return a date's seconds since 1970-01-01, None if it is none; and whether it has a zone, without which it counts as UTC."""
-    match = _DATE.fullmatch(text.strip()) if len(text) < 100 else None
-    clock = None if match is None else _date(match, False)
-    return clock, clock is not None and match is not None and match["zone"] is not None
-
-
 def clocks_of(table: LogTable, name: str) -> tuple[list[float | None], bool, list[str]]:
     """Return seconds since 1970-01-01 of the rows' dates, whether they have a zone, and notes."""
     texts = []

@@ -25,7 +25,6 @@ from lpn.flights.folder import FRAMES, check_folder, write_flight
 from lpn.flights.lenses import Lens, read_camera
 from lpn.flights.logs import Log, LogRow
 from lpn.flights.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_values
-from lpn.flights.posed_samples import flight_of_samples
 from lpn.flights.quality import flight_notes, with_courses
 from lpn.flights.subtitles import GpsOrder, Subtitles
 from lpn.flights.telemetry import VALUES, Telemetry, TelemetryEntry
@@ -38,7 +37,6 @@ _OWN_TRACKS = {
     ".csv": re.compile(rb"(?:\xef\xbb\xbf)?frame,stage,state,"),
     ".geojson": re.compile(rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":', re.DOTALL),
     ".gpx": re.compile(rb'.*creator="lpn locate"', re.DOTALL),
-    ".kml": re.compile(rb".*<Folder>\s*<name>(?:retrieval|sequence|registration|by hand)</name>", re.DOTALL),
 }
 _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
@@ -101,23 +99,19 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
     Args:
         files: photos, videos, subtitles, logs, tracks, and folders of photos, videos, and subtitles. A log alone brings the
-            photos that it names from below its folder. Else samples of AnyVisLoc or OrthoLoC, see `flight_of_samples`.
+            photos that it names from below its folder.
         out: the folder; frames of videos are written to `frames` in it.
 
     Raises:
         DataError: if there are no pictures, none can be read, photos are mixed with videos, or a log or the camera's file is
             damaged, or the camera's pictures have other proportions than all frames, or a file is a track of `lpn locate`.
-        InputError: as `flight_of_samples`, or if an option is about videos or subtitles, and the files are photos.
+        InputError: if an option is about videos or subtitles, and the files are photos.
         OutputError: if the folder cannot be written, or holds a flight.csv or flight.json that `lpn flight` did not write.
     """
     options = options or FlightOptions()
     check_folder(out)
     _refuse_own_tracks(files)
     camera = None if options.camera is None else read_camera(options.camera)
-    if (samples := flight_of_samples(files, out.resolve().name, out / FRAMES, _of_other_files(options))) is not None:
-        samples = _completed(samples, options)
-        write_flight(samples, out)
-        return samples
     inputs = _sorted_files(files)
     read, texts, unread = _read_logs(inputs.logs)
     inputs = replace(inputs, logs=list(read), others=[*inputs.others, *texts])
@@ -132,7 +126,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
         photos = inputs.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
             raise DataError(_no_pictures(inputs))
-        if given := [one for one in _of_other_files(options) if one != "--camera"]:
+        if given := _of_videos(options):
             raise InputError(
                 f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
             )
@@ -146,14 +140,14 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
 
 
 def read_any_log(file: Path) -> Log:
-    """Read a log of any kind: a table, a track, a log of an autopilot, or a bag.
+    """Read a log of any kind: a table, a track, or a log of an autopilot.
 
     Raises:
         DataError: if it is damaged, of no kind that is read, or a track that lpn locate wrote.
     """
     _refuse_own_tracks([file])
     suffix = file.suffix.lower()
-    if file.is_dir() or suffix in vehicle_logs.SUFFIXES:
+    if suffix in vehicle_logs.SUFFIXES:
         return vehicle_logs.read_vehicle_log(file)
     return track_files.read_track(file) if suffix in track_files.SUFFIXES else logs.read_log(file)
 
@@ -287,9 +281,6 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
     for path in paths:
         if not path.exists():
             raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
-        if path.is_dir() and vehicle_logs.is_bag(path):
-            inputs.logs.append(path)
-            continue
         inside = path.is_dir()
         for file in files_below(path, taken) if inside else [path]:
             kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), inputs.others)
@@ -576,10 +567,10 @@ def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> t
     return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
 
 
-def _of_other_files(options: FlightOptions) -> list[str]:
-    """Return the options on the command line that say something about videos, subtitles, or a camera."""
+def _of_videos(options: FlightOptions) -> list[str]:
+    """Return the options on the command line that say something about videos or subtitles."""
     usual = FlightOptions()
-    names = ("every", "every_metres", "gps_order", "camera")
+    names = ("every", "every_metres", "gps_order")
     return [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) != getattr(usual, name)]
 
 

@@ -1,4 +1,4 @@
-"""Subtitles with telemetry of drones, in a `.SRT`, `.ASS`, or `.VTT` beside a video or inside of it.
+"""Subtitles with telemetry of drones, in a `.SRT` beside a video or inside of it.
 
     [latitude: 59.30] [longitude: 18.20] [rel_alt: 1.3 abs_alt: 132.8]      by name; also longtitude, lat=, altitude, gb_yaw
     GPS(149.0251,-20.2533,16) BAROMETER:1.9                                 longitude first, with the number of satellites
@@ -40,10 +40,8 @@ _NUMBER = rf"([-+]?{_PLAIN_NUMBER})"
 _DEGREES = rf"[-+]?{_PLAIN_NUMBER}(?:\s*(?:°|deg)(?:\s*{_PLAIN_NUMBER}\s*'(?:\s*{_PLAIN_NUMBER}\s*(?:\"|''))?)?)?"
 _END = r"(?=\s*(?:°|deg\b|[mM]\b|ft\b|feet\b)?[\s\]),;|}])"
 _INDEX_LINE = re.compile(r"^[ \t]*[0-9]+[ \t]*$", re.MULTILINE)
-_CODE = r"(?:([0-9]{1,3}):)?([0-9]{2}):([0-9]{2})[,.]([0-9]{2,3})"
+_CODE = r"([0-9]{1,3}):([0-9]{2}):([0-9]{2})[,.]([0-9]{2,3})"
 _CODES = re.compile(rf"{_CODE} *--> *{_CODE}")
-# A line of .ASS has nine values before its text, in which \N begins a new line.
-_DIALOGUE = re.compile(rf"^Dialogue:[^,\n]*, *{_CODE} *, *{_CODE} *,(?:[^,\n]*,){{6}}(.*)$", re.MULTILINE)
 _CLOCK = re.compile(
     r"([0-9]{4})[-./]([0-9]{1,2})[-./]([0-9]{1,2})[ T]([0-9]{1,2}):([0-9]{2}):([0-9]{2})"
     r"(?:[.,]([0-9]{3}))?(?:,([0-9]{3}))?(?=[,\sZ]|$)"
@@ -90,8 +88,6 @@ _OTHERS = re.compile(
     rf"|{_OTHER}[ :=_]{{0,4}}(?:{_PAIR.pattern})",
     re.IGNORECASE,
 )
-# Two numbers of degrees without any name.
-_UNNAMED = re.compile(r"(?<![0-9.,:(])(-?[0-9]{1,3}\.[0-9]{4,}), ?(-?[0-9]{1,3}\.[0-9]{4,})(?![0-9.,])")
 _HOME = re.compile(r"\bHOME ?\(([^()\n]{3,100})\)")
 _DISTANCE, _HEIGHT = (
     re.compile(rf"(?<![A-Za-z.])(?:{letters}) ?[:=]? ?{_NUMBER} ?(m|ft|feet)\b") for letters in ("D", "ReH|H")
@@ -172,22 +168,13 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split a file of subtitles at the lines that hold an index only; .ASS at its dialogues, .VTT at its time codes."""
+    """Split a file of subtitles at the lines that hold an index only."""
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
     except DataError:  # without any text there is no subtitle
         return []
-    if text.lstrip().startswith("[Script Info]") or "\nDialogue:" in text:
-        return [
-            SubtitleBlock(match[9] + "\n", _seconds(match.groups()[:4]), _seconds(match.groups()[4:8]))
-            for match in _DIALOGUE.finditer(text)
-        ]
-    parts = _INDEX_LINE.split(text)[1:]
-    if not parts or text.startswith("WEBVTT"):
-        starts = [match.start() for match in _CODES.finditer(text)]
-        parts = [text[start:end] for start, end in zip(starts, [*starts[1:], len(text)], strict=False)]
     blocks = []
-    for part in parts:
+    for part in _INDEX_LINE.split(text)[1:]:
         codes = _CODES.search(part)
         start, end = (None, None) if codes is None else (_seconds(codes.groups()[:4]), _seconds(codes.groups()[4:]))
         blocks.append(SubtitleBlock(part, start, end))
@@ -207,7 +194,7 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
     texts: list[tuple[str, float, float | None]] = []
     end, first_clock = 0.0, None
     for block in blocks:
-        text = _QUOTED_NAME.sub(r"\1:", values.plain(block.text.replace("\\N", "\n")))
+        text = _QUOTED_NAME.sub(r"\1:", values.plain(block.text))
         clock = _clock(text)
         first_clock = clock if first_clock is None else first_clock
         start = block.start
@@ -226,8 +213,6 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
         _of_names(*pair) if all(pair) else _place_of(text, raw, commas, original)
         for pair, (text, _, _), raw, (original, _, _) in zip(named, texts, lists, originals, strict=True)
     ]
-    if not any(place.written for place in places):
-        places = [_unnamed(text) for text, _, _ in texts]
     has_points = any("." in place.written for place in places)
     entries = [_entry(*known, place, commas or not has_points) for known, place in zip(texts, places, strict=True)]
     triples = {i: place.triple for i, place in enumerate(places) if place.triple is not None}
@@ -268,8 +253,8 @@ def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
     return f"; one of its lines is {printable(line)[:_MOST_LETTERS]!r}"
 
 
-def _seconds(parts: Sequence[str | None]) -> float:
-    hours, minutes, seconds = (int(part or 0) for part in parts[:3])
+def _seconds(parts: Sequence[str]) -> float:
+    hours, minutes, seconds = map(int, parts[:3])
     return 3600.0 * hours + 60 * minutes + seconds + float(f"0.{parts[3]}")
 
 
@@ -372,14 +357,6 @@ def _home(text: str, commas: bool) -> tuple[float, float] | None:
     items = _items(match[1].strip(), commas)
     a, b = (values.angle(item) if not values.letter_of(item) else None for item in (*items, "", "")[:2])
     return None if a is None or b is None else (a, b)
-
-
-def _unnamed(text: str) -> _Place:
-    """Return two numbers of degrees that nothing names, such as those of a goggles' overlay."""
-    match = None if _TELLING.search(text) else _UNNAMED.search(text)
-    if match is None or max(abs(float(match[1])), abs(float(match[2]))) < 2:
-        return _Place()
-    return _Place(triple=_Triple(float(match[1]), float(match[2]), "", None, None), written=match[1])
 
 
 def _metres_of(pattern: re.Pattern[str], text: str, commas: bool) -> float | None:

@@ -1,4 +1,4 @@
-"""Logs of autopilots: ULog of PX4, MAVLink of ground stations (.tlog), data flash of ArduPilot (.bin), and bags of ROS 1 and 2.
+"""Logs of autopilots: ULog of PX4, MAVLink of ground stations (.tlog), and data flash of ArduPilot (.bin).
 
 Each is read message by message in the order of time into the rows that tables and tracks have, too. Angles of a gimbal count
 before those of the aircraft; without a gimbal the camera counts as one that looks down from the aircraft's belly. The packages
@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -23,27 +23,20 @@ from lpn.flights.mavlink import MavlinkTelemetry, mavlink_package
 from lpn.flights.telemetry import TelemetryEntry
 from lpn.flights.vehicles import VehicleState, euler_degrees
 
-SUFFIXES = (".ulg", ".tlog", ".bin", ".bag", ".db3", ".mcap")
+SUFFIXES = (".ulg", ".tlog", ".bin")
 # How files of each kind begin; those of a .tlog begin with a time.
 _BEGINNINGS = {
     ".ulg": b"ULog\x01\x12\x35",
     ".bin": b"\xa3\x95\x80",
-    ".bag": b"#ROSBAG V2.0",
-    ".db3": b"SQLite format 3\x00",
-    ".mcap": b"\x89MCAP0\r\n",
 }
 _KINDS = {
     ".ulg": "a ULog of PX4",
     ".tlog": "a MAVLink log of a ground station",
     ".bin": "a data flash log of ArduPilot",
-    ".bag": "a bag of ROS 1",
-    ".db3": "a bag of ROS 2",
-    ".mcap": "a bag of ROS 2",
 }
-_BAG = "metadata.yaml"
 # A time under this value is counted from a start; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
-# Topics of PX4 that are read, in a ULog or a bag.
+# Topics of PX4 that are read.
 _PX4 = (
     "vehicle_global_position",
     "vehicle_gps_position",
@@ -53,17 +46,10 @@ _PX4 = (
     "gimbal_device_attitude_status",
 )
 _PX4_GPS = ("vehicle_gps_position", "sensor_gps")
-_ROS = {"sensor_msgs/msg/NavSatFix": "fix", "sensor_msgs/msg/Imu": "imu"}
-_FLOAT64 = "std_msgs/msg/Float64"
-
-
-def is_bag(folder: Path) -> bool:
-    """Return whether a folder is a bag of ROS 2."""
-    return (folder / _BAG).is_file() and any(file.suffix in (".db3", ".mcap") for file in folder.iterdir())
 
 
 def read_vehicle_log(file: Path) -> Log:
-    """Read a log of an autopilot, or a bag; `file` may be the folder of a bag of ROS 2.
+    """Read a log of an autopilot.
 
     Raises:
         OtherKindError: if it is of another kind than its suffix says.
@@ -71,10 +57,9 @@ def read_vehicle_log(file: Path) -> Log:
         ModuleNotFoundError: if the package that reads it is not installed.
     """
     name = printable(file.name)
-    suffix = ".db3" if file.is_dir() else file.suffix.lower()
-    if not file.is_dir():
-        _check_beginning(file, suffix, name)
-    reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash}.get(suffix, _bag)
+    suffix = file.suffix.lower()
+    _check_beginning(file, suffix, name)
+    reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash}[suffix]
     notes: list[str] = []
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
@@ -226,80 +211,6 @@ def _data_flash_entries(log: Any, state: VehicleState) -> Iterator[TelemetryEntr
                 entry = state.position(time, fields["Lat"], fields["Lng"], fields["Alt"], raw=True, clock=clock)
         if entry is not None:
             yield entry
-
-
-def _bag(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
-    from rosbags.highlevel import AnyReader
-    from rosbags.typesys import Stores, get_typestore
-
-    if file.suffix.lower() in (".db3", ".mcap") and (file.parent / _BAG).is_file():
-        file = file.parent  # a bag of ROS 2 is its folder
-    with AnyReader([file], default_typestore=get_typestore(Stores.LATEST)) as reader:
-        chosen = _topics(reader.connections, name, notes)
-        state, above_takeoff = VehicleState(), None
-        for connection, stamp, data in reader.messages([one for one in reader.connections if one.topic in chosen]):
-            message: Any = reader.deserialize(data, connection.msgtype)
-            time = _stamp(message, stamp / 1e9)
-            clock = time if time > _FIRST_EPOCH else None
-            entry = None
-            match chosen[connection.topic]:
-                case "fix" if message.status.status >= 0:
-                    entry = state.position(
-                        time, message.latitude, message.longitude, message.altitude, above_takeoff, clock=clock
-                    )
-                # The first covariance is -1 where the sensor does not tell its orientation, as cameras' do not.
-                case "imu" if message.orientation_covariance[0] != -1:
-                    q = message.orientation
-                    roll, pitch, yaw = euler_degrees(q.w, q.x, q.y, q.z)
-                    # ROS counts yaw anticlockwise from east, and pitch positive with the nose down (REP 103).
-                    state.attitude(time, roll, -pitch, 90.0 - yaw)
-                case "height":
-                    above_takeoff = float(message.data)
-                case topic if topic in _PX4:
-                    entry = _px4(state, topic, time, _field_of(message), clock)
-            if entry is not None:
-                yield entry
-    if state.outside:
-        notes.append(_outside(state.outside, name))
-
-
-def _topics(connections: Iterable[Any], name: str, notes: list[str]) -> dict[str, str]:
-    """Return what each topic of a bag that is read means; of several that mean one thing, MAVROS' filtered one, or the first."""
-    known: dict[str, list[str]] = {}
-    for one in connections:
-        kind = _ROS.get(one.msgtype)
-        if one.msgtype == _FLOAT64 and one.topic.endswith("/rel_alt"):
-            kind = "height"
-        elif one.msgtype.startswith("px4_msgs/"):
-            topic = one.topic.rpartition("/")[2].removesuffix("_v1")
-            kind = topic if topic in _PX4 else None
-        if kind is not None and one.topic not in known.setdefault(kind, []):
-            known[kind].append(one.topic)
-    chosen = {}
-    for kind, topics in known.items():
-        best = min(topics, key=lambda topic: (not topic.endswith(("global_position/global", "imu/data")), topic))
-        chosen[best] = kind
-        if kind == "fix" and len(topics) > 1:
-            notes.append(f"{name} has positions on {len(topics)} topics; those on {printable(best)} were used.")
-    return chosen
-
-
-def _field_of(message: Any) -> Callable[[str], float | None]:
-    """Return a function from a field of PX4, such as "q[2]", to its value in a message of ROS; None without such a field."""
-
-    def value(key: str) -> float | None:
-        field, _, index = key.rstrip("]").partition("[")
-        found = getattr(message, field, None)
-        return None if found is None else float(found[int(index)] if index else found)
-
-    return value
-
-
-def _stamp(message: Any, logged: float) -> float:
-    """Return the time in a message's header, else that at which it was logged, in seconds."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    seconds = 0.0 if stamp is None else stamp.sec + stamp.nanosec / 1e9
-    return seconds or logged
 
 
 def _outside(count: int, name: str) -> str:

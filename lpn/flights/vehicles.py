@@ -103,7 +103,7 @@ class VehicleState:
         altitude: float | None,
         above_takeoff: float | None,
     ) -> TelemetryEntry:
-        # ROS tells an unknown altitude as NaN.
+        # An unknown altitude may be NaN.
         altitude, above_takeoff = (
             value if value is not None and math.isfinite(value) else None for value in (altitude, above_takeoff)
         )

@@ -27,7 +27,7 @@ from lpn.flights.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subt
 from lpn.flights.telemetry import VALUES, Telemetry
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".avi")
-SUBTITLES = (".srt", ".ass", ".vtt")
+SUBTITLES = (".srt",)
 # The sharpest picture of a window of this many seconds is kept; so many of its pictures are compared.
 _WINDOW, _CANDIDATES = 1.0, 12
 # Pictures are compared at this width.

@@ -1,9 +1,9 @@
 """A flight that goes on: its newest frame is located while it flies, with bounded memory and latency.
 
-    frames        pictures of a folder that fills, a video, a camera, or a stream; one waits, and a newer one replaces it
+    frames        pictures of a folder that fills, a video, or a stream; one waits, and a newer one replaces it
     telemetry     heading, height, and position by MAVLink, or from a log
     locator       the forward half of the sequence, and registration near its prediction
-    outputs       GeoJSON lines, MAVLink, websocket
+    outputs       GeoJSON lines
     run           all of these together until the flight ends
 
 It imports `locate`, `flights`, `maps`, and `models`; `cli` and `explorer` import it. docs/live.md shows its use.

@@ -44,7 +44,7 @@ class ArrivedPicture:
 
     Attributes:
         frame: its name, size, and what its own file says about the camera; `time` is seconds of the source's clock: UTC of a
-            photo, position in a video, None of a camera or stream.
+            photo, position in a video, None of a stream.
         received: seconds of the monotonic clock at which it came.
         picture: RGB, (H, W, 3); None if it is read from the frame's file, which takes no time for those that are dropped.
         utc: whether the frame's time is UTC.
@@ -140,7 +140,7 @@ class LiveSource(ABC):
     def _run(self) -> None:
         try:
             self._read()
-        except Exception as error:  # a folder or camera that is taken away
+        except Exception as error:  # a folder that is taken away
             self._say(f"Pictures can be read no longer ({printable(str(error))[:150]}); the flight counts as ended.")
         finally:
             self.newest.end()
@@ -226,38 +226,32 @@ class FolderPictures(LiveSource):
 
 
 class StreamPictures(LiveSource):
-    """Frames of a video file at their own pace, of a camera, or of an RTSP, UDP, or HTTP stream.
+    """Frames of a video file at their own pace, or of an RTSP, UDP, or HTTP stream.
 
     A stream that stalls is opened again; a video ends.
 
     Args:
-        source: a file, the number of a camera, or a URL.
+        source: a file, or a URL.
         fov: horizontal field of view in degrees.
-        paced: frames of a video wait for their time; otherwise each waits until the one before is taken, so none is dropped.
     """
 
-    def __init__(self, source: Path | int | str, say: Say, fov: float | None = None, paced: bool = True) -> None:
+    def __init__(self, source: Path | str, say: Say, fov: float | None = None) -> None:
         super().__init__(say)
-        self._source, self._fov, self._paced = source, fov, paced
+        self._source, self._fov = source, fov
         self._is_file = isinstance(source, Path)
         self._name = shown_name(source)
         os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # its own messages would add to ours
         self._capture = self._opened()
         if self._capture is None:
-            raise InputError(
-                f"{self._name} cannot be opened as a video, camera, or stream; check the name, and that it sends."
-            )
+            raise InputError(f"{self._name} cannot be opened as a video or stream; check the name, and that it sends.")
         self._turns = turns_of(self._capture)
         if self._turns:
             say(f"{self._name} is turned by {90 * self._turns}° by its file, and the heading of its telemetry with it.")
 
     def _opened(self) -> Any:
         """Return a capture that is open, or None."""
-        if isinstance(self._source, int):
-            capture = cv2.VideoCapture(self._source)
-        else:
-            limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _SILENT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _SILENT_MS]
-            capture = cv2.VideoCapture(str(self._source), cv2.CAP_FFMPEG, [] if self._is_file else limits)
+        limits = [cv2.CAP_PROP_OPEN_TIMEOUT_MSEC, _SILENT_MS, cv2.CAP_PROP_READ_TIMEOUT_MSEC, _SILENT_MS]
+        capture = cv2.VideoCapture(str(self._source), cv2.CAP_FFMPEG, [] if self._is_file else limits)
         if capture.isOpened():
             return capture
         capture.release()
@@ -279,7 +273,7 @@ class StreamPictures(LiveSource):
             position = None
             if self._is_file:
                 position = self._position(count)
-                self._wait(began + position)
+                self._stop.wait(max(began + position - time.monotonic(), 0))
             count += 1
             frame = Frame(f"{count:06d}", Path(), picture.shape[1], picture.shape[0], position, fov=self._fov)
             rgb = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
@@ -292,15 +286,8 @@ class StreamPictures(LiveSource):
         rate = float(self._capture.get(cv2.CAP_PROP_FPS))
         return float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000 or (count / rate if rate > 0 else 0.0)
 
-    def _wait(self, until: float) -> None:
-        if self._paced:
-            self._stop.wait(max(until - time.monotonic(), 0))
-        else:
-            while self.newest.waiting and not self._stop.wait(0.002):
-                pass
 
-
-def shown_name(source: Path | int | str) -> str:
+def shown_name(source: Path | str) -> str:
     """Return a source's name for sentences and pages: of a file its name, of a stream its address without user and password."""
     if isinstance(source, Path) or "://" not in str(source):
         return printable(Path(str(source)).name or str(source))
@@ -309,7 +296,7 @@ def shown_name(source: Path | int | str) -> str:
 
 
 def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
-    """Open a folder, a video file, a camera by its number, or a stream by its address.
+    """Open a folder, a video file, or a stream by its address.
 
     Raises:
         InputError: if it is none of these, or cannot be opened.
@@ -317,8 +304,6 @@ def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
     path = Path(source)
     if path.is_dir():
         return FolderPictures(path, say)
-    if source.isascii() and source.isdecimal():
-        return StreamPictures(int(source), say, fov)
     if "://" in source:
         return StreamPictures(source, say, fov)
     if path.is_file():
@@ -326,6 +311,6 @@ def open_source(source: str, say: Say, fov: float | None = None) -> LiveSource:
             raise InputError(f"{printable(path.name)} is no video that is read; expected {', '.join(VIDEOS)}.")
         return StreamPictures(path, say, fov)
     raise InputError(
-        f"There is no {printable(source)}; give a folder that fills, a video, the number of a camera, or the address of a "
-        "stream, such as rtsp://127.0.0.1:8554/drone."
+        f"There is no {printable(source)}; give a folder that fills, a video, or the address of a stream, such as "
+        "rtsp://127.0.0.1:8554/drone."
     )

@@ -8,22 +8,18 @@ the drone flies meanwhile. An accepted registration is evidence for the next fra
 
 from __future__ import annotations
 
-import io
 import math
-import time
 from collections import deque
 from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.files import printable, write_atomic
+from lpn.core.files import printable
 from lpn.core.numbers import SIGMA
 from lpn.core.progress import Progress
 from lpn.core.views import View
@@ -54,7 +50,6 @@ from lpn.locate.tracks import State
 from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 
-FORMAT = "lpn-live/1"
 # Windows that are compared at most, unless their sides are given: a frame taken on the ground would make millions.
 _MOST_WINDOWS = 200_000
 # Distinct frames whose descriptors are kept to centre by, and the frames whose scores wait until the drone is elsewhere.
@@ -189,8 +184,6 @@ class LiveLocator:
         # The sequence is sure of a place; the last frame was registered; frames of other ground were spoken of.
         self._sure = self._fresh = self._unfit_said = False
         self._notes: list[str] = []
-        # When the belief that was taken up was written, in seconds since 1970; None after the first frame.
-        self._written: float | None = None
 
     def take_notes(self) -> list[str]:
         """Return the sentences since the last call."""
@@ -283,9 +276,6 @@ class LiveLocator:
 
     def _elapsed(self, frame: Frame) -> float:
         """Return the seconds since the last frame; NaN if they are unknown, or the clock has jumped."""
-        if self._written is not None:  # the pictures' clock may be another one since the restart
-            written, self._written = self._written, None
-            return max(time.time() - written, 0.0)
         if frame.time is None or self._track.time is None:
             return math.nan
         elapsed = frame.time - self._track.time
@@ -557,100 +547,3 @@ class LiveLocator:
             return False
         west, south, east, north = self.basemap.bounds
         return min(x - west, east - x, y - south, north - y) <= metres
-
-    def save(self, file: Path, clock: float) -> None:
-        """Write the belief, so that a run that starts again takes it up; whole or not at all.
-
-        Args:
-            clock: the time now in seconds since 1970.
-
-        Raises:
-            OutputError: if it cannot be written.
-        """
-        ground, track = self._ground, self._track
-        if ground is None or ground.filter.belief is None:
-            return
-        header = {
-            "format": FORMAT,
-            "of": self._identity(),
-            "clock": clock,
-            "time": track.time,
-            "odds": track.odds,
-            "widths": track.widths,
-            "ratios": track.ratios,
-            "turns": track.turns,
-            "last": None if track.last is None else [None if math.isnan(value) else value for value in track.last],
-            "distinct": self._distinct,
-            "sizes": sorted(set(ground.sizes.tolist())),
-        }
-        data = io.BytesIO()
-        np.savez(
-            data,
-            header=np.frombuffer(msgspec.json.encode(header), np.uint8),
-            belief=ground.filter.belief,
-            headings=ground.filter.headings,
-            squares=ground.squares,
-            frames=ground.frames,
-            kept=np.stack(self._kept).astype(np.float16),
-        )
-        write_atomic(file, data.getvalue())
-
-    def take_up(self, file: Path, clock: float) -> str | None:
-        """Take up the belief that an earlier run wrote; return a sentence about it, None without a file.
-
-        Args:
-            clock: the time now in seconds since 1970.
-        """
-        try:
-            stored = np.load(io.BytesIO(file.read_bytes()), allow_pickle=False)
-            header = msgspec.json.decode(stored["header"].tobytes(), type=_Header)
-            arrays = {name: stored[name] for name in ("belief", "headings", "squares", "frames", "kept")}
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError, KeyError, EOFError, msgspec.MsgspecError, InputError):
-            return f"{printable(file.name)} is damaged, or not what lpn locate --live writes; the flight starts anew."
-        except Exception:  # zipfile raises its own
-            return f"{printable(file.name)} is damaged; the flight starts anew."
-        if header.format != FORMAT or header.of != self._identity():
-            return f"{printable(file.name)} is of another map, model, or size of windows; the flight starts anew."
-        self.prepare(header.sizes)
-        ground = self._ground
-        assert ground is not None
-        shape = len(ground.windows), len(arrays["headings"])
-        if (
-            arrays["belief"].shape != shape
-            or any(arrays[name].shape != shape[:1] for name in ("squares", "frames"))
-            or arrays["kept"].shape[1:] != ground.raw.shape[1:]
-        ):
-            return f"{printable(file.name)} does not fit the windows; the flight starts anew."
-        self._kept.extend(arrays["kept"].astype(np.float32))
-        self._distinct = header.distinct
-        self._centre()
-        ground.squares, ground.frames = arrays["squares"], arrays["frames"]
-        age = max(clock - header.clock, 0.0)
-        ground.filter.belief, ground.filter.headings = arrays["belief"], arrays["headings"]
-        self._written = header.clock
-        self._track = _Track(odds=header.odds, widths=header.widths, ratios=header.ratios, turns=header.turns)
-        # The clock of the pictures may be another one now, so that no time since the last registration is known.
-        if header.last is not None:
-            self._track.last = (*header.last[:3], math.nan)
-        return f"The belief of {age:.1f} s ago was taken up from {printable(file.name)}."
-
-    def _identity(self) -> list[Any]:
-        return [self.basemap.digest(), self.model.fingerprint, self.options.overlap, list(self.options.sizes or ())]
-
-
-class _Header(msgspec.Struct):
-    """The header of a belief's file, beside its arrays."""
-
-    format: str
-    of: list[Any]
-    clock: float
-    odds: float
-    widths: list[float]
-    ratios: list[float]
-    turns: list[float]
-    distinct: int
-    sizes: list[float]
-    time: float | None = None
-    last: tuple[float, float, float, float | None] | None = None

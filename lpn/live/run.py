@@ -6,8 +6,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Protocol
 
 from lpn.core.errors import LPNError
@@ -19,8 +18,8 @@ from lpn.locate.belief import AGAINST, BestAnswer, best_answer
 from lpn.locate.camera_place import below_camera
 from lpn.locate.located import LocatedFrame
 
-# Seconds without a frame after which the source counts as stalled, and between two writings of the belief.
-_STALLED, _SAVED = 5.0, 5.0
+# Seconds without a frame after which the source counts as stalled.
+_STALLED = 5.0
 # Frames in a row without a place to use, or with one against their tags, after which a sentence says so; and windows from the
 # map's border within which it may be the reason.
 _REFUSED, _BORDER = 10, 1.0
@@ -34,22 +33,6 @@ class FixOutput(Protocol):
     def send(self, fix: LiveFix) -> None:
         """Take a fix."""
 
-    def close(self) -> None:
-        """Take no more."""
-
-
-@dataclass(frozen=True)
-class LiveSettings:
-    """How a live run ends and is kept.
-
-    Attributes:
-        idle: seconds without a frame after which the run ends; None waits for ever, unless the source itself ends.
-        belief: file of the belief, from which a run that starts again goes on; None keeps none.
-    """
-
-    idle: float | None = None
-    belief: Path | None = None
-
 
 class LiveRun:
     """Locates the frames of a source one after another.
@@ -58,8 +41,9 @@ class LiveRun:
         source: of the pictures; it is started and closed here.
         telemetry: of the pictures; it is closed here.
         locator: of the frames.
-        outputs: that take each fix; they are closed here.
+        outputs: that take each fix.
         say: receives sentences about what is odd.
+        idle: seconds without a frame after which the run ends; None waits for ever, unless the source itself ends.
         stop: ends the run once it is set.
     """
 
@@ -70,42 +54,36 @@ class LiveRun:
         locator: LiveLocator,
         outputs: Sequence[FixOutput],
         say: Say,
-        settings: LiveSettings | None = None,
+        idle: float | None = None,
         stop: threading.Event | None = None,
     ) -> None:
         self._source, self._telemetry, self._locator, self._outputs = source, telemetry, locator, outputs
-        self._say, self._settings = say, settings or LiveSettings()
+        self._say, self._idle = say, idle
         self._stop = stop or threading.Event()
         # The wall clock may jump while the flight goes on; it is read once.
         self._clock_lead = time.time() - time.monotonic()
         # The frames in a row without a place that may be used, by state, and those that their tags alone contradict.
         self._unplaced, self._apart = Counter[str](), 0
-        self._saved = 0.0
         self._failed: set[int] = set()
         self._problem = ""
 
     def run(self) -> int:
-        """Locate frames until the source ends, nothing has come for `LiveSettings.idle` seconds, or the run is stopped.
+        """Locate frames until the source ends, nothing has come for `idle` seconds, or the run is stopped.
 
         Returns:
             The number of frames.
         """
         count = 0
         try:
-            self._take_up()
             self._source.start()
             for picture in self._pictures():
                 if (fix := self._fix(picture)) is not None:
                     count += 1
                     self._send(fix)
                     self._watch(fix)
-                self._save(_SAVED)
         finally:
-            self._save(0.0)
             self._source.close()
             self._telemetry.close()
-            for output in self._outputs:
-                output.close()
         return count
 
     def _pictures(self) -> Iterator[ArrivedPicture]:
@@ -119,8 +97,8 @@ class LiveRun:
                     self._say("Frames come again.")
                 yield picture
                 came, stalled = time.monotonic(), False
-            elif self._settings.idle is not None and waited > self._settings.idle:
-                self._say(f"No frame has come for {self._settings.idle:g} s, so the flight counts as ended.")
+            elif self._idle is not None and waited > self._idle:
+                self._say(f"No frame has come for {self._idle:g} s, so the flight counts as ended.")
                 return
             elif waited > _STALLED and not stalled:
                 stalled = True
@@ -190,24 +168,6 @@ class LiveRun:
             self._say(f"{were} near the border of the map; the flight may have left it.")
         else:
             self._say(f"{were}; the last says: {fix.best.verdict.reason}")
-
-    def _take_up(self) -> None:
-        file = self._settings.belief
-        sentence = None if file is None else self._locator.take_up(file, time.time())
-        if sentence is not None:
-            self._say(sentence)
-
-    def _save(self, after: float) -> None:
-        file = self._settings.belief
-        if file is None or time.monotonic() - self._saved < after:
-            return
-        self._saved = time.monotonic()
-        try:
-            self._locator.save(file, time.time())
-        except LPNError as error:
-            if -1 not in self._failed:
-                self._say(f"{error} A run that starts again will start anew.")
-            self._failed.add(-1)
 
 
 def live_answer(located: LocatedFrame) -> BestAnswer:

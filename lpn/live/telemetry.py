@@ -107,9 +107,6 @@ class MavlinkLink(LiveTelemetry):
         address: as pymavlink takes it, such as udp:127.0.0.1:14550, tcp:127.0.0.1:5760, or a serial device.
         system: id of the vehicle; None takes the first that sends a position.
 
-    Attributes:
-        origin: latitude and longitude of the vehicle's local frame, once it sent GPS_GLOBAL_ORIGIN.
-
     Raises:
         InputError: if the address cannot be opened.
         ModuleNotFoundError: if pymavlink is not installed.
@@ -122,7 +119,6 @@ class MavlinkLink(LiveTelemetry):
         self._entries: deque[TelemetryEntry] = deque(maxlen=_ENTRIES)
         self._lock, self._stop = threading.Lock(), threading.Event()
         self._jumps, self._foreign, self._late = 0, set[int](), False
-        self.origin: tuple[float, float] | None = None
         self._thread = threading.Thread(target=self._read, name="telemetry", daemon=True)
         self._thread.start()
 
@@ -176,9 +172,6 @@ class MavlinkLink(LiveTelemetry):
                 self._take(message)
 
     def _take(self, message: Any) -> None:
-        kind = message.get_type()
-        if kind == "GPS_GLOBAL_ORIGIN" and self.system in (None, message.get_srcSystem()):
-            self.origin = message.latitude / 1e7, message.longitude / 1e7
         entry = self._telemetry.take(message, time.monotonic())
         if entry is not None:
             with self._lock:
@@ -194,23 +187,20 @@ class MavlinkLink(LiveTelemetry):
             self._say("The vehicle's clock has jumped; the time at which its messages come counts.")
 
 
-def open_link(address: str, **options: Any) -> Any:
+def open_link(address: str) -> Any:
     """Return pymavlink's connection of an address.
-
-    Args:
-        options: of `mavutil.mavlink_connection`.
 
     Raises:
         InputError: if it cannot be opened.
     """
     mavutil = mavlink_package()
     try:
-        return mavutil.mavlink_connection(address, dialect="all", **options)
+        return mavutil.mavlink_connection(address, dialect="all")
     except Exception as error:  # sockets, serial ports, and pymavlink raise what they like
         reason = printable(str(error) or type(error).__name__)[:150]
         raise InputError(
             f"The MAVLink address {printable(address)} cannot be opened ({reason}); expected one such as udp:127.0.0.1:14550, "
-            "udpout:127.0.0.1:14551, tcp:127.0.0.1:5760, or a serial device."
+            "tcp:127.0.0.1:5760, or a serial device."
         ) from error
 
 

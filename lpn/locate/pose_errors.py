@@ -1,4 +1,4 @@
-"""Errors of poses against exact ones, which a rendered flight has, and one of AnyVisLoc or OrthoLoC."""
+"""Errors of poses against the exact ones of a rendered flight."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class PoseErrors:
         poses: of these, photos with an accepted pose.
         position: metres, (poses,): in space, or in the plane where the ground counts as flat.
         heading, pitch: degrees, (poses,), 0 or more.
-        turn: degrees, (poses,): the angle of the rotation between both; NaN where the exact roll is not known.
+        turn: degrees, (poses,): the angle of the rotation between both.
         beyond: poses whose position errs by more than three sigmas and 5 m.
-        flat: whether positions are compared in the plane, because the ground counts as flat or exact altitudes are not known.
+        flat: whether positions are compared in the plane, because the ground counts as flat.
     """
 
     frames: int
@@ -72,7 +72,7 @@ def pose_errors(located: LocatedFlight) -> PoseErrors | None:
 
 def _compared(located: LocatedFlight, truths: Mapping[str, TruePose]) -> PoseErrors:
     known = [frame for frame in located.frames if frame.frame.file.name in truths]
-    flat = located.basemap.elevation is None or any(math.isnan(truths[f.frame.file.name].altitude) for f in known)
+    flat = located.basemap.elevation is None
     rows, beyond = [], 0
     for frame in known:
         answer, truth = frame.stages.get("registration"), truths[frame.frame.file.name]

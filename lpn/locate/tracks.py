@@ -154,7 +154,9 @@ def write_track(path: Path, name: str, points: Sequence[TrackPoint]) -> None:
 
 def track_bytes(suffix: str, name: str, points: Sequence[TrackPoint]) -> bytes:
     """Return a track as a file in the format of one of `SUFFIXES`, see `write_track`."""
-    return {".geojson": _geojson, ".gpx": _gpx, ".kml": _kml, ".csv": _csv}[suffix](name, points)
+    if suffix == ".csv":
+        return _csv(points)
+    return {".geojson": _geojson, ".gpx": _gpx, ".kml": _kml}[suffix](name, points)
 
 
 def _geojson(name: str, points: Sequence[TrackPoint]) -> bytes:
@@ -238,9 +240,8 @@ def _kml(name: str, points: Sequence[TrackPoint]) -> bytes:
     return _xml(root)
 
 
-def _csv(name: str, points: Sequence[TrackPoint]) -> bytes:
+def _csv(points: Sequence[TrackPoint]) -> bytes:
     """Return a table with a row per frame and stage; unknown values are empty."""
-    del name
     columns, rows = _table(points)
     return csv_bytes([columns, *([portable(row[name]) for name in columns] for row in rows)])
 

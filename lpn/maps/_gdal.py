@@ -20,7 +20,7 @@ from lpn.core.files import first_few, printable
 # Formats that surveys hand over. Of these only HFA opens what its contents name, as VRT, WMS, KML, NITF, and netCDF do.
 _DRIVERS = [
     *("GTiff", "JPEG", "PNG", "WEBP", "JP2OpenJPEG", "GPKG", "HFA", "BMP", "GIF", "ENVI"),
-    *("AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
+    *("MBTiles", "AAIGrid", "EHdr", "DTED", "SRTMHGT", "USGSDEM"),
 ]
 # GDAL opens files of these names beside a raster by any of its drivers, and ignores an .aux of another kind.
 _BESIDE = (".ovr", ".msk", ".aux")
@@ -31,13 +31,15 @@ _NAMES_OTHERS = re.compile(rb"<(VRT|GDAL|WCS|WM[ST]|TileMap|Services|Capabilitie
 # their slashes.
 _GRIDS = re.compile(r'grids\s*=(?!@null(?:["\s]|$))|(?:file|model|init)\s*=|PROJ4_GRIDS|PARAMETERFILE', re.IGNORECASE)
 _PATH = re.compile(r"(?<! )[/\\]|[/\\](?! )")
-# The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. The others are a second line of
-# defence: a file that is opened all the same reaches no server, and runs no code.
+# The environment takes precedence. The limit is in megabytes; GDAL's own is 5 % of the memory. By the last but one, a database
+# (GeoPackage, MBTiles) has no tables that are other files. The others are a second line of defence: a file that is opened all
+# the same reaches no server, and runs no code.
 _ENVIRONMENT = {
     "GDAL_CACHEMAX": "192",
     "GDAL_SKIP": "WMS,WCS,WMTS,HTTP,EEDA,EEDAI,PLMOSAIC,DAAS,STACTA,STACIT",
     "CPL_VSIL_CURL_ALLOWED_FILENAME": "none",
     "GDAL_VRT_ENABLE_PYTHON": "NO",
+    "OGR_SQLITE_STATIC_VIRTUAL_OGR": "NO",
     "PROJ_NETWORK": "OFF",
 }
 # A hyperspectral camera has some hundred bands; a damaged header may say 65,535, which rasterio takes seconds to look at.
@@ -64,6 +66,7 @@ _OTHERS: tuple[tuple[tuple[str, ...], bytes, str, str], ...] = (
     ((".pdf",), b"%PDF", "a PDF", "export the map as GeoTIFF"),
     ((".zip", ".7z", ".rar", ".gz", ".tgz", ".tar"), b"", "an archive", "unpack it first"),
     ((".pmtiles",), b"PMTiles", "a PMTiles archive", "convert it to .mbtiles, such as with pmtiles convert"),
+    ((".sqlitedb",), b"", "a set of tiles that is no .mbtiles", "export it as .mbtiles"),
     ((".las", ".laz", ".copc", ".ply", ".e57"), b"LASF", "a point cloud", "give the orthophoto"),
     ((".obj", ".fbx", ".glb", ".gltf", ".b3dm", ".osgb"), b"glTF", "a textured model", "give the orthophoto"),
     ((".qgz", ".qgs", ".psx", ".p4d", ".aprx"), b"", "a project", "export the map as GeoTIFF"),
@@ -190,6 +193,8 @@ def _flaw(file: Any, path: Path) -> str | None:
         return "has a name that GDAL takes for a list of files; rename it."
     if _NAMES_OTHERS.search(_head(path).partition(b"\0")[0]):
         return "begins with a list of files before its picture; make a copy without, such as with gdal_translate."
+    if file.driver == "MBTiles" and file.tags().get("scheme", "").lower() == "xyz":
+        return "counts its rows from the north (scheme xyz), and an .mbtiles from the south; make it anew, such as with QGIS."
     if file.tags(ns="OVERVIEWS"):
         return "names a file of its overviews; make a copy without, such as with gdal_translate."
     folder = os.path.normpath(path.absolute().parent)

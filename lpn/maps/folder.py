@@ -124,7 +124,6 @@ def build_map(
     options: MapOptions | None = None,
     on_progress: Callable[[str], None] = lambda _: None,
     elevation: ElevationFile | None = None,
-    notes: Sequence[str] = (),
     place: MapPlace | None = None,
 ) -> Map:
     """Write the folder of a map, and return the map.
@@ -135,7 +134,6 @@ def build_map(
         options: what is known about the files beyond what they say.
         on_progress: called with a sentence before each long step.
         elevation: heights of the map's ground; they are copied into the folder, in metres.
-        notes: sentences about the files, which commands that read the map print.
         place: what is known about the map's place.
 
     Raises:
@@ -153,7 +151,7 @@ def build_map(
     earlier = _written_before(out)
     heights = None if elevation is None else ElevationSource(elevation)
     _check_inputs([*files, *([] if elevation is None else [elevation.path])], out)
-    return _build(files, out, options, earlier, on_progress, notes, heights, place)
+    return _build(files, out, options, earlier, on_progress, (), heights, place)
 
 
 def _check_unwritten(paths: Sequence[Path]) -> None:

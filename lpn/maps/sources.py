@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from lpn.core import posed_samples
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
@@ -26,7 +25,7 @@ _CONTROL_ERROR = 2.0
 # Files and folders of a tile cache.
 _ARCGIS = ("_alllayers", "conf.xml", "conf.cdi")
 # Files of a folder that are taken as sheets.
-_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".mbtiles", ".sqlitedb", ".img")
+_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".mbtiles", ".img")
 
 
 @dataclass(frozen=True)
@@ -178,13 +177,6 @@ def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Floa
     if options.corners is not None and options.crs is not None:
         raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
     matrix = None if options.corners is not None else _matrix(path, file)
-    if (
-        matrix is None
-        and (options.corners, options.crs) == (None, None)
-        and (scene := posed_samples.reference_of_map(path)) is not None
-    ):
-        degrees = _gdal.rasterio().crs.CRS.from_epsg(4326)
-        return degrees, posed_samples.grid_matrix(scene.map_resolution, scene.map_origin_local)
     known = (options.corners, "--corners") if options.corners is not None else None
     if matrix is None and (known := known or corners_of(path)) is not None:
         if (turn := file.tags().get("EXIF_Orientation", "1")) != "1":

@@ -19,9 +19,9 @@ from lpn.core.files import printable
 from lpn.maps import _gdal
 from lpn.maps.borders import Borders, PixelBox, border_note, find_borders, overview_size
 from lpn.maps.raster import Treatment
-from lpn.maps.tile_sets import Extent, TileAddress, open_tiles
+from lpn.maps.tile_sets import Extent, FolderTiles, TileAddress
 
-# Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres; World Mercator uses it, too.
+# Half the side of the square that Web Mercator (EPSG:3857) shows, in its own metres.
 _HALF = math.pi * 6_378_137.0
 _CACHED_TILES = 128
 # Pillow would run Ghostscript for a tile in PostScript.
@@ -52,13 +52,13 @@ class TileRaster:
     """The deepest zoom of a set of tiles; missing tiles are invalid.
 
     Args:
-        path: a folder or a database of tiles.
+        path: a folder of tiles.
         treatment: a recorded treatment; None decides about borders.
         keep_borders: do not look for white and black borders.
 
     Attributes:
         zoom: the deepest zoom, whose pixels are those of the raster.
-        crs: Web Mercator, or World Mercator for tiles that say so.
+        crs: Web Mercator.
         matrix: (2, 3), from column and row to coordinates of `crs`.
 
     Raises:
@@ -67,21 +67,17 @@ class TileRaster:
 
     def __init__(self, path: Path, treatment: Treatment | None = None, keep_borders: bool = False) -> None:
         self.path, self.treatment = path, treatment
-        self._tiles = tiles = open_tiles(path)
+        self._tiles = tiles = FolderTiles(path)
         self.notes: list[str] = []
-        try:
-            self.zoom = max(tiles.zooms)
-            self._side = self._usual_side()
-            self._read_tile = lru_cache(_CACHED_TILES)(self._tile)
-            self._order = self._find_order()
-            self._place()
-            extent = tiles.zooms[self.zoom]
-            whole = extent.count * self._side**2 >= self.width * self.height
-            if treatment is None and whole and not keep_borders:
-                self.treatment = self._find_borders()
-        except BaseException:
-            tiles.close()
-            raise
+        self.zoom = max(tiles.zooms)
+        self._side = self._usual_side()
+        self._read_tile = lru_cache(_CACHED_TILES)(self._tile)
+        self._order = self._find_order()
+        self._place()
+        extent = tiles.zooms[self.zoom]
+        whole = extent.count * self._side**2 >= self.width * self.height
+        if treatment is None and whole and not keep_borders:
+            self.treatment = self._find_borders()
 
     def read(self, box: PixelBox, size: tuple[int, int]) -> tuple[UInt8Array, BoolArray]:
         """See `Raster.read`."""
@@ -124,9 +120,8 @@ class TileRaster:
         return self._tiles.files()
 
     def close(self) -> None:
-        """Forget the decoded tiles, and close the database."""
+        """Forget the decoded tiles."""
         self._read_tile.cache_clear()
-        self._tiles.close()
 
     def _overview(self) -> tuple[UInt8Array, BoolArray]:
         """Return an overview, (3, height, width), and which of its pixels are valid, (height, width)."""
@@ -180,13 +175,10 @@ class TileRaster:
             )
         columns, rows = east - west + 1, south - north + 1
         missing = 1 - extent.count / (columns * rows)
-        if tiles.named:
-            self.notes.append(f"{self._name} is shown at zoom {self.zoom}, its deepest.")
-        else:
-            self.notes.append(
-                f"{self._name} is shown at zoom {self.zoom}, the deepest of {len(tiles.zooms)}"
-                + (f"; {missing:.0%} of its rectangle have no tile." if missing > 0 else ".")
-            )
+        self.notes.append(
+            f"{self._name} is shown at zoom {self.zoom}, the deepest of {len(tiles.zooms)}"
+            + (f"; {missing:.0%} of its rectangle have no tile." if missing > 0 else ".")
+        )
         self.notes += self._order_notes
         wider = [zoom for zoom, other in tiles.zooms.items() if not _covers(extent, other, self.zoom - zoom)]
         if wider:
@@ -209,14 +201,13 @@ class TileRaster:
                     f"The bounds that {self._name} states do not fit its tiles, and are left out of account."
                 )
         self.width, self.height = right - left, bottom - top
-        crs = "EPSG:3395" if tiles.declared.ellipsoidal else "EPSG:3857"
-        self.crs = _gdal.rasterio().crs.CRS.from_string(crs)
+        self.crs = _gdal.rasterio().crs.CRS.from_epsg(3857)
         pixel = 2 * _HALF / (side << self.zoom)
         self.matrix: Float64Array = np.array([[pixel, 0, left * pixel - _HALF], [0, -pixel, _HALF - top * pixel]])
 
     def _bounds(self) -> tuple[float, float, float, float] | None:
         """Return the stated bounds in pixels of the deepest zoom: left, top, right, bottom; None without any."""
-        if self._tiles.declared.bounds is None or self._tiles.declared.ellipsoidal:
+        if self._tiles.declared.bounds is None:
             return None
         west, south, east, north = self._tiles.declared.bounds
         world = self._side << self.zoom
@@ -228,10 +219,9 @@ class TileRaster:
         return (west + 180) / 360 * world, down(north), (east + 180) / 360 * world, down(south)
 
     def _find_order(self) -> str:
-        """Return how the stored numbers count: as the tiles fit together, else as bounds, metadata, or the format say."""
-        tiles = self._tiles
-        said = tiles.declared.from_south
-        usual = _TMS if (tiles.from_south if said is None else said) else _XYZ
+        """Return how the stored numbers count: as the tiles fit together, else as bounds or metadata say."""
+        said = self._tiles.declared.from_south
+        usual = _TMS if said else _XYZ
         self._order_notes: list[str] = []
         fitting = self._fitting_order()
         order = fitting or self._order_by_bounds() or usual
@@ -243,7 +233,7 @@ class TileRaster:
         if order != usual:
             why = "there the tiles fit together" if fitting else "there they lie in the stated bounds"
             self._order_notes.append(f"In {self._name}, {how}: {why}.")
-        elif not (fitting or tiles.named or said is not None):
+        elif not fitting and said is None:
             self._order_notes.append(
                 f"{self._name} does not say where its rows begin; they are counted from the north (XYZ). For rows from the "
                 "south (TMS), add a tilemapresource.xml."
@@ -252,7 +242,7 @@ class TileRaster:
 
     def _fitting_order(self) -> str | None:
         """Return the order in which the edges of neighbouring tiles agree; None if that does not tell."""
-        orders = (_XYZ, _TMS) if self._tiles.named else (_XYZ, _TMS, _YX)
+        orders = (_XYZ, _TMS, _YX)
         sums = {order: np.zeros(2) for order in orders}
         for one, other in self._neighbours():
             for order in orders:

@@ -619,9 +619,8 @@ def flights(folder: Path) -> list[FuzzCase]:
     autel = (
         "1\n00:00:00,000 --> 00:00:01,000\nHOME(E: 8.5, N: 47.3) 2024-05-01 14:00:00\nGPS(E: 8.501, N: 47.301, 574.2m) ReH:1\n\n"
         "2\n00:00:01,000 --> 00:00:02,000\nRTK (8,501, 47,301, 28), D 252,06m, H 76,19m\n\n3\n00:00:02,000 --> 00:00:03,000\n"
-        "N 47°18'04.44\" E 8°30'04.44\" lat=47.3 lon=8.5 47.30123, 8.50123\n"
+        "N 47°18'04.44\" E 8°30'04.44\" lat=47.3 lon=8.5\n"
     )
-    ass = "[Script Info]\nDialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,GPS(W: 70.5, S: 33.4, 161)\\NISO:105\n"
 
     def subtitles(data: bytes) -> None:
         found = parse_subtitles(blocks_of(data), "a.SRT")
@@ -660,15 +659,12 @@ def flights(folder: Path) -> list[FuzzCase]:
         fit_clocks(photos, telemetry, found.utc)
         Telemetry(for_video(found, 0)[0]).at(0.5)
 
-    place = "<Placemark><name>a.jpg</name><TimeStamp><when>2024-05-01T12:00:00Z</when></TimeStamp>"
-    tracks = [
+    gpx = (
         '<gpx version="1.1"><wpt lat="47.3" lon="8.5"><name>a.jpg</name></wpt><trk><trkseg><trkpt lat="47.3" lon="8.5">'
         '<ele>5</ele><time>2024-05-01T12:00:00Z</time></trkpt><trkpt lat="47.4" lon="8.5">'
         "<time>2024-05-01T12:00:09+02:00</time></trkpt>"
-        "</trkseg></trk></gpx>",
-        f"<kml>{place}<Point><coordinates>8.5,47.3,512</coordinates></Point></Placemark><Track><when>2024-05-01T12:00:00Z</when>"
-        "<coord>8.5 47.3 512</coord></Track></kml>",
-    ]
+        "</trkseg></trk></gpx>"
+    )
 
     def track(data: bytes) -> None:
         fitted(parse_track(data, "a.gpx"))
@@ -694,16 +690,16 @@ def flights(folder: Path) -> list[FuzzCase]:
         FuzzCase(field, photo),
         FuzzCase([directories], packed),
         FuzzCase(packets, packet),
-        FuzzCase([text.encode() for text in (lines, autel, ass)], subtitles),
+        FuzzCase([text.encode() for text in (lines, autel)], subtitles),
         FuzzCase([text.encode() for text in logs], log),
-        FuzzCase([text.encode() for text in tracks], track),
+        FuzzCase([gpx.encode()], track),
         written("flight.csv"),
         written("flight.json"),
     ]
 
 
 def maps(folder: Path) -> list[FuzzCase]:
-    """GeoTIFFs, side files, lists of corners, databases and folders of tiles, and map.json."""
+    """GeoTIFFs, side files, lists of corners, .mbtiles, folders of tiles, and map.json."""
     import rasterio
     from PIL import Image
 
@@ -782,9 +778,6 @@ def maps(folder: Path) -> list[FuzzCase]:
         file("map/map.json", (folder / "map" / "map.json").read_bytes(), "map"),
     ]
     cases += [file("a.mbtiles", seed) for seed in databases]
-    cases.append(
-        file("a.sqlitedb", small_tiles.write_sqlitedb(folder / "a.sqlitedb", small_worlds.place(3)).read_bytes())
-    )
     small_tiles.write_folder(folder / "south", tiles, side=32)
     cases.append(file("south/tilemapresource.xml", b"<TileMap><SRS>EPSG:3857</SRS></TileMap>", "south"))
     return cases

@@ -23,7 +23,7 @@ from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 from lpn.tasks.answers import write_answers
 from lpn.tasks.opening import describe_task
-from tools.fixtures import layouts, small_worlds
+from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
 
@@ -383,25 +383,3 @@ def test_a_picture_that_geotext_lists_and_lacks_is_named(tmp_path: Path) -> None
     dataset = open_dataset(root)
     assert [item.file for item in dataset.left_out] == ["test/query(701)/0001/image-02.jpeg"]
     assert not check_dataset(dataset, decode=False).healthy
-
-
-@pytest.mark.parametrize(
-    ("kind", "files"),
-    [
-        ("AnyVisLoc", ("Scene_01/L01_reference.json", "Scene_01/L01_0001.npz", "Scene_01/aerial_map.png")),
-        ("OrthoLoC", ("full/test_inPlace/L01_R0012.npz",)),
-        ("OrthoLoC", ("test_outPlace/L08_xDOPDSM0003.npz",)),
-    ],
-)
-def test_data_sets_of_arrays_are_called_by_their_names(tmp_path: Path, kind: str, files: tuple[str, ...]) -> None:
-    for file in files:
-        (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
-        if file.endswith(".png"):
-            small_worlds.write(tmp_path / file, layouts.small(1))
-        else:
-            (tmp_path / file).write_bytes(b"PK")
-    for folder in (tmp_path, (tmp_path / files[0]).parent):
-        with pytest.raises(
-            DataError, match=rf"is {kind}, photos with poses over maps with heights.*lpn map .* --out MAP"
-        ):
-            open_dataset(folder)

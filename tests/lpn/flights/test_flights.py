@@ -92,7 +92,7 @@ def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.Capture
     assert len(open_flight(tmp_path / "monday").frames) == 3
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx", ".kml"])
+@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx"])
 @pytest.mark.parametrize("stage", ["registration", "by hand"])
 def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str, stage: str) -> None:
     write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))

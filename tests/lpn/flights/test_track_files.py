@@ -1,9 +1,8 @@
-"""Tracks as GPX, KML, and KMZ beside photos and videos, and files that are damaged or harmful."""
+"""Tracks as GPX beside photos and videos, and files that are damaged or harmful."""
 
 from __future__ import annotations
 
-import io
-import zipfile
+import re
 from pathlib import Path
 
 import pytest
@@ -16,10 +15,6 @@ from tools.fixtures.photos import exif, write_photo
 from tools.fixtures.videos import write_video
 
 HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
-KML = (
-    HEAD
-    + '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Document>{}</Document></kml>'
-)
 
 
 def time(second: int, zone: str = "Z") -> str:
@@ -39,36 +34,7 @@ def gpx(points: int = 20, zone: str = "Z", decimal: str = ".") -> str:
     )
 
 
-TRACK = (
-    "<Placemark><name>t</name><gx:Track>"
-    + "".join(f"<when>{time(i)}</when>" for i in range(3))
-    + "".join(f"<gx:coord>8.5 47.30{i} {500 + i}</gx:coord>" for i in range(3))
-    + "</gx:Track></Placemark>"
-)
-POINTS = "".join(
-    f"<Placemark><TimeStamp><when>{time(i)}</when></TimeStamp>"
-    f"<Point><coordinates>8.5,47.30{i},{500 + i}</coordinates></Point></Placemark>"
-    for i in range(3)
-)
-LINE = (
-    "<Placemark>"
-    + "".join(f"<when>{time(i)}</when>" for i in range(3))
-    + f"<LineString><coordinates>{' '.join(f'8.5,47.30{i},{500 + i}' for i in range(3))}</coordinates></LineString></Placemark>"
-)
 WITHOUT_TIMES = "{1} has {0} points without a time, so it fits no picture; export a track with times."
-LONG_LINE = "<LineString><coordinates>8,47 8,48</coordinates></LineString>"
-DATA = "".join(
-    f'<Placemark><ExtendedData><Data name="time"><value>{time(i)}</value></Data></ExtendedData>'
-    f"<Point><coordinates>8.5,47.30{i},{500 + i}</coordinates></Point></Placemark>"
-    for i in range(3)
-)
-
-
-def kmz(text: str) -> bytes:
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive:
-        archive.writestr("doc.kml", text)
-    return data.getvalue()
 
 
 @pytest.mark.parametrize("zone", ["Z", "+00:00", ".000Z", ""])
@@ -118,13 +84,13 @@ def test_gpx_of_other_writers_is_read(tmp_path: Path) -> None:
     extended = gpx(3).replace("</ele>", "</ele><extensions><speed>3</speed></extensions>")
     assert parse_track(extended.encode(), "a.gpx").rows == rows
     # Coordinates in the wrong order, which the photo's own position proves.
-    flipped = KML.format(TRACK.replace("8.5 47.30", "47.3 8.50"))
-    (tmp_path / "track.kml").write_text(flipped, "utf-8")
+    flipped = re.sub(r'lat="([^"]*)" lon="([^"]*)"', r'lat="\2" lon="\1"', gpx(3))
+    (tmp_path / "track.gpx").write_text(flipped, "utf-8")
     clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 1.0)}
     photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5, gps=clock))
-    flight = make_flight([photo, tmp_path / "track.kml"], tmp_path / "flight")
-    assert (flight.frames[0].latitude, flight.frames[0].longitude) == pytest.approx((47.3, 8.501))
-    assert "Latitude and longitude of track.kml are swapped, as the photos' own positions say." in flight.notes
+    flight = make_flight([photo, tmp_path / "track.gpx"], tmp_path / "flight")
+    assert (flight.frames[0].latitude, flight.frames[0].longitude) == pytest.approx((47.301, 8.5))
+    assert "Latitude and longitude of track.gpx are swapped, as the photos' own positions say." in flight.notes
 
 
 def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path: Path) -> None:
@@ -142,47 +108,11 @@ def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path:
     assert any(n.startswith("track.gpx fits none of the 1 photos by UTC, and was not used") for n in flight.notes)
 
 
-def test_places_and_times_of_a_track_that_differ_in_number_are_paired_only_where_that_is_certain() -> None:
-    # Times and places in turn, of which the second place has no time; then three places after two times.
-    turns = f"<when>{time(0)}</when><coord>8.5 47.3</coord><coord>8.5 47.4</coord><when>{time(2)}</when><coord>8.5 47.2</coord>"
-    log = parse_track(KML.format(f"<Track>{turns}</Track>").encode(), "a.kml")
-    assert [(r.entry.clock, r.entry.latitude) for r in log.rows] == [(1714564800.0, 47.3), (1714564802.0, 47.2)]
-    assert log.notes == ("1 points of a.kml have no time, and were left out.",)
-    places = KML.format(f"<Track>{''.join(f'<coord>8.5 47.{i}</coord>' for i in range(3))}</Track>")
-    assert parse_track(places.encode(), "a.kml").notes == (WITHOUT_TIMES.format(3, "a.kml"),)
-
-
-def test_spaces_behind_the_commas_of_a_place_are_read() -> None:
-    text = "<Placemark><name>DJI_0001.JPG</name><Point><coordinates> 8.5, 47.3, 512 </coordinates></Point></Placemark>"
-    row = parse_track(KML.format(text).encode(), "a.kml").rows[0]
-    assert (row.entry.latitude, row.entry.longitude, row.entry.altitude, row.file) == (47.3, 8.5, 512.0, "DJI_0001.JPG")
-
-
-@pytest.mark.parametrize(
-    "inside", [TRACK, POINTS, LINE, DATA], ids=["gx:Track", "TimeStamp", "LineString", "ExtendedData"]
-)
-@pytest.mark.parametrize("namespace", ["http://www.opengis.net/kml/2.2", "http://earth.google.com/kml/2.1", ""])
-def test_kml_of_every_form_is_read(inside: str, namespace: str) -> None:
-    text = KML.format(inside).replace("http://www.opengis.net/kml/2.2", namespace)
-    log = parse_track(text.encode(), "a.kml")
-    assert [(r.entry.clock, r.entry.latitude, r.entry.longitude, r.entry.altitude) for r in log.rows] == [
-        (1714564800.0 + i, pytest.approx(47.3 + i / 1000), 8.5, 500.0 + i) for i in range(3)
-    ]
-    assert log.utc
-    assert parse_track(kmz(text), "a.kmz").rows == log.rows
-
-
-@pytest.mark.parametrize("suffix", [".gpx", ".kml"])
-def test_waypoints_named_as_pictures_are_their_positions(tmp_path: Path, suffix: str) -> None:
-    place = (
-        '<wpt lat="47.3" lon="8.5"><ele>512</ele><name>DJI_0001.JPG</name></wpt>'
-        if suffix == ".gpx"
-        else "<Placemark><name>DJI_0001.JPG</name><Point><coordinates>8.5,47.3,512</coordinates></Point></Placemark>"
-    )
-    text = f'<gpx version="1.1">{place}</gpx>' if suffix == ".gpx" else KML.format(place)
-    (tmp_path / f"places{suffix}").write_text(text, "utf-8")
+def test_waypoints_named_as_pictures_are_their_positions(tmp_path: Path) -> None:
+    place = '<wpt lat="47.3" lon="8.5"><ele>512</ele><name>DJI_0001.JPG</name></wpt>'
+    (tmp_path / "places.gpx").write_text(f'<gpx version="1.1">{place}</gpx>', "utf-8")
     write_photo(tmp_path / "DJI_0001.JPG")
-    frame = make_flight([tmp_path / f"places{suffix}"], tmp_path / "flight").frames[0]
+    frame = make_flight([tmp_path / "places.gpx"], tmp_path / "flight").frames[0]
     assert (frame.latitude, frame.longitude, frame.altitude) == (47.3, 8.5, 512.0)
 
 
@@ -238,10 +168,6 @@ def test_a_track_that_is_cut_off_or_damaged_is_read_up_to_there() -> None:
     cut = parse_track(whole[: whole.index("<time>2024-05-01T12:00:12")].encode(), "a.gpx")
     assert (len(cut.rows), cut.rows[-1].entry.latitude) == (12, 47.311)
     assert cut.notes == ("a.gpx is cut off or damaged; only its points before the damage were used.",)
-    places = KML.format(POINTS)
-    cut = parse_track(places[: places.index("8.5,47.302")].encode(), "a.kml")
-    assert len(cut.rows) == 2
-    assert "only its points before the damage were used" in cut.notes[0]
     # A bare & is no damage, and commas within numbers are said.
     assert len(parse_track(whole.replace("<name>x", "<name>a & b").encode(), "a.gpx").rows) == 20
     commas = parse_track(gpx(3, decimal=",").encode(), "a.gpx")
@@ -254,16 +180,12 @@ def test_a_track_that_is_cut_off_or_damaged_is_read_up_to_there() -> None:
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (b"", "is neither GPX nor KML"),
-        (b"PK\x03\x04damaged", "is a damaged archive"),
+        (b"", "is no GPX"),
+        (b"PK\x03\x04damaged", "is no GPX"),
         (b"<gpx>", "is damaged, and no point of it can be read"),
         (b'<gpx version="1.1"></gpx>', "has no point with a position"),
         (b'<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
-        (KML.format("<!DOCTYPE x SYSTEM 'file:///etc/passwd'>").encode(), "has a DTD or entities"),
-        (
-            KML.format(LONG_LINE).encode(),
-            "has no point with a position",
-        ),
+        (b"<!DOCTYPE x SYSTEM 'file:///etc/passwd'><gpx></gpx>", "has a DTD or entities"),
     ],
 )
 def test_files_that_are_no_tracks_are_refused_in_one_sentence(data: bytes, message: str) -> None:
@@ -272,20 +194,8 @@ def test_files_that_are_no_tracks_are_refused_in_one_sentence(data: bytes, messa
     assert message in str(error.value)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        gpx(2).replace("time>", "tame>"),
-        KML.format(f"<Placemark>{LONG_LINE}</Placemark>"),
-        KML.format(f"<Placemark><name>2024-05-01 12:00 - 2024-05-01 12:30</name>{LONG_LINE}</Placemark>"),
-        KML.format(
-            f"<Placemark>{LONG_LINE}<TimeSpan><begin>{time(0)}</begin><end>{time(9)}</end></TimeSpan></Placemark>",
-        ),
-    ],
-    ids=["GPX", "LineString", "name", "TimeSpan"],
-)
-def test_a_track_without_times_fits_nothing_and_the_run_goes_on(tmp_path: Path, text: str) -> None:
-    (tmp_path / "track.gpx").write_text(text, "utf-8")
+def test_a_track_without_times_fits_nothing_and_the_run_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "track.gpx").write_text(gpx(2).replace("time>", "tame>"), "utf-8")
     photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
     flight = make_flight([photo, tmp_path / "track.gpx"], tmp_path / "flight")
     assert flight.frames[0].latitude == 47.3
@@ -293,49 +203,12 @@ def test_a_track_without_times_fits_nothing_and_the_run_goes_on(tmp_path: Path, 
     assert any(note.startswith("track.gpx fits none of the 1 photos by") for note in flight.notes)
 
 
-def test_an_archive_without_a_track_and_a_missing_file_are_refused(tmp_path: Path) -> None:
-    data = io.BytesIO()
-    with zipfile.ZipFile(data, "w") as archive:
-        archive.writestr("a.txt", "x")
-    with pytest.raises(DataError, match=r"a\.kmz has no \.kml in it"):
-        parse_track(data.getvalue(), "a.kmz")
+def test_a_missing_track_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"b\.gpx cannot be read"):
         read_track(tmp_path / "b.gpx")
 
 
-def kml_point(coordinates: str, mode: str = "") -> bytes:
-    """A KML of one point with a time, and what its height is measured from."""
-    told = f"<altitudeMode>{mode}</altitudeMode>" if mode else ""
-    return (
-        '<kml xmlns="http://www.opengis.net/kml/2.2"><Placemark><TimeStamp><when>2024-05-01T10:00:00Z</when></TimeStamp>'
-        f"<Point>{told}<coordinates>{coordinates}</coordinates></Point></Placemark></kml>"
-    ).encode()
-
-
-@pytest.mark.parametrize(
-    ("mode", "height", "altitude", "above_ground"),
-    [
-        ("absolute", "40", 40.0, None),
-        ("absolute", "0", 0.0, None),
-        ("relativeToGround", "40", None, 40.0),
-        ("clampToGround", "40", None, None),
-        ("", "450", 450.0, None),
-        ("", "0", None, None),
-    ],
-)
-def test_a_height_of_kml_is_measured_from_what_it_says(
-    mode: str, height: str, altitude: float | None, above_ground: float | None
-) -> None:
-    (row,) = parse_track(kml_point(f"8.5,47.3,{height}", mode), "a.kml").rows
-    assert (row.entry.latitude, row.entry.longitude) == (47.3, 8.5)
-    assert (row.entry.altitude, row.entry.height_above_ground) == (altitude, above_ground)
-
-
-def test_decimal_commas_of_kml_are_refused_and_those_of_gpx_read() -> None:
-    with pytest.raises(
-        DataError, match=r"coordinates 8,5,47,3,450; expected longitude, latitude, and height with points"
-    ):
-        parse_track(kml_point("8,5,47,3,450"), "a.kml")
+def test_decimal_commas_are_read() -> None:
     gpx = (
         '<gpx version="1.1" creator="a"><trk><trkseg><trkpt lat="47,3" lon="8,5"><ele>450,5</ele>'
         '<time>2024-05-01T10:00:00Z</time></trkpt><trkpt lat="47,3" lon="8,5"><ele>450,5</ele>'
@@ -348,23 +221,12 @@ def test_decimal_commas_of_kml_are_refused_and_those_of_gpx_read() -> None:
     assert "1 points of a.gpx are outside of the Earth's degrees, and were left out." in track.notes
 
 
-def test_each_geometry_of_kml_has_its_own_mode_and_tracks_have_that_of_the_multitrack() -> None:
-    start = '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Placemark>'
-    track = "<gx:Track><when>2024-05-01T10:00:0{0}Z</when><gx:coord>8.5 47.3 {0}0</gx:coord></gx:Track>"
-    several = "<gx:MultiTrack><altitudeMode>relativeToGround</altitudeMode>" + track.format(4) + track.format(5)
-    rows = parse_track((start + several + "</gx:MultiTrack></Placemark></kml>").encode(), "a.kml").rows
-    assert [(row.entry.altitude, row.entry.height_above_ground) for row in rows] == [(None, 40.0), (None, 50.0)]
-    times = "".join(f"<when>2024-05-01T10:00:0{second}Z</when>" for second in (1, 2))
-    points = "<Point><altitudeMode>{}</altitudeMode><coordinates>8.5,47.3,{}</coordinates></Point>"
-    several = f"<MultiGeometry>{points.format('relativeToGround', 40)}{points.format('absolute', 450)}</MultiGeometry>"
-    rows = parse_track(f"{start}{times}{several}</Placemark></kml>".encode(), "a.kml").rows
-    assert [(row.entry.altitude, row.entry.height_above_ground) for row in rows] == [(None, 40.0), (450.0, None)]
-
-
-@pytest.mark.parametrize(("angles", "noted"), [("45 0 0", True), ("0 0 0", False)])
-def test_angles_of_a_tracks_model_are_named_as_not_read(angles: str, noted: bool) -> None:
-    start = '<kml xmlns="http://www.opengis.net/kml/2.2" xmlns:gx="http://www.google.com/kml/ext/2.2"><Placemark>'
-    inside = f"<when>2024-05-01T10:00:00Z</when><gx:coord>8.5 47.3 40</gx:coord><gx:angles>{angles}</gx:angles>"
-    track = parse_track(f"{start}<gx:Track>{inside}</gx:Track></Placemark></kml>".encode(), "a.kml")
-    assert len(track.rows) == 1
-    assert any("gx:angles of a.kml" in note for note in track.notes) == noted
+def test_tracks_of_google_earth_are_not_read(tmp_path: Path) -> None:
+    (tmp_path / "track.kml").write_text('<kml xmlns="http://www.opengis.net/kml/2.2"/>', "utf-8")
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    flight = make_flight([photo, tmp_path / "track.kml"], tmp_path / "flight")
+    assert "Left out, because their kind is not supported: track.kml." in flight.notes
+    with pytest.raises(DataError, match=r"There is no photo and no video \(track\.kml is neither\)"):
+        make_flight([tmp_path / "track.kml"], tmp_path / "alone")
+    with pytest.raises(DataError, match=r"track\.kml is no GPX; expected a track with <gpx> in it"):
+        parse_track((tmp_path / "track.kml").read_bytes(), "track.kml")

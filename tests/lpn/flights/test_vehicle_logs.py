@@ -1,4 +1,4 @@
-"""Logs of autopilots and bags of ROS, written in their real formats by tools.fixtures.vehicle_logs; and damaged ones."""
+"""Logs of autopilots, written in their real formats by tools.fixtures.vehicle_logs; and damaged ones."""
 
 from __future__ import annotations
 
@@ -19,8 +19,6 @@ WRITERS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "flight.ulg": ("pyulog", vehicle_logs.write_ulog),
     "flight.tlog": ("pymavlink", vehicle_logs.write_tlog),
     "flight.bin": ("pymavlink", vehicle_logs.write_data_flash),
-    "flight.bag": ("rosbags", lambda path: vehicle_logs.write_bag(path, 1)),
-    "ros2": ("rosbags", lambda path: vehicle_logs.write_bag(path, 2)),
 }
 
 
@@ -49,11 +47,6 @@ def test_a_log_has_positions_heights_and_angles_of_the_aircraft(tmp_path: Path, 
         assert entries[5].height_above_takeoff == pytest.approx(100)
 
 
-def test_the_file_of_a_bag_of_ros_2_is_read_as_its_folder(tmp_path: Path) -> None:
-    folder = written(tmp_path, "ros2")
-    assert len(read_vehicle_log(next(folder.glob("*.db3"))).rows) == 20
-
-
 def test_photos_take_the_values_of_a_log(tmp_path: Path) -> None:
     log = written(tmp_path, "flight.tlog")
     for second in (2, 4):
@@ -79,7 +72,7 @@ def test_positions_of_another_vehicle_are_left_out_with_a_note(tmp_path: Path) -
     )
 
 
-@pytest.mark.parametrize("name", ["a.ulg", "a.tlog", "a.bin", "a.bag", "a.db3", "a.mcap"])
+@pytest.mark.parametrize("name", ["a.ulg", "a.tlog", "a.bin"])
 def test_a_file_of_another_kind_is_refused_in_a_sentence(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b"latitude,longitude\n")
     with pytest.raises(DataError, match=r"^a\.\w+ begins with 6c 61 74 69 74 75 64 65; expected a \w+"):
@@ -91,13 +84,6 @@ def test_a_log_that_is_cut_short_is_read_so_far(tmp_path: Path, name: str) -> No
     file = written(tmp_path, name)
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
     assert 5 <= len(read_vehicle_log(file).rows) < 20
-
-
-def test_a_bag_that_is_cut_short_is_refused_in_a_sentence(tmp_path: Path) -> None:
-    file = written(tmp_path, "flight.bag")
-    file.write_bytes(file.read_bytes()[:5000])
-    with pytest.raises(DataError, match=r"^flight\.bag is damaged and cannot be read as a bag of ROS 1 \("):
-        read_vehicle_log(file)
 
 
 def test_a_log_without_positions_is_refused(tmp_path: Path) -> None:
@@ -150,14 +136,6 @@ def test_a_damaged_log_of_an_autopilot_is_refused_whatever_its_name_says(tmp_pat
     log.write_bytes(b"\xa3\x95\x80\x80" + bytes(200))
     with pytest.raises(DataError):
         make_flight([photo, log], tmp_path / "flight")
-
-
-def test_an_imu_that_does_not_tell_its_orientation_gives_no_heading(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    vehicle_logs.write_bag(tmp_path / "a.bag", 1, oriented=False)
-    rows = read_vehicle_log(tmp_path / "a.bag").rows
-    assert rows
-    assert all(row.entry.heading is None and row.entry.pitch is None for row in rows)
 
 
 def test_an_altitude_that_is_not_known_is_none() -> None:

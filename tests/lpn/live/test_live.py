@@ -27,7 +27,6 @@ import lpn.live.run
 import lpn.locate.registered_stage
 from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError
-from lpn.core.resources import is_loopback
 from lpn.flights import Flight, Frame
 from lpn.live.frames import (
     ArrivedPicture,
@@ -40,13 +39,13 @@ from lpn.live.frames import (
     shown_name,
 )
 from lpn.live.locator import LiveLocator, LiveOptions
-from lpn.live.outputs import LineOutput, LiveFix, MavlinkOutput, WebsocketOutput
-from lpn.live.run import LiveRun, LiveSettings, live_answer
-from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_link, open_telemetry
+from lpn.live.outputs import LineOutput
+from lpn.live.run import LiveRun, live_answer
+from lpn.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_telemetry
 from lpn.locate.agreement import MapAgreement
-from lpn.locate.belief import BestAnswer, belief, best_track
+from lpn.locate.belief import best_track
 from lpn.locate.camera_place import below_camera
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.registered_stage import PhotoSearch
 from lpn.locate.tracks import track_bytes
 from lpn.maps import Map
@@ -107,17 +106,13 @@ class StepByStep(LiveSource):
             self.newest.put(ArrivedPicture(frame, time.monotonic()))
 
 
-def lines_of(
-    town: Map, frames: list[Frame], settings: LiveSettings | None = None, options: LiveOptions = OPTIONS
-) -> tuple[list[dict[str, Any]], list[str]]:
+def lines_of(town: Map, frames: list[Frame], options: LiveOptions = OPTIONS) -> tuple[list[dict[str, Any]], list[str]]:
     """Return the properties of the lines of a run, and its sentences."""
     said: list[str] = []
     stream = io.StringIO()
     locator = LiveLocator(town, GridModel(), options)  # type: ignore[arg-type]
     locator.prepare([44.0])
-    run = LiveRun(
-        StepByStep(frames, said.append), LiveTelemetry(), locator, [LineOutput(stream)], said.append, settings
-    )
+    run = LiveRun(StepByStep(frames, said.append), LiveTelemetry(), locator, [LineOutput(stream)], said.append)
     count = run.run()
     features = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert len(features) == count
@@ -275,27 +270,16 @@ def test_ten_contradicted_frames_in_a_row_are_said(
 
 
 @pytest.mark.usefixtures("laid")
-def test_registrations_prove_the_map_and_a_restart_takes_the_belief_up(
-    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now = time.time()
-    monkeypatch.setattr(time, "time", lambda: now)  # a belief fades with the seconds that a busy machine takes
-    settings = LiveSettings(belief=tmp_path / "out.belief")
+def test_registrations_prove_the_map(town: Map, flight: Flight) -> None:
     locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
     states = [
         locator.locate(frame, ArrivedPicture(frame, 0).pixels()).stages["sequence"].state for frame in flight.frames
     ]
     assert states == ["refused"] * 5 + ["accepted"]
-    assert settings.belief is not None
-    locator.save(settings.belief, time.time())
-    unseen = replace(flight.frames[-1], name="unregistered.png")
-    (line,), said = lines_of(town, [unseen], settings)
-    assert (line["stage"], line["state"]) == ("sequence", "accepted")
-    assert line["error"] < 10
-    assert said[0].startswith("The belief of ")
-    assert said[0].endswith(" s ago was taken up from out.belief.")
-    _, said = lines_of(town, [unseen], settings)  # a second restart, without a registration since the first
-    assert said[0].startswith("The belief of ")
+    unseen = replace(flight.frames[-1], name="unregistered.png", time=9.0)
+    answer = live_answer(locator.locate(unseen, ArrivedPicture(unseen, 0).pixels()))
+    assert (answer.stage, answer.state) == ("sequence", "accepted")
+    assert math.dist((answer.answer.x or 0.0, answer.answer.y or 0.0), PLACES[-1]) < 10
     (line,), _ = lines_of(town, [unseen])
     assert line["state"] == "refused"
 
@@ -365,17 +349,6 @@ def test_turns_that_drift_make_no_new_heading(
     laid |= {frame.name: (*PLACES[-1], turn) for frame, turn in zip(turned, turns, strict=True)}
     lines, _ = lines_of(town, [*flight.frames, *turned])
     assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 10
-
-
-def test_a_belief_of_another_map_or_damaged_starts_anew(town: Map, flight: Flight, tmp_path: Path) -> None:
-    settings, options = LiveSettings(belief=tmp_path / "b"), replace(OPTIONS, register=False)
-    lines_of(town, list(flight.frames[:1]), settings, options)
-    _, said = lines_of(town, list(flight.frames[:1]), settings, replace(options, overlap=0.4))
-    assert said[0] == "b is of another map, model, or size of windows; the flight starts anew."
-    (tmp_path / "b").write_bytes((tmp_path / "b").read_bytes()[:100])
-    lines, said = lines_of(town, list(flight.frames[:1]), settings, options)
-    assert said[0] == "b is damaged; the flight starts anew."
-    assert len(lines) == 1
 
 
 def test_the_sequence_alone_proves_no_map_and_says_so(town: Map, flight: Flight) -> None:
@@ -480,14 +453,13 @@ def test_a_folder_that_did_not_change_is_not_listed_again(tmp_path: Path, monkey
 
 def test_frames_of_a_video_have_their_times(tmp_path: Path) -> None:
     video = write_video(tmp_path / "v.mp4", 4)
-    source = StreamPictures(video, print, fov=70.0, paced=False)
+    source = StreamPictures(video, print, fov=70.0)
     source.start()
     pictures = []
     while not source.newest.ended:
         if (picture := source.newest.take(1)) is not None:
             pictures.append(picture)
     source.close()
-    assert source.newest.dropped == 0
     assert len(pictures) > 1
     times = [picture.frame.time or 0.0 for picture in pictures]
     assert times == sorted(times)
@@ -536,8 +508,6 @@ def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(fl
         time.sleep(0.11)  # entries closer together count as one
         vehicle.tell(frame)
         wait_until(lambda: any("clock has jumped" in sentence for sentence in said))
-        vehicle.tell_origin(47.0, 8.0)
-        wait_until(lambda: link.origin == (47.0, 8.0))
     finally:
         for one in (link, vehicle, other):
             one.close()
@@ -578,7 +548,7 @@ def test_a_log_gives_frames_its_values_from_the_first_picture_on(tmp_path: Path)
 def test_telemetry_turns_with_a_video(tmp_path: Path, name: str, text: str, fov: float) -> None:
     (tmp_path / name).write_text(text)
     said: list[str] = []
-    source = StreamPictures(turn(write_video(tmp_path / "v.mp4", 2), 1), said.append, paced=False)
+    source = StreamPictures(turn(write_video(tmp_path / "v.mp4", 2), 1), said.append)
     source.start()
     picture = source.newest.take(10)
     source.close()
@@ -598,91 +568,6 @@ def test_telemetry_turns_with_a_photo(tmp_path: Path) -> None:
     source.close()
     assert picture is not None
     assert open_telemetry(str(tmp_path / "log.csv"), print).value(picture).frame.heading == pytest.approx(310.0)
-
-
-def fix(
-    flight: Flight,
-    state: str = "accepted",
-    camera: bool = True,
-    stage: str = "sequence",
-    tag: float | None = None,
-    sequence: str = "refused",
-) -> LiveFix:
-    """The fix of a frame whose stage answers so, some metres from its tag."""
-    answer = StageRecord(state, "Because.", 1.0, 2.0, camera, 3.0, 270.0)  # type: ignore[arg-type]
-    other = StageRecord(sequence, "Few frames agree.", 500.0, 5.0, radius=9.0)  # type: ignore[arg-type]
-    place = None if tag is None else np.array([1.0 + tag, 2.0])
-    located = LocatedFrame(flight.frames[0], place, {"sequence": other, stage: answer})
-    best = replace(live_answer(located), answer=answer)
-    return LiveFix(located, best, 47.001, 8.0, 1_714_564_800.5, 0.2, 3)
-
-
-@pytest.mark.parametrize("kind", ["gps", "vision"])
-def test_accepted_places_are_sent_over_mavlink(flight: Flight, kind: Any) -> None:
-    pytest.importorskip("pymavlink")
-    said: list[str] = []
-    origins: list[tuple[float, float]] = []
-    receiver = open_link(f"udpin:127.0.0.1:{(port := free_port())}")
-    output = MavlinkOutput(
-        f"udpout:127.0.0.1:{port}", kind, said.append, lambda: origins[0] if origins else None, lambda: 7
-    )
-    try:
-        if kind == "vision":
-            output.send(fix(flight))
-            assert said == [
-                "The vehicle has not told its origin (GPS_GLOBAL_ORIGIN) yet; VISION_POSITION_ESTIMATE waits for it."
-            ]
-            origins.append((47.0, 8.0))
-        for withheld in (
-            fix(flight, "refused"),
-            fix(flight, "refused", stage="registration"),
-            fix(flight, stage="registration", sequence="accepted"),
-        ):
-            output.send(replace(withheld, latitude=46.0))
-        output.send(fix(flight, stage="registration", tag=60.0))  # the vehicle's own position may have drifted
-        message = receiver.recv_match(blocking=True, timeout=TIMEOUT)
-    finally:
-        output.close()
-        receiver.close()
-    assert (message.get_srcSystem(), message.get_srcComponent()) == (7, 197)
-    if kind == "gps":
-        assert (message.lat, message.lon, message.fix_type) == (470010000, 80000000, 3)
-        assert message.horiz_accuracy == pytest.approx(3)
-        seconds = 604_800 * message.time_week + message.time_week_ms / 1000 + 315_964_800 - 18
-        assert seconds == pytest.approx(1_714_564_800.5)
-    else:
-        assert (message.x, message.y) == (pytest.approx(111.2, abs=0.1), pytest.approx(0))
-        assert message.yaw == pytest.approx(-math.pi / 2)
-        assert message.covariance[0] == pytest.approx(9)
-
-
-def test_the_middle_of_a_picture_counts_with_an_unknown_tilt(flight: Flight) -> None:
-    assert fix(flight).radius == 3.0
-    assert fix(flight, camera=False).radius == pytest.approx(math.hypot(3, HEIGHT * math.tan(math.radians(5))))
-
-
-def test_a_websocket_sends_lines_and_refuses_pages_of_other_sites(flight: Flight) -> None:
-    websockets = pytest.importorskip("websockets.sync.client")
-    from websockets.exceptions import InvalidStatus
-
-    output = WebsocketOutput("127.0.0.1", 0)
-    address = f"ws://127.0.0.1:{output.port}"
-    try:
-        with websockets.connect(address) as reader:
-            wait_until(lambda: output._readers)
-            output.send(fix(flight))
-            feature = json.loads(reader.recv(timeout=TIMEOUT))
-        assert feature["geometry"] == {"type": "Point", "coordinates": [8.0, 47.001]}
-        assert (feature["properties"]["dropped"], feature["properties"]["age"]) == (3, 0.2)
-        with pytest.raises(InvalidStatus):
-            websockets.connect(address, origin="http://example.org")
-        with pytest.raises(InputError, match="cannot listen on"):
-            WebsocketOutput("127.0.0.1", output.port)
-    finally:
-        output.close()
-    assert [is_loopback(host) for host in ("localhost", "127.0.0.1", "::1", "0.0.0.0", "example.org")] == [
-        True, True, True, False, False,
-    ]  # fmt: skip
 
 
 def test_the_command_locates_what_a_vehicle_sends(
@@ -731,10 +616,7 @@ def test_the_command_locates_what_a_vehicle_sends(
         (["--live", "FOLDER", "--fov", "500"], "--fov is 500; expected a number from 0.1 to 170."),
         (["--live", "FOLDER", "--speed", "0"], "The speed is 0 m/s"),
         (["--live", "FOLDER", "--telemetry", "none"], "There is no none; give a log, a track, or an address"),
-        (
-            ["--live", "FOLDER", "--send", "udpout:127.0.0.1:9", "--send-as", "vision"],
-            "give its MAVLink address with --telemetry",
-        ),
+        (["--live", "0"], "There is no 0; give a folder that fills"),
     ],
 )
 def test_bad_options_of_the_command_are_refused_in_a_sentence(
@@ -753,14 +635,12 @@ def test_bad_options_of_the_command_are_refused_in_a_sentence(
     assert captured.err.count("\n") == 1
 
 
-def test_a_vehicle_without_positions_gives_heading_height_and_origin(flight: Flight) -> None:
+def test_a_vehicle_without_positions_gives_heading_and_height(flight: Flight) -> None:
     pytest.importorskip("pymavlink")
     link = MavlinkLink(f"udp:127.0.0.1:{(port := free_port())}", lambda _: None)
     vehicle = SimulatedVehicle(flight, port=port, system=7)
     lost = replace(flight.frames[0], latitude=None, longitude=None, heading=90.0, heading_source="aircraft")
     try:
-        vehicle.tell_origin(47.0, 8.0)  # before any position
-        wait_until(lambda: link.origin)
 
         def known() -> bool:
             vehicle.tell(lost)
@@ -768,23 +648,11 @@ def test_a_vehicle_without_positions_gives_heading_height_and_origin(flight: Fli
             return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
 
         wait_until(known)
-        assert link.origin == (47.0, 8.0)
         assert link.system == 7
         assert link.value(arrived(lost)).frame.latitude is None
     finally:
         link.close()
         vehicle.close()
-
-
-def test_a_place_of_the_middle_counts_with_the_tilt(flight: Flight) -> None:
-    def radius(pitch: float | None) -> float | None:
-        frame = replace(flight.frames[0], pitch=pitch, roll=0.0, height_above_ground=100.0)
-        answer = StageRecord("accepted", "", 0.0, 0.0, radius=3.0)
-        best = BestAnswer("sequence", answer, "accepted", (), belief(LocatedFrame(frame, None, {"sequence": answer})))
-        return LiveFix(LocatedFrame(frame, None), best, 47.0, 8.0, 1e9, 0.1, 0).radius
-
-    assert radius(-45.0) == pytest.approx(math.hypot(3, 100))
-    assert radius(-90.0) == radius(None) == pytest.approx(math.hypot(3, 100 * math.tan(math.radians(5))))
 
 
 def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import sqlite3
 import subprocess
 import sys
 import time
@@ -26,6 +27,7 @@ from lpn.maps.elevation import ElevationFile, ElevationSource
 from lpn.maps.folder import build_map
 from lpn.maps.sources import parse_crs
 from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+from tools.fixtures.small_tiles import write_mbtiles
 
 _LISTENER = """
 import socket, sys
@@ -281,6 +283,29 @@ def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> N
         assert {file.name for file in raster.files()} == {"town.bil", "town.hdr", "01.ovr"}
         assert np.abs(reduced - smooth(side, side)[1002:2000:4, 2::4, 0].astype(float)).max() < 12
         whole.close()
+
+
+def test_no_table_of_an_mbtiles_is_another_file(tmp_path: Path) -> None:
+    """GDAL has virtual tables of SQLite that open any file by any of its drivers."""
+    path, other = tmp_path / "town.mbtiles", tmp_path / "other.sqlite"
+    for file in (path, other):
+        write_mbtiles(file, smooth(512, 512), {})
+    open_map(path).close()
+    with sqlite3.connect(path) as database:
+        database.execute("DROP TABLE tiles")
+        database.execute("PRAGMA writable_schema = ON")
+        virtual = f"CREATE VIRTUAL TABLE tiles USING VirtualOGR('{other}', 0, 'tiles')"
+        database.execute("INSERT INTO sqlite_master VALUES ('table', 'tiles', 'tiles', 0, ?)", (virtual,))
+    database.close()
+    with pytest.raises(DataError, match="cannot be read as a map"):
+        open_map(path)
+    # GDAL itself reads the other file.
+    program = "import sys, rasterio\nwith rasterio.open(sys.argv[1]) as file:\n    print(file.read(1).std() > 10)"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("OGR_")}
+    ran = subprocess.run(
+        [sys.executable, "-c", program, path], env=environment, check=True, capture_output=True, text=True
+    )
+    assert ran.stdout == "True\n"
 
 
 @pytest.mark.parametrize("end", [".ovr", ".MSK"])
