@@ -27,7 +27,6 @@ _EXTRAS = {
     "pymilvus": "milvus",
     **dict.fromkeys(("ray", "pyarrow", "fsspec"), "ray"),
     "av": "video",
-    "playwright": "film",
     **dict.fromkeys(("pymavlink", "pyulog", "rosbags"), "live"),
 }
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"

@@ -186,8 +186,6 @@ interface Lpn {
   tell(story: Story, first?: number): void;
   telling(): boolean;
   welcome(unasked: boolean): void;
-  keepDraft(draft: unknown): void;
-  restoreDraft(): void;
   storyAddress(): "replaceState" | "pushState" | null;
   backEndsStory(): boolean;
   backQuietly(): void;

@@ -15,7 +15,6 @@
   let waiting = null; // that address, and whether it came unasked
   let written = 0; // when one that a person asked for was written last
   let ready = false;
-  let begun = false; // a session of the server has begun, and has not answered yet
 
   // Each action of a person is a step of the browser's history, which Back undoes. A drag, which changes one thing many times, is one
   // step; what changes by itself, such as the frame of a flight that plays, is none. A change of these is always a step.
@@ -79,7 +78,6 @@
     clearInterval(greeting);
     const now = (lpn.greeted = performance.now());
     const held = lpn.resume();
-    begun = true;
     setTimeout(() => cover()?.remove(), UNANSWERED); // the page says below it what it waits for
     const names = [...new URLSearchParams(search).keys()].filter((key) => !["theme", "words"].includes(key) && lpn.keys.includes(key));
     lpn.linked ??= names.some((key) => key !== "screen" && key !== "show"); // these two alone point at no picture
@@ -122,8 +120,6 @@
     clearTimeout(writing);
     writing = setTimeout(commit, PAUSE);
     lpn.watch();
-    if (begun) lpn.restoreDraft();
-    begun = false;
     ready = true;
   };
 
