@@ -201,10 +201,9 @@ interface Lpn {
   look: string | null;
 }
 
-interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }
 interface Window {
   lpn: Lpn;
-  lpnWay: { look(): Promise<Fault | null>; theme(search: string): "light" | "dark" };
+  lpnWay: { look(): Promise<string>; theme(search: string): "light" | "dark" };
   // Of viser.
   __viserMutable: any;
   __viserSceneTree: any;
