@@ -135,7 +135,7 @@ class ModelComparison:
         rankings = [ranking for one in workspaces if (ranking := one.ranked_as(task)) is not None]
         wanted = [ranking for ranking in rankings if ranking.result is None and not ranking.error]
         self._join(wanted[:1])
-        return _OPENING_INTERVAL if wanted or any(one.opening for one in beside) else None
+        return _OPENING_INTERVAL if wanted or waiting or any(one.opening for one in beside) else None
 
     def open(self, state: SessionState) -> None:
         """Open the compared model in the background, again if that failed."""
