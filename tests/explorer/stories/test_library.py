@@ -6,6 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from explorer.cli import StoryCommand
 from explorer.stories import library
 from explorer.stories.story import MOST_STEPS, Step, Story
 from lpn.core.demo import DEMO
@@ -103,3 +104,14 @@ def test_stories_of_the_demo_are_saved_in_the_user_s_folder(tmp_path: Path) -> N
     stories = library.read_all(DEMO).by_name
     assert list(stories) == [*names, ONE.name]
     assert stories[names[0]] == changed != shown, "the user's own replaces the shipped one"
+
+
+def test_the_command_lists_the_stories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path, ONE, Story("Empty"))
+    StoryCommand(data=tmp_path).run()
+    assert capsys.readouterr().out == "Ünë <b>  (1 steps)\nEmpty  (0 steps)\n"
+    (tmp_path / "stories.json").write_text("[")
+    StoryCommand(data=tmp_path).run()
+    assert "is not a file of stories" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"There is no folder .*missing'; give that of a data set with --data"):
+        StoryCommand(data=tmp_path / "missing").run()
