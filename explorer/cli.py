@@ -1,4 +1,4 @@
-"""The commands of the app: explore opens it, story films it. The entry points `lpn.commands` make them commands of `lpn`."""
+"""The commands `lpn explore` and `lpn story`, which the entry points `lpn.commands` add to `lpn`."""
 
 from __future__ import annotations
 
@@ -345,70 +345,18 @@ def _of_beside(
 
 @dataclass(kw_only=True)
 class StoryCommand:
-    """List the stories of a data set, or make a silent film of one for slides."""
+    """List the stories that lie beside a data set; lpn explore tells them."""
 
-    name: Annotated[str | None, tyro.conf.Positional] = None
-    """Name of the story, as the row Stories shows it; the stories are listed without it."""
-    record: Path | None = None
-    """Film to write: .mp4 (H.264), or .webp, which moves in a README."""
-    data: Path | None = None
-    """Data set in any layout of docs/data.md that the story lies beside; by default the demo."""
-    model: Path | None = None
-    """Trained LPN, as of lpn explore; by default the demo's."""
-    kind: KindOption = None
-    pooling: str | None = None
-    """Pooling of the model's tokens, as of lpn explore."""
-    calibrate: bool = False
-    """Rank with calibration, as lpn explore --calibrate does."""
-    size: tuple[int, int] = (1280, 800)
-    """Width and height of the film in pixels, both even."""
-    seconds: float | None = None
-    """Seconds for which each step stands; by default as long as its caption takes to read."""
-    light: bool = False
-    """Use the light theme."""
-    expert: bool = False
-    """Speak the field's terms in place of plain words, where a step does not name its words."""
+    data: Path = DEMO
+    """Data set in any layout of docs/data.md; by default the demo."""
 
     def run(self) -> None:
-        from explorer.app import serve_in_background
-        from explorer.stories import film
-        from explorer.stories.library import stories_of
-        from lpn.core.consoles import stage_bars
+        from explorer.stories.library import read_all
 
-        if self.record is not None and self.name is None:
-            raise InputError("--record needs the name of a story; lpn story alone lists them.")
-        if self.seconds is not None and not 0.1 <= self.seconds <= 60:
-            raise InputError(f"--seconds is {self.seconds:g}; expected 0.1 to 60.")
-        explore = Explore(
-            data=self.data, model=self.model, kind=self.kind, pooling=self.pooling, calibrate=self.calibrate
-        )
-        workspace = explore.opens_data()()
-        stories = stories_of(workspace)
+        if not self.data.is_dir():
+            raise InputError(f"There is no folder {printable(str(self.data))!r}; give that of a data set with --data.")
+        stories = read_all(self.data)
         for problem in stories.errors:
             print(f"lpn: {problem}", file=sys.stderr)
-        if self.name is None:
-            for story in stories.by_name.values():
-                print(f"{story.name}  ({len(story.steps)} steps)")
-            return
-        chosen = stories.by_name.get(self.name)
-        if chosen is None:
-            raise InputError(f"There is no story {printable(self.name)!r}; there are {', '.join(stories.by_name)}.")
-        if self.record is None:
-            raise InputError("Give --record FILE.mp4 or FILE.webp; lpn explore tells a story in the browser.")
-        film.check_film(self.record, chosen, self.size)
-        with (
-            serve_in_background(lambda: workspace) as page,
-            stage_bars("Recording {}") as on_progress,
-        ):
-            takes = film.record(
-                page.url,
-                chosen,
-                self.size,
-                not self.light,
-                self.seconds,
-                partial(on_progress, "steps"),
-                plain=not self.expert,
-            )
-        film.write(takes, self.record)
-        length = sum(take.seconds for take in takes) + (len(takes) - 1) * (film.FADE - 1) / film.RATE
-        print(f"{self.record}: {len(takes)} steps, {length:.0f} s, {self.record.stat().st_size / 1e6:.1f} MB")
+        for story in stories.by_name.values():
+            print(f"{printable(story.name)}  ({len(story.steps)} steps)")

@@ -40,21 +40,6 @@ _NO_OWN = (
     "An own picture is held only by the page that opened it, until that is loaded again or the picture is forgotten. Open the "
     "file again. Here is another picture."
 )
-# The words of parameters in the summary of an address; most have more values than one.
-_SUMMARY = {
-    "scoring": "ranked anew",
-    "weights": "weighted parts",
-    "angle": "turned",
-    "weather": "weather",
-    "zoom": "zoomed",
-    "region": "by a region",
-    "apart": "parts taken apart",
-    "shows": "evidence",
-    "map": "map",
-    "why": "explanation",
-    "lab": "all pictures in a table",
-    "flight": "flight",
-}
 # Parameters of the query that is shown.
 _OF_QUERY = ("with", "weather", "weather_strength", "angle", "shift", "down", "zoom", "region", "why")
 # Characters of the queries that were chosen in the laboratory by hand.
@@ -183,24 +168,6 @@ class UrlState:
             text: untrusted.
         """
         return self._named(text) - {"screen"} == {"show"}
-
-    def summary(self, text: str) -> str:
-        """Return in a few words what a query string shows: the query, then what is open or altered.
-
-        Args:
-            text: untrusted.
-        """
-        try:
-            values = {key: printable(value[:60]) for key, value in _parameters_of(text).items()}
-        except ValueError:
-            return "more than an address holds"
-        words = [values.get("query", "")]
-        if tile := values.get("with"):
-            words.append(f"with {'the true tile' if tile == POSITIVE else tile}")
-        if off := values.get("off"):
-            words.append(f"without part {off}")
-        words += [word for key, word in _SUMMARY.items() if values.get(key, "0") not in ("0", "")]
-        return ", ".join(filter(None, words)) or "the page as it is"
 
     def _named(self, text: str) -> set[str]:
         """Return the keys of what a query string names besides a theme and words; none if it has too many parameters."""

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
-from typing import Literal
 
 import numpy as np
 
@@ -17,7 +16,6 @@ from explorer import session_state
 from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
-from explorer.compute.centre_mean import CentreMean
 from explorer.compute.inference_scheduler import InferenceScheduler
 from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob, TaskRanking
@@ -145,7 +143,6 @@ class Workspace:
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
         self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
-        self.centre_mean = lru_cache(maxsize=None)(self._make_centre_mean)
         # The map that windows are cut from; None without one.
         self.basemap: Map | None = None
         # Registers own pictures on the map; None without one.
@@ -396,19 +393,6 @@ class Workspace:
             return self.areas(task.gallery_view, described) or PartAreas.of_cells(nowhere)
 
         self._tile_areas.get(key, areas)
-
-    def _make_centre_mean(self, other: Workspace, task: str, side: Literal["query", "tile"]) -> CentreMean:
-        """Return the mean for the queries or the tiles of a task under the model of this or another workspace.
-
-        All its passes wait in this workspace's queue, behind those that answer a person.
-        """
-        opened = other.tasks[task]
-        model = RequestContext(self.inference).queued(other.model, background=True)
-        assert model is not None
-        pictures, view = (
-            (opened.queries, opened.query_view) if side == "query" else (opened.gallery, opened.gallery_view)
-        )
-        return CentreMean(model.for_task(*opened.views), pictures, view, other.weather if side == "query" else CLEAR)
 
     def _make_fixed_areas(self, view: View) -> PartAreas | None:
         return PartAreas.of(self.contract, view, self.map_sizes[view], None)

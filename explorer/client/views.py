@@ -34,8 +34,7 @@ from explorer.stage.viewport import Viewport
 from explorer.stories import tour
 from explorer.stories.library import stories_of
 from explorer.stories.messages import StoryMessage
-from explorer.stories.window import StoryWindow
-from explorer.stories.windows import WindowSources
+from explorer.stories.telling import StoryTeller
 from explorer.web import style
 from explorer.web.bridge import PageBridge
 from explorer.workspace import StateAnalysis, Workspace
@@ -97,7 +96,7 @@ class ClientViews:
         self.flight = FlightWindow(
             client, workspace, services.flight, services.flight_pictures, change, viewport, self._say
         )
-        self.stories = StoryWindow(
+        self.stories = StoryTeller(
             client,
             workspace,
             services.url_state,
@@ -106,9 +105,7 @@ class ClientViews:
             go,
             partial(self.show_state, whole=True),
             lambda function, *arguments: self.bridge.call(function, *arguments),
-            viewport,
             reporter,
-            WindowSources(workspace, services.failure_lab, services.flight),
         )
         self.panels.navigation.order = self.lab.order
         self.panels.query.compare_models = self.explain_window.compare_models
@@ -157,9 +154,7 @@ class ClientViews:
                 )
             )
         commands.append(("First screen", None, lambda: self.first_screen.act("start")))
-        shortcuts.add(
-            client.gui, workspace, self.panels, change, self.bridge, commands, self.stories.close, show_scoring
-        )
+        shortcuts.add(client.gui, workspace, self.panels, change, self.bridge, commands, show_scoring)
         self._make_stage = partial(Stage, client, workspace, on_select, model, viewport, self.bridge.set_photo)
         self._stage: Stage | None = None
         self._building = Lock()

@@ -10,7 +10,6 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from explorer import judge
-from explorer.compute.centre_mean import CentreMean
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.compute.scorings import TERMS
@@ -24,7 +23,7 @@ from lpn.core.views import View
 from lpn.drawing import charts, heatmaps, overlays
 from lpn.drawing.charts import ModelPoint
 from lpn.drawing.verdicts import ordinal
-from lpn.drawing.words import plain, say
+from lpn.drawing.words import say
 from lpn.explain.centre import centre_box, centre_share, has_centre
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture, Match
@@ -35,8 +34,8 @@ _SIDES: tuple[_Side, ...] = ("query", "tile")
 # Numbers of matches and of queries listed, and the size of a picture with its heatmap: height, and the largest width.
 _MATCHES, _QUERIES, _SIZE = 5, 8, (256, 700)
 _LETTERS = "AB"
-# Seconds between two looks at models that are being opened or ranked, and at means.
-_OPENING_INTERVAL, _MEAN_INTERVAL = 0.5, 1.0
+# Seconds between two looks at models that are being opened or ranked.
+_OPENING_INTERVAL = 0.5
 
 
 @dataclass(frozen=True)
@@ -116,12 +115,12 @@ class ModelComparison:
         self._workspace, self._requests = workspace, requests
         self._analysers: dict[int, StateAnalyser] = {}
         self._own: StateAnalyser | None = None
-        self._joined: list[RankingJob | CentreMean] = []
+        self._joined: list[RankingJob] = []
         # The last page, and how many there were.
         self._drawn = "", 0
 
     def advance(self, state: SessionState) -> float | None:
-        """Open the compared model, then the others one at a time, rank them, and then find the means of the compared pair.
+        """Open the compared model, then the others one at a time, and rank them.
 
         Returns:
             Seconds until the next call, None once all is known.
@@ -134,19 +133,9 @@ class ModelComparison:
         workspaces = [self._workspace, *(one.workspace for one in beside if one.workspace is not None)]
         task = self._shared_task(state)
         rankings = [ranking for one in workspaces if (ranking := one.ranked_as(task)) is not None]
-        of_pair = [self._workspace, None if compared is None else compared.workspace]
-        means = [
-            mean
-            for side in ("tile", "query")
-            for one in of_pair
-            if one is not None and (mean := self._mean(one, state.task, side)) is not None
-        ]
         wanted = [ranking for ranking in rankings if ranking.result is None and not ranking.error]
-        pending: list[RankingJob | CentreMean] = [*wanted, *(mean for mean in means if mean.pending)]
-        self._join(pending[:1])
-        if wanted or any(one.opening for one in beside):
-            return _OPENING_INTERVAL
-        return _MEAN_INTERVAL if pending else None
+        self._join(wanted[:1])
+        return _OPENING_INTERVAL if wanted or waiting or any(one.opening for one in beside) else None
 
     def open(self, state: SessionState) -> None:
         """Open the compared model in the background, again if that failed."""
@@ -207,18 +196,11 @@ class ModelComparison:
         return html
 
     def live(self, state: SessionState) -> str:
-        """Return a script that writes means and progress into the page: if it were sent again, clicks would be lost."""
+        """Return a script that writes progress into the page: if the page were sent again, clicks would be lost."""
         compared = self._workspace.compared(state)
         assert compared is not None
-        other = compared.workspace
-        texts = {
-            f"{letter} {side}": _mean_text(mean)
-            for letter, one in zip(_LETTERS, (self._workspace, other), strict=True)
-            for side in _SIDES
-            if one is not None and (mean := self._mean(one, state.task, side)) is not None
-        }
-        texts |= {f"choice {i}": _progress(one) for i, one in enumerate(self._workspace.beside) if one.opening}
-        if other is None and not compared.error:
+        texts = {f"choice {i}": _progress(one) for i, one in enumerate(self._workspace.beside) if one.opening}
+        if compared.workspace is None and not compared.error:
             texts["opening"] = _opening(compared, self._workspace.beside)
         return run(call("fill", "live", {key: escape(text) for key, text in texts.items()}, self._drawn[1]))
 
@@ -274,24 +256,16 @@ class ModelComparison:
         else:
             heat = np.asarray((cells - low) / max(high - low, 1e-12), np.float32)
             picture = draw_parts(workspace, described, view, _SIZE, heat=heat)
-        mean = self._mean(workspace, task.name, side)
-        if mean is not None:
+        centred = has_centre(workspace.contract, view)
+        if centred:
             picture = overlays.with_box(picture, centre_box(*described.trace.size))
         return _Map(
             side,
             analysis.name if side == "query" else task.gallery[analysis.chosen.index].title,
             overlays.data_uri(picture, 88),
             heatmaps.scale_labels(low, high),
-            None if mean is None else 100 * centre_share(described.trace.activation),
+            100 * centre_share(described.trace.activation) if centred else None,
         )
-
-    def _mean(self, workspace: Workspace, task: str, side: _Side) -> CentreMean | None:
-        """Return the test set's mean of a side under a model; None where pictures have no centre."""
-        opened = workspace.tasks.get(task)
-        if opened is None or workspace.model is None:
-            return None
-        view = opened.query_view if side == "query" else opened.gallery_view
-        return self._workspace.centre_mean(workspace, task, side) if has_centre(workspace.contract, view) else None
 
     def _recall(self, workspace: Workspace, task: Task) -> float | None:
         """Return R@1 of a model in percent, of a flight over the photos that are graded under the workspace's own model."""
@@ -303,7 +277,7 @@ class ModelComparison:
             graded &= self._workspace.graded(own)
         return ranking.result.ranking.metrics(graded)["recall@1"] if graded.any() else None
 
-    def _join(self, wanted: list[RankingJob | CentreMean]) -> None:
+    def _join(self, wanted: list[RankingJob]) -> None:
         for job in self._joined:
             if job not in wanted:
                 job.leave(self)
@@ -382,22 +356,6 @@ def _opening(lazy: LazyWorkspace, beside: Sequence[LazyWorkspace]) -> str:
 def _progress(lazy: LazyWorkspace) -> str:
     done, total = lazy.progress
     return f"{done:,} of {total:,} pictures are described" if total else "its file and the data set are read"
-
-
-def _mean_text(mean: CentreMean) -> str:
-    """Say in words how far a mean over the test set is known."""
-    everything = "all pictures" if plain() else "test set"
-    if mean.error:
-        return f"{everything}: no mean. {mean.error}"
-    if mean.percent is None:
-        return f"{everything}: not known yet"
-    value = f"{everything}: {mean.percent:.1f} %"
-    if mean.done < mean.total:
-        return progress_bar(
-            mean.done, mean.total, f"{value} so far ({mean.done:,} of {mean.total:,})", "pictures of the mean"
-        )
-    drawn = f" of {mean.pictures:,} drawn at random" if mean.total < mean.pictures else ""
-    return f"{value} (mean of {mean.total:,}{drawn})"
 
 
 def _same_tile(first: Task, second: Task, index: int) -> bool:

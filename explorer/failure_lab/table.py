@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple, Protocol, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
-from explorer.browse.feeds import Feeds, Side
+from explorer.browse.feeds import Feeds
 from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.failure_lab.service import TERMS, Findings, SecondProgress
@@ -23,7 +23,6 @@ from lpn.drawing import theme, words
 from lpn.report.page import MOST
 from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import RANK_A, RANK_B
-from lpn.tasks.task import Task
 
 # Digits of a margin: that of an answer that is computed anew may differ in the next one.
 _DIGITS = 2
@@ -225,20 +224,8 @@ def runs(chosen: BoolArray) -> list[tuple[int, int]]:
     return list(zip(np.flatnonzero(steps == 1).tolist(), (np.flatnonzero(steps == -1) - 1).tolist(), strict=True))
 
 
-class Thumbnails(Protocol):
-    """Returns the source of a query's or a tile's thumbnail."""
-
-    def thumbnail(self, task: Task, side: Side, index: int) -> str: ...
-
-
-def lines(
-    findings: Findings, columns: Sequence[Column], feeds: Thumbnails, rows: Int64Array, loaded: bool = False
-) -> list[tuple[int, str]]:
-    """Return rows of the table: each query, and the HTML of its cells.
-
-    Args:
-        loaded: the thumbnails' sources are themselves the pictures, which no script has to load.
-    """
+def lines(findings: Findings, columns: Sequence[Column], feeds: Feeds, rows: Int64Array) -> list[tuple[int, str]]:
+    """Return rows of the table: each query, and the HTML of its cells."""
     margins = findings.outcomes.margin
     limit = float(np.nanmax(np.abs(margins))) if np.isfinite(margins).any() else 1.0
     return [
@@ -246,7 +233,6 @@ def lines(
             row,
             render(
                 "failure_lab/row",
-                source="src" if loaded else "data-src",
                 picture=feeds.thumbnail(findings.task, "query", row),
                 cells=[_cell(findings, feeds, column, row, limit) for column in columns],
             ),
@@ -330,7 +316,7 @@ def _answer(findings: Findings, row: int) -> str:
     return task.gallery[tile].title if listed else findings.table.columns["answer"].text(row)
 
 
-def _cell(findings: Findings, feeds: Thumbnails, column: Column, row: int, limit: float) -> _Cell:
+def _cell(findings: Findings, feeds: Feeds, column: Column, row: int, limit: float) -> _Cell:
     """Format a cell; `limit` is the margin at the end of the margins' scale."""
     text, outcomes, right = column.text(row), findings.outcomes, findings.verdict(row)
     if column.name in ("rank", RANK_A, RANK_B):

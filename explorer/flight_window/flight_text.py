@@ -6,8 +6,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import numpy as np
-
 from explorer.flight_window.service import FlightView
 from explorer.panels.radius_text import reach, told_reach
 from explorer.web.coordinates import describe_point
@@ -17,14 +15,13 @@ from lpn.drawing.verdicts import compass
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.audit import TagAudit
-from lpn.locate.belief import SIGMAS, TAG_RADIUS, TILT, Belief, Disagreement, on_what, tag_allowance
+from lpn.locate.belief import SIGMAS, Disagreement, on_what, tag_allowance
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.locate.registration import is_turned_over
-from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, share_within, unchecked_frames
-from lpn.locate.surveyed import AxisMean
-from lpn.locate.tag_errors import Leg, TagOffsets
+from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, share_within
+from lpn.locate.surveyed import SurveyedErrors
 
 # The list of contradictions alone would read as if all answers were independent, and equally good.
 EVIDENCE = (
@@ -41,8 +38,6 @@ UNCHECKED = (
     "Their details place these photos. Away from the middle of each, too few places were found on the map to check that all "
     "of it fits."
 )
-# Legs of a flight whose shift is told, at most.
-_MOST_LEGS = 8
 # The marks of a track in the legend of a map that stands alone, whose table of the tracks is left out.
 _MARKS = {
     "retrieval": "Dots without a line: guesses by the look alone, which nothing has verified.",
@@ -296,21 +291,12 @@ def accuracy(view: FlightView) -> tuple[str, list[AccuracyLine]] | None:
     if known is None:
         return None
     on_earth, earth = _on_earth(view.flight, known)
-    shape, shape_failed = _whole_photos(view)
-    lines = [_on_map(view.flight, known), *shape, earth]
-    errors = view.errors
-    if errors is not None:
-        lines.append(AccuracyLine("GPS tags", f"{errors.offsets.median:.1f} m", _tags(errors, view.flight.audit)))
-        if errors.offsets.photos > 1:
-            lines.append(_shift(errors))
-        if errors.legs:
-            lines.append(_by_leg(errors.legs))
-        lines += filter(None, [_camera_and_ground(view.flight, view.beliefs)])
-    radii, radii_failed = _radii(view.flight, known)
-    lines += radii
+    lines = [_on_map(view.flight, known), earth]
+    if view.errors is not None:
+        lines.append(AccuracyLine("GPS tags", f"{view.errors.median:.1f} m", _tags(view.errors, view.flight.audit)))
     if known.place_error is not None and known.map_source:
         on_earth = f"± {known.radius:.1f} m on earth, as far as the tags of the map do not all err alike"
-    failed = [text for text in (radii_failed, shape_failed) if text]
+    failed = [text for text in (_unconfirmed(view.flight), _unfit(view)) if text]
     checks = f" Not confirmed: {', and '.join(failed)}." if failed else ""
     if plain():
         on_map = upper_bound(reach(_radius_on_map(known)))
@@ -346,32 +332,15 @@ def _on_map(flight: LocatedFlight, known: FlightAccuracy) -> AccuracyLine:
     return AccuracyLine("On this map", f"± {radius:.1f} m", source)
 
 
-def _whole_photos(view: FlightView) -> tuple[list[AccuracyLine], str]:
-    """Return how far places of the photos lie from where the map has them, and a clause on those that do not fit it.
-
-    Both are empty where too few places are found.
-    """
+def _unfit(view: FlightView) -> str:
+    """Return a clause on the photos that do not fit the map away from their middle; "" if none is known not to."""
     answers = [located.stages.get("registration") for located in view.flight.frames]
-    compared = [
-        answer.agreement for answer in answers if answer and answer.agreement and answer.agreement.median is not None
-    ]
-    if not compared:
-        return [], ""
-    metres = np.concatenate([one.metres for one in compared])
-    reach = math.floor(10 * min(one.reach for one in compared)) / 10
-    unfit = sum(one.other == "map" for one in view.contradictions)
-    unchecked = len(unchecked_frames(view.flight.frames, view.beliefs))
-    source = (
-        f"Median of {len(metres)} places of {len(compared)} photos that were found on the map one by one, "
-        f"{upper_bound(metres.max())} m at most: what one transformation of a photo leaves, where the map or the ground is "
-        f"uneven. They were looked for within ± {reach:.1f} m at least. The radius is that of a photo's middle."
+    compared = sum(
+        answer is not None and answer.agreement is not None and answer.agreement.median is not None
+        for answer in answers
     )
-    if unchecked:
-        source += f" In {unchecked} further photos too few places were found to tell."
-    failed = f"{unfit} of {len(compared)} photos do not fit the map away from their middle" if unfit else ""
-    if failed:
-        source += f" {failed}: their median is more than three times their radius."
-    return [AccuracyLine("All of a photo", f"{np.median(metres):.1f} m", source)], failed
+    unfit = sum(one.other == "map" for one in view.contradictions)
+    return f"{unfit} of {compared} photos do not fit the map away from their middle" if unfit and compared else ""
 
 
 def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, AccuracyLine]:
@@ -398,10 +367,10 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, Accura
     )
 
 
-def _tags(errors: TagOffsets, audit: TagAudit | None) -> str:
+def _tags(errors: SurveyedErrors, audit: TagAudit | None) -> str:
     """Say how far the places lie from the tags, and how much of that a lag or a tilted camera explains."""
     text = (
-        f"Median of {errors.offsets.photos} photos{share_within(errors)} and {upper_bound(errors.offsets.largest)} m at most, "
+        f"Median of {errors.photos} photos{share_within(errors)} and {upper_bound(errors.largest)} m at most, "
         "between the GPS tag and the place on this map: the error of both together."
     )
     if audit is None or not audit.has_lag or audit.lag is None:
@@ -415,128 +384,10 @@ def _tags(errors: TagOffsets, audit: TagAudit | None) -> str:
     )
 
 
-def _shift(errors: TagOffsets) -> AccuracyLine:
-    """Say if the places lie to one side of the tags by more than chance explains, by the rule for surveys."""
-    offsets = errors.offsets
-    east, north = offsets.means.values()
-    means = f"{_toward(east, 'east', 'west')} and {_toward(north, 'north', 'south')}"
-    known = " (±: the standard error of the mean)" if east.enough or north.enough else ""
-    proven = [axis for axis, mean in offsets.means.items() if mean.systematic]
-    text = f"On average the places lie {means} of their GPS tags{known}."
-    if proven:
-        sides = {"east": ("east", "west"), "north": ("north", "south")}
-        told = (sides[axis][offsets.means[axis].mean < 0] for axis in proven)
-        text += f" To the {' and the '.join(told)} that is more than chance explains, so a steady shift of map or tags is likely."
-        figure = f"{math.hypot(east.mean, north.mean):.1f} m"
-    elif east.enough and north.enough:
-        text += " Chance explains as much."
-        figure = "no steady shift found"
-    else:
-        text += " There are too few independent photos to tell a steady shift from chance."
-        figure = "too few photos to tell"
-    return AccuracyLine("Shift to one side", figure, f"{text} {offsets.counted_as}".rstrip())
-
-
-def _toward(mean: AxisMean, above: str, below: str) -> str:
-    error = f" (±\N{NO-BREAK SPACE}{mean.error:.1f} m)" if mean.enough else ""
-    return f"{abs(mean.mean):.1f} m{error} {above if mean.mean >= 0 else below}"
-
-
-def _by_leg(legs: Sequence[Leg]) -> AccuracyLine:
-    """Say to which side of their tags the photos of each leg lie; the legs that lie farthest off are told."""
-    chosen = sorted(sorted(legs, key=lambda leg: -leg.metres)[:_MOST_LEGS], key=lambda leg: leg.first)
-    told = [
-        f"photos {leg.first + 1} to {leg.last + 1}, flown to the {compass(leg.azimuth)}, {leg.metres:.1f} m to the "
-        f"{compass(math.degrees(math.atan2(leg.east, leg.north)))}"
-        for leg in chosen
-    ]
-    some = f" Only the {_MOST_LEGS} farthest of {len(legs)} legs are told." if len(legs) > len(chosen) else ""
-    return AccuracyLine(
-        "Leg by leg",
-        f"{max(leg.metres for leg in legs):.1f} m at most",
-        f"Where the places of a leg lie on average, seen from their GPS tags: {'; '.join(told)}.{some} Each is the mean of a few "
-        "photos. Sides that turn with the direction of flight point to late tags or a tilted camera, and one side in all of "
-        "them to a shift of map or tags.",
-    )
-
-
-def _camera_and_ground(flight: LocatedFlight, verdicts: Sequence[Belief]) -> AccuracyLine | None:
-    """Say how far the camera, of which the tag is, and the ground at the photo's middle lie apart; None without such a place."""
-    placed = [
-        (one, one.stages[told.stage])
-        for one, told in zip(flight.frames, verdicts, strict=True)
-        if told.stage == "registration"
-    ]
-    middles = [(one, answer) for one, answer in placed if not answer.camera]
-    if not placed:
-        return None
-    if not middles:
-        text = "The GPS tag is of the camera, and so are the places: the photos tell their tilt."
-        laid = [(one, answer) for one, answer in placed if answer.homography is not None]
-        apart = [math.dist(one.middle(answer), (answer.x or 0.0, answer.y or 0.0)) for one, answer in laid]
-        if not apart:
-            return None
-        return AccuracyLine(
-            "Camera and ground",
-            f"{np.median(apart):.1f} m",
-            f"{text} The ground at a photo's middle lies {np.median(apart):.1f} m from there in the median.",
-        )
-    text = "The GPS tag is of the camera, and the place is of the ground at the photo's middle, as its radius is"
-    apart = [
-        math.dist(one.middle(answer), (answer.pose.east, answer.pose.north))
-        for one, answer in middles
-        if answer.pose is not None and answer.homography is not None
-    ]
-    high = [
-        one.frame.flying_height or (answer.pose and answer.pose.height) or (answer.width or 0.0) / 2
-        for one, answer in middles
-    ]
-    height = float(np.median(high))
-    moved = height * math.tan(math.radians(TILT))
-    source = f"from a height of {height:.0f} m, an unknown tilt of {TILT:.0f}° moves the middle by {moved:.1f} m"
-    if not apart:
-        return AccuracyLine("Camera and ground", "", f"{text}: {source}.")
-    few = f"In the {len(apart)} photos whose details" if len(apart) > 1 else "In the one photo whose details"
-    return AccuracyLine(
-        "Camera and ground",
-        f"{np.median(apart):.1f} m",
-        f"{text}. {few} tell the camera's place, the two lie {np.median(apart):.1f} m apart in the median; {source}.",
-    )
-
-
-def _radii(flight: LocatedFlight, known: FlightAccuracy) -> tuple[list[AccuracyLine], str]:
-    """Return whether the radii hold against the tags, and a clause if they do not; both are empty where no tag tells."""
+def _unconfirmed(flight: LocatedFlight) -> str:
+    """Return a clause on radii that do not hold against the GPS tags; "" if they hold, or no tag tells."""
     summary = flight.registration_summary
-    if summary is None or not summary.calibration:
-        return [], ""
-    right = ", ".join(f"{share:.0f}" for share in RIGHT_CALIBRATION.values())
-    within = summary.calibration[3]
-    failed = ""
-    if within >= CONFIRMED_SHARE:
-        verdict = "No tag contradicts the radii; of a map that was fitted to the same tags that proves little."
-    else:
-        near = "that near" if plain() else "within 3 radii"
-        failed = f"only {within:.0f} % of the GPS tags lie {near}, where {RIGHT_CALIBRATION[3]:.0f} % should"
-        if flight.audit is not None and flight.audit.has_lag:
-            verdict = (
-                "A part is the lag of the tags or the direction of the camera, which no radius holds, so this does not tell if "
-                "the radii fail."
-            )
-        elif known.radius < TAG_RADIUS:
-            verdict = (
-                f"GPS tags alone err by some {TAG_RADIUS:.0f} m, more than these radii, so this does not tell which of the two "
-                "fails."
-            )
-        else:
-            verdict = "Radii or tags are worse than they should be, and this does not tell which."
-    survey = (
-        ""
-        if flight.rendered
-        else " Surveyed positions of some photos tell: lpn evaluate flight --positions compares with them."
-    )
-    line = AccuracyLine(
-        "Check of the radii",
-        f"{', '.join(f'{share:.0f}' for share in summary.calibration.values())} %",
-        f"The share of the tags within 1, 2, and 3 radii; right radii and exact tags would have {right} %. {verdict}{survey}",
-    )
-    return [line], failed
+    if summary is None or not summary.calibration or summary.calibration[3] >= CONFIRMED_SHARE:
+        return ""
+    near = "that near" if plain() else "within 3 radii"
+    return f"only {summary.calibration[3]:.0f} % of the GPS tags lie {near}, where {RIGHT_CALIBRATION[3]:.0f} % should"

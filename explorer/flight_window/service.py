@@ -25,7 +25,7 @@ from lpn.locate.corrections import Correction
 from lpn.locate.coverage import Outline, outline
 from lpn.locate.located import LocatedFlight
 from lpn.locate.summary import placed_errors
-from lpn.locate.tag_errors import TagOffsets
+from lpn.locate.surveyed import SurveyedErrors
 from lpn.locate.tags import enter_corrections
 from lpn.locate.tracks import track_bytes
 
@@ -68,7 +68,7 @@ class FlightView:
         return cls(flight, outlines, verdicts.contradictions, verdicts.beliefs, kept, error)
 
     @cached_property
-    def errors(self) -> TagOffsets | None:
+    def errors(self) -> SurveyedErrors | None:
         """The errors of the placed photos against their GPS tags; None if no placed photo has one."""
         return placed_errors(self.flight, self.beliefs)
 

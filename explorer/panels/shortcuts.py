@@ -34,16 +34,14 @@ def add(
     change: Callable[[StateChange], None],
     bridge: PageBridge,
     window_commands: Sequence[tuple[str, str | None, Callable[[], None]]],
-    close_stories: Callable[[], bool],
     show_scoring: Callable[[Scoring], None],
 ) -> None:
     """Register all commands for one browser.
 
     Args:
         show_scoring: ranks by a scoring, which is prepared first where it is not ready.
-        close_stories: closes the window of stories; returns whether it was open.
     """
-    for label, key, state_change in _changes(workspace, panels, close_stories):
+    for label, key, state_change in _changes(workspace, panels):
         _register(gui, label, key, _with_change(change, state_change))
     for slot in range(9):
         _register(gui, f"Compare match {slot + 1}", str(slot + 1), panels.answer.compare(slot))
@@ -60,9 +58,7 @@ def add(
         _register(gui, label, key, _without_event(call))
 
 
-def _changes(
-    workspace: Workspace, panels: Panels, close_stories: Callable[[], bool]
-) -> list[tuple[str, str | None, StateChange]]:
+def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None, StateChange]]:
     """Return label, hotkey, and state change of each command."""
     navigation, word = panels.navigation, workspace.parts_word
     changes: list[tuple[str, str | None, StateChange]] = [
@@ -78,7 +74,7 @@ def _changes(
         (
             "Close the explanation or the map" + (f", or put the {word} together" if workspace.has_parts else ""),
             "escape",
-            lambda state: None if close_stories() else session_state.leave_stage_view(state),
+            session_state.leave_stage_view,
         ),
         ("Why: evidence for the compared pair", "Y", session_state.flip_why),
         ("All pictures in a table", "B", session_state.flip_lab),

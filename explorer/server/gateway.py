@@ -31,8 +31,7 @@ from websockets.typing import Subprotocol
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import redirect_page, refusal_page
-from explorer.server.connection_check import FAULTS, GREETING, PROTOCOL, ConnectionCheck, is_websocket
-from explorer.server.connection_check import PATH as CHECK_PATH
+from explorer.server.connection_check import GREETING, PROTOCOL, ConnectionCheck, is_websocket
 from explorer.server.loading import with_loading_line
 from explorer.server.message_filter import FIELDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
 from explorer.server.picture_route import PREFIX, PictureRoute
@@ -79,8 +78,17 @@ _LONG = Refusal(
     f"An address has up to {MAX_ADDRESS:,} characters. Open the page without what follows its ?.",
 )
 _MALFORMED = Refusal(400, "Malformed request", "The request is not for an address of this server.")
-_NO_UPGRADE = Refusal(426, FAULTS["upgrade"].title, FAULTS["upgrade"].text)
-_NO_PROTOCOL = Refusal(400, FAULTS["protocol"].title, FAULTS["protocol"].text)
+_CHANGED = "The proxy does not pass websockets on"
+_NO_UPGRADE = Refusal(
+    426,
+    _CHANGED,
+    "The websocket of this page arrived as a plain request, without the header Upgrade. The proxy must pass it.",
+)
+_NO_PROTOCOL = Refusal(
+    400,
+    _CHANGED,
+    "The websocket of this page arrived without the header Sec-WebSocket-Protocol. The proxy must pass it.",
+)
 
 
 class Gateway:
@@ -162,13 +170,13 @@ class Gateway:
             return Response(HTTPStatus.NO_CONTENT, "No Content", Headers({"Allow": "GET, HEAD, OPTIONS"}))
         if len(raw.path) > MAX_ADDRESS:
             return refusal_page(_LONG)
-        server, port = _local_address(connection)
+        port = int(connection.local_address[1])
         request = _http_request(connection, raw)
         if self.authenticator.has_token(request) and self._rate_limiter.blocked(request.address):
             return refusal_page(_BLOCKED)
         verdict = self.authenticator.check(request, port)
         if is_websocket(request):
-            self._check.note(request, server, verdict if isinstance(verdict, Refusal) else None)
+            self._check.note(request)
         if isinstance(verdict, Redirect):
             return redirect_page(verdict, self.authenticator.cookie(request, port))
         if verdict is not None:
@@ -189,8 +197,6 @@ class Gateway:
         path = _path_in_folder(raw.path)
         if self._pictures is not None and self._pictures.serves(path):
             return self._picture(self._pictures, path, request)
-        if path.partition("?")[0] == CHECK_PATH:
-            return self._secured(self._check.answer(request, server), request)
         response = page(connection, WebsocketRequest(path, raw.headers))
         if response is None:
             return refusal_page(_MALFORMED)
@@ -352,12 +358,6 @@ def _http_request(connection: ServerConnection, request: WebsocketRequest) -> Ht
 def _address(connection: ServerConnection) -> str:
     remote = connection.remote_address
     return str(remote[0]) if isinstance(remote, tuple) else ""
-
-
-def _local_address(connection: ServerConnection) -> tuple[str, int]:
-    """Return the address at which a connection arrived as NAME:PORT, and its port."""
-    host, port = connection.local_address[:2]
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}", int(port)
 
 
 def _path_in_folder(path: str) -> str:

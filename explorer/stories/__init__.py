@@ -1,6 +1,6 @@
-"""Stories: states of a page, kept step by step with captions, edited, told, saved, and exported.
+"""Stories: states of a page, kept step by step with captions, told, saved, and exported.
 
 `story` and `messages` are pure, `library` reads and saves the stories of a workspace, `tour` builds the one that every workspace
-has, and `window` shows them. `exported` renders one as a file that needs no server, with pictures of `windows`, `ground`, and
-`map_picture`. Only `explorer.client` imports this package.
+has, and `telling` keeps steps and tells. `exported` renders a story as a file that needs no server. Only `explorer.client`
+imports this package.
 """

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,9 +17,7 @@ from explorer.reports import safe_file_name
 from explorer.session_state import SessionState
 from explorer.stage import pair_picture
 from explorer.stage.cards import SHOWN
-from explorer.stories import ground
 from explorer.stories.story import Step, Story
-from explorer.stories.windows import WindowSources
 from explorer.url_state import UrlState
 from explorer.web import style
 from explorer.web.render import render
@@ -33,7 +30,6 @@ from lpn.retrieval import Match
 _WEB = Path(__file__).parents[1] / "web"
 # Ranked tiles below a slide.
 _RANKED = 5
-_FLAT = "The app shows this map with the 3-D city, which is not in this file."
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,11 +38,8 @@ class Slide:
 
     Attributes:
         pictures: of query and compared tile, as the stage draws them.
-        map: the map, where the step shows it.
         evidence: one sentence, where the step shows the explain window.
         bars: its bars, one for each part.
-        window: the laboratory or the flight window, where the step shows one; empty otherwise.
-        paired: the pair is in sight, which such a window may cover.
         lost: one sentence on what of the step is not drawn; empty if all is.
         ranked: the nearest tiles: match, name, thumbnail, and metres that it is off, None if unknown.
     """
@@ -58,17 +51,14 @@ class Slide:
     reason: str
     altered: list[str]
     pictures: tuple[str, str]
-    map: str
     evidence: str
     bars: list[Markup]
-    window: Markup
-    paired: bool
     lost: str
     ranked: list[tuple[Match, str, str, float | None]]
 
 
 def export(
-    sources: WindowSources,
+    workspace: Workspace,
     url_state: UrlState,
     whole: Story,
     dark: bool,
@@ -77,10 +67,9 @@ def export(
 ) -> tuple[str, bytes]:
     """Draw a story as a file that needs no server: (name, UTF-8 HTML), about 0.2 MB a step. Notes are left out.
 
-    A step takes two forward passes at most, and the first one with the laboratory the ranking of all queries.
+    A step takes two forward passes at most. It has the pair that it compares, and no map, table, or flight.
 
     Args:
-        sources: the workspace, and what its windows are drawn from.
         progress: called after each step with the numbers of finished and of all steps; what it raises ends the work.
         model: describes pictures; by default the workspace's.
 
@@ -88,7 +77,6 @@ def export(
         InputError: when a step shows what is not in the data set.
         LPNError: when a picture cannot be read.
     """
-    workspace = sources.workspace
     analyser = StateAnalyser(workspace, model, cancellable=False)
     slides = []
     for number, step in enumerate(whole.steps, 1):
@@ -97,9 +85,7 @@ def export(
         if problems:
             raise InputError(f"Step {number} of {whole.name!r} cannot be shown: {' '.join(problems)}")
         analysis = analyser.analyse(workspace.supported_state(state), SHOWN)
-        slides.append(
-            _slide(sources, step, analysis, partial(progress, number - 1, len(whole.steps)) if progress else _go_on)
-        )
+        slides.append(_slide(workspace, step, analysis))
         if progress is not None:
             progress(number, len(whole.steps))
     page = render(
@@ -111,31 +97,18 @@ def export(
         data_name=workspace.data_name,
         model_name=workspace.model_name,
         scheme="dark" if dark else "light",
-        style=Markup(
-            style.variables(dark) + charts.STYLE + _read("css/failure_lab.css") + _read("css/exported_story.css")
-        ),
+        style=Markup(style.variables(dark) + charts.STYLE + _read("css/exported_story.css")),
         script=Markup(_read("js/exported_story.js")),
     )
     return f"{safe_file_name(whole.name)}.html", printable(page, TYPED).encode()
 
 
-def _go_on() -> None:
-    """Wait for what is computed, whatever happens."""
-
-
-def _slide(sources: WindowSources, step: Step, analysis: StateAnalysis, wait: Callable[[], None]) -> Slide:
-    workspace = sources.workspace
+def _slide(workspace: Workspace, step: Step, analysis: StateAnalysis) -> Slide:
     state, task = analysis.state, analysis.task
     right, headline, reason = answer_text.verdict(analysis, workspace)
     cells = math.prod(workspace.map_sizes[task.query_view])
     analysis = judge.shown(analysis, workspace)
-    pair, map_picture = analysis.pair_evidence, ground.draw(workspace, analysis) if state.map else None
-    window = Markup()
-    if state.lab:
-        window = sources.laboratory(analysis, wait)
-    elif state.flight and workspace.has_flight and not state.why:
-        window = sources.flight_window(analysis)
-    city = map_picture is not None and state.city and workspace.city is not None
+    pair = analysis.pair_evidence
     explained = pair.evidence if pair is not None and state.why else None
     sides = enumerate(zip(task.views, (analysis.query, analysis.tile), strict=True))
     query, tile = (
@@ -150,14 +123,18 @@ def _slide(sources: WindowSources, step: Step, analysis: StateAnalysis, wait: Ca
         reason,
         list(session_state.alterations(state, cells).values()),
         (query, tile),
-        "" if map_picture is None else overlays.data_uri(map_picture, 85),
         "" if explained is None else verdicts.describe_evidence(explained, workspace.part_names, *task.views),
         [] if explained is None else charts.evidence_bars(explained, charts.evidence_span([explained])),
-        window,
-        not window or (state.lab and not state.laboratory.full_height),
-        _FLAT if city and not window else "",
+        _lost(state, workspace),
         [_ranked(workspace, analysis, match) for match in analysis.matches[:_RANKED]],
     )
+
+
+def _lost(state: SessionState, workspace: Workspace) -> str:
+    """Say what of a step the file does not have; empty if it has all."""
+    flown = state.flight and workspace.has_flight and not state.why
+    shown = "all pictures in a table" if state.lab else "the flight over its map" if flown else "the map"
+    return f"The app shows {shown} here, which this file does not have." if state.lab or flown or state.map else ""
 
 
 def _ranked(workspace: Workspace, analysis: StateAnalysis, match: Match) -> tuple[Match, str, str, float | None]:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
 
 from explorer.stories import tour
-from explorer.stories.story import Story, StoryDraft
+from explorer.stories.story import Step, Story, add, new_name
 from explorer.workspace import Workspace
 from lpn.core.demo import own_file, own_file_place
-from lpn.core.errors import DataError, InputError, LPNError, OutputError
+from lpn.core.errors import DataError, LPNError, OutputError
 from lpn.core.files import printable
 from lpn.core.own_files import OwnFileFormat
 
@@ -70,36 +69,29 @@ def stories_of(workspace: Workspace) -> Stories:
     return read_all(workspace.root, [tour.story(workspace)], shipped=not calibrated)
 
 
-def save(root: Path, draft: StoryDraft) -> StoryDraft:
-    """Save a story beside the data, in the place of the one that was opened; one without steps is deleted.
+def keep(root: Path, step: Step, name: str | None, taken: Collection[str] = ()) -> Story:
+    """Append a step to a story beside the data, and return the story; captions and order are edited in the file itself.
 
-    Returns:
-        The draft as it is now saved.
+    Args:
+        name: of the story, which begins with this step where the file lacks it; None begins one under a free name.
+        taken: names of other stories, which the free one is not.
 
     Raises:
-        InputError: when the saved story has changed since it was opened, another one has the name, or the file would be too
-            large.
+        InputError: when the story has the most steps, or the file would be too large.
         DataError: when the existing file is damaged; it is not changed.
         OutputError: when the file cannot be written.
     """
-    file = own_file(root, NAME)
-    story, opened = draft.story, draft.opened
 
     def change(stories: list[Story]) -> list[Story]:
         names = [stored.name for stored in stories]
-        at = names.index(opened.name) if opened is not None and opened.name in names else None
-        if at is not None and stories[at] != opened:
-            raise InputError(
-                f"The story {printable(names[at])!r} was changed by somebody else since you opened it; copy yours, and save "
-                "the copy."
-            )
-        if story.name in names and (at is None or story.name != names[at]):
-            raise InputError(f"There is another story named {printable(story.name)!r}; give this one another name.")
-        at = len(stories) if at is None else at
-        return [*stories[:at], *([story] if story.steps else []), *stories[at + 1 :]]
+        chosen = new_name([*names, *taken]) if name is None else name
+        at = names.index(chosen) if chosen in names else len(stories)
+        kept.append(add(stories[at] if at < len(stories) else Story(chosen), step))
+        return [*stories[:at], kept[-1], *stories[at + 1 :]]
 
-    _FORMAT.change(file, change)
-    return dataclasses.replace(draft, opened=story if story.steps else None)
+    kept: list[Story] = []
+    _FORMAT.change(own_file(root, NAME), change)
+    return kept[-1]
 
 
 def place(root: Path) -> str:

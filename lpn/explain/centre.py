@@ -9,7 +9,6 @@ import numpy as np
 from lpn.core.arrays import BoolArray, FloatingArray
 from lpn.core.views import View
 from lpn.datasets import Picture
-from lpn.descriptors.weather import CLEAR, Weather
 from lpn.models.base import Model
 from lpn.models.contract import Contract, ForwardPass
 from lpn.models.trace import Trace
@@ -24,11 +23,8 @@ def has_centre(contract: Contract, view: View) -> bool:
     return contract.has_cells and view in VIEWS and not contract.unrolled(view)
 
 
-def centre_shares(model: Model, pictures: Sequence[Picture], view: View, weather: Weather = CLEAR) -> Iterator[float]:
+def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iterator[float]:
     """Yield the share of each picture's activation in the centre, see `centre_share`; its mirror is not used.
-
-    Args:
-        weather: drawn on each picture.
 
     Raises:
         InputError: if the model has no cells.
@@ -36,8 +32,7 @@ def centre_shares(model: Model, pictures: Sequence[Picture], view: View, weather
     """
     for start in range(0, len(pictures), _BATCH):
         batch = pictures[start : start + _BATCH]
-        seen = [weather.apply(picture.load_zoomed()) for picture in batch]
-        outputs = model.run(np.stack([model.prepare(picture, view) for picture in seen]), view)
+        outputs = model.run(np.stack([model.prepare(picture.load_zoomed(), view) for picture in batch]), view)
         for i in range(len(batch)):
             one = ForwardPass(*(None if values is None else values[i : i + 1] for values in outputs))  # type: ignore[arg-type]
             yield centre_share(Trace.from_pass(model, one, view).activation)

@@ -14,7 +14,8 @@ from lpn.core.texts import listed
 from lpn.drawing.words import capitalised, plain, say
 from lpn.locate.belief import Belief
 from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.locate.tag_errors import TagOffsets, tag_errors
+from lpn.locate.surveyed import SurveyedErrors
+from lpn.locate.tag_errors import tag_errors
 from lpn.maps.tag_placed import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
@@ -77,7 +78,7 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
     )
 
 
-def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagOffsets | None:
+def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> SurveyedErrors | None:
     """Return the errors of a flight's placed photos against their tags; None if no placed photo has one.
 
     Args:
@@ -87,9 +88,9 @@ def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> TagOffse
     return tag_errors(flight.frames, [one.stages[told.stage] if told.stage in PLACED else None for one, told in pairs])
 
 
-def share_within(errors: TagOffsets) -> str:
+def share_within(errors: SurveyedErrors) -> str:
     """Return the metres within which 95 % of the distances lie, in words with a comma before; "" of few distances."""
-    return f", 95 % of them within {upper_bound(errors.offsets.ce95)} m" if errors.offsets.photos >= _FEWEST else ""
+    return f", 95 % of them within {upper_bound(errors.ce95)} m" if errors.photos >= _FEWEST else ""
 
 
 def other_map(flight: LocatedFlight) -> str:
@@ -100,7 +101,7 @@ def other_map(flight: LocatedFlight) -> str:
     return f"{flight.elsewhere}, so the map is probably of another place. {advice}"
 
 
-def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: TagOffsets | None) -> str:
+def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: SurveyedErrors | None) -> str:
     """Say how many photos are placed, only guessed, and refused, and how far the placed ones lie from their GPS tags.
 
     Photos in doubt are named, and others that could not be checked away from their middle are counted. A flight whose tags
@@ -128,7 +129,7 @@ def describe_flight(flight: LocatedFlight, verdicts: Sequence[Belief], errors: T
     pairs = list(zip(frames, verdicts, strict=True))
     if errors is not None:
         sentences.append(
-            f"The placed ones lie {errors.offsets.median:.1f} m from their GPS tags in the median{share_within(errors)}, "
+            f"The placed ones lie {errors.median:.1f} m from their GPS tags in the median{share_within(errors)}, "
             "which is the error of both together."
         )
     stems = {PurePath(frame.frame.name).stem for frame in frames}

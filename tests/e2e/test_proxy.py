@@ -1,4 +1,4 @@
-"""The page behind proxies: it opens, or names the line of configuration that is missing."""
+"""The page behind proxies: it opens, or says what they must pass."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tools.fixtures.small_proxy import SmallProxy
 
 NewPage = Callable[[], Page]
 SERVING = Path(__file__).parents[2] / "docs" / "serving.md"
-HOST_LINE = "proxy_set_header Host $http_host;"
+FAULT = "Pages of LPN Explorer arrive, but its websockets do not. A proxy in between must pass"
 
 
 def port(app: RunningApp) -> int:
@@ -30,36 +30,30 @@ def port(app: RunningApp) -> int:
 
 
 @pytest.mark.parametrize(
-    ("options", "title", "line"),
+    "options",
     [
-        ({"drop": ("upgrade",)}, "The proxy does not pass websockets on", "proxy_set_header Upgrade $http_upgrade;"),
-        ({"drop": ("sec-websocket-protocol",)}, "The proxy drops a header", "pass all Sec-WebSocket headers on"),
-        ({"websockets": 404}, "The websocket of this page does not arrive", "proxy_http_version 1.1;"),
-        pytest.param({"websockets": "hold"}, "The proxy holds the websocket", "proxy_buffering off;", marks=pytest.mark.slow),
-        pytest.param({"websockets": "silent"}, "does not arrive", "proxy_http_version 1.1;", marks=pytest.mark.slow),
+        {"drop": ("upgrade",)},
+        pytest.param({"drop": ("sec-websocket-protocol",)}, marks=pytest.mark.slow),
+        pytest.param({"websockets": 404}, marks=pytest.mark.slow),
+        pytest.param({"websockets": "hold"}, marks=pytest.mark.slow),
+        pytest.param({"websockets": "silent"}, marks=pytest.mark.slow),
     ],
-)  # fmt: skip
-def test_the_page_names_what_its_proxy_does_wrong(
-    app: RunningApp, new_page: NewPage, options: dict[str, Any], title: str, line: str
+)
+def test_a_page_whose_websockets_do_not_arrive_says_so(
+    app: RunningApp, new_page: NewPage, options: dict[str, Any]
 ) -> None:
     with SmallProxy(port(app), **options) as proxy:
         page = new_page()
         page.goto(proxy.url)
-        expect(page.locator("#lpn-fault h1")).to_contain_text(title)
-        expect(page.locator("#lpn-fault dl")).to_contain_text(line)
+        expect(page.locator("#lpn-fault")).to_contain_text(FAULT)
 
 
-def test_a_page_whose_host_is_changed_says_so_and_goes_on_once_it_is_not(app: RunningApp, new_page: NewPage) -> None:
-    with SmallProxy(port(app), host=f"127.0.0.1:{port(app)}", server="nginx/1.22.1") as proxy:
+def test_a_page_whose_host_is_changed_goes_on_once_it_is_not(app: RunningApp, new_page: NewPage) -> None:
+    with SmallProxy(port(app), host=f"127.0.0.1:{port(app)}") as proxy:
         page = new_page()
         page.goto(proxy.url)
         fault = page.locator("#lpn-fault")
-        expect(fault.locator("h1")).to_have_text("Another web site may not use this server")
-        expect(fault).to_contain_text(
-            f"This page is at http://127.0.0.1:{proxy.port}, but the proxy asks LPN Explorer for"
-        )
-        expect(fault.locator("dt")).to_have_text("nginx")
-        expect(fault.locator("dd")).to_have_text(HOST_LINE)
+        expect(fault).to_contain_text(FAULT)
         proxy.host = ""
         expect(page.locator("#lpn-status")).to_have_count(1)
         expect(fault).to_have_count(0)
@@ -93,7 +87,7 @@ def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, ne
         expect(page.locator("#lpn-loading")).to_have_count(0)
         proxy.drop = ("upgrade",)
         proxy.cut()
-        expect(page.locator("#lpn-notice")).to_contain_text("The proxy does not pass websockets on.")
+        expect(page.locator("#lpn-notice")).to_contain_text(FAULT)
 
 
 def blocks(start: str) -> list[str]:

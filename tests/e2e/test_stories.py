@@ -1,18 +1,15 @@
-"""Stories as a person records, tells, and exports them."""
+"""Stories as a person keeps, tells, and exports them."""
 
 from __future__ import annotations
 
 import json
 import shutil
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
-from explorer.stories import film
-from explorer.stories.story import Step, Story
 from tests.e2e.conftest import ExplorerPage, RunningApp, empty_context, outlast, started
 
 
@@ -37,7 +34,7 @@ def told(page: Page) -> Locator:
 
 
 @pytest.mark.slow
-def test_two_steps_are_recorded_told_saved_and_exported(
+def test_two_steps_are_kept_told_and_exported(
     story_app: RunningApp, contexts: Callable[..., BrowserContext], browser: Browser, tmp_path: Path
 ) -> None:
     explorer = ExplorerPage(contexts(accept_downloads=True).new_page())
@@ -54,43 +51,18 @@ def test_two_steps_are_recorded_told_saved_and_exported(
     explorer.key("s")
     expect(page.locator("#lpn-notice")).to_contain_text("Step 2 of 'Story 1' is kept")
 
-    page.locator("#lpn-story-names a").last.click()
-    captions, notes = page.locator("#lpn-story-steps .caption"), page.locator("#lpn-story-steps .notes")
-    expect(captions).to_have_count(2)
-    for index, text in enumerate(("<i>The first</i> picture", "The second, turned")):
-        captions.nth(index).fill(text)
-    notes.nth(1).fill("Wait for questions")
-    page.locator("#lpn-story-name").fill("Two & more")
-    page.get_by_label("Move step 2 up").click()
-    expect(captions.first).to_have_value("The second, turned")
-    page.get_by_label("Move step 1 down").click()
-    expect(captions.first).to_have_value("<i>The first</i> picture")
-    page.locator("#lpn-stories .acts a", has_text="Save").click()
-    expect(page.locator("#lpn-story-message")).to_have_text(
-        "Saved in stories.json, beside the data, on the computer that runs this page."
-    )
-    (saved,) = json.loads((story_app.data / "stories.json").read_text("utf-8"))
-    assert saved == {
-        "name": "Two & more",
-        "steps": [
-            {
-                "shows": f"task=drone-to-satellite&query={first}",
-                "caption": "<i>The first</i> picture",
-                "notes": "",
-                "points_at": "",
-            },
-            {
-                "shows": "task=drone-to-satellite&query=0011&angle=40",
-                "caption": "The second, turned",
-                "notes": "Wait for questions",
-                "points_at": "",
-            },
-        ],
-    }
-
-    with page.expect_download() as download:
-        page.locator("#lpn-stories .acts a", has_text="Export").click()
-    download.value.save_as(tmp_path / "story.html")
+    file = story_app.data / "stories.json"
+    (saved,) = json.loads(file.read_text("utf-8"))
+    first_step, second_step = saved["steps"]
+    assert first_step["shows"] == f"task=drone-to-satellite&query={first}"
+    assert second_step["shows"] == "task=drone-to-satellite&query=0011&angle=40"
+    assert first_step["caption"].startswith(f"{first}. ")
+    # A person edits the file.
+    first_step["caption"], second_step["caption"] = "<i>The first</i> picture", "The second, turned"
+    second_step["notes"] = "Wait for questions"
+    file.write_text(json.dumps([saved | {"name": "Two & more"}]))
+    page.reload()
+    explorer.await_answer()
 
     page.locator("#lpn-story-names a", has_text="Two & more").click()
     expect(told(page).locator(".caption")).to_have_text("<i>The first</i> picture")
@@ -128,6 +100,11 @@ def test_two_steps_are_recorded_told_saved_and_exported(
     explorer.key("n")
     explorer.expect_status("name", "0008")
 
+    with page.expect_download() as download:
+        page.keyboard.press("Control+k")
+        page.keyboard.type("Export the story")
+        page.keyboard.press("Enter")
+    download.value.save_as(tmp_path / "story.html")
     context = empty_context(browser, offline=True)
     exported, requests, problems = context.new_page(), [], []
     exported.on("request", lambda request: requests.append(request.url))
@@ -179,8 +156,7 @@ def test_a_story_begun_on_the_first_screen_ends_there_and_no_tour_covers_it(
     expect(page.get_by_role("dialog")).to_have_count(0)
     page.keyboard.press("s")
     expect(page.locator("#lpn-notice")).to_contain_text("Step 1 of 'Story 1' is kept")
-    kept = page.evaluate("Object.entries(sessionStorage).find(([key]) => key.startsWith('lpn-story'))[1]")
-    assert "screen=" not in kept
+    assert "screen=" not in (story_app.data / "stories.json").read_text("utf-8")
 
     first.get_by_role("button", name="Two").click()
     # The caption of another picture waits for it.
@@ -243,32 +219,3 @@ def test_a_step_may_point_at_what_it_speaks_of_between_others(
     expect(told(page)).to_have_count(0)
     expect(spot).to_have_count(0)
     explorer.expect_status("name", "0013")
-
-
-@pytest.mark.slow
-def test_a_draft_outlives_a_reload(story_app: RunningApp, new_page: Callable[[], Page]) -> None:
-    explorer = ExplorerPage(new_page())
-    explorer.open(story_app.url)
-    explorer.key("s")
-    expect(explorer.page.locator("#lpn-notice")).to_contain_text("Step 1")
-    explorer.page.wait_for_function("Object.keys(sessionStorage).some(key => key.startsWith('lpn-story'))")
-    explorer.page.reload()
-    explorer.await_answer()
-    explorer.page.locator("#lpn-story-names a").last.click()
-    expect(explorer.page.locator("#lpn-story-steps .caption")).to_have_count(1)
-    expect(explorer.page.locator("#lpn-story-message")).to_contain_text("Not saved yet")
-
-
-@pytest.mark.slow
-def test_a_film_shows_each_step_with_its_caption(story_app: RunningApp) -> None:
-    steps = (Step("query=0007", "One place"), Step("query=0011&angle=90", "Another one, turned"))
-    counts: list[tuple[int, int]] = []
-    arguments = story_app.url, Story("Two", steps), (960, 600), True, None, lambda *done: counts.append(done)
-    with ThreadPoolExecutor(1) as executor:  # this thread has a browser of its own
-        takes = executor.submit(film.record, *arguments).result()
-    assert counts == [(1, 2), (2, 2)]
-    assert [take.picture.shape for take in takes] == [(600, 960, 3)] * 2
-    # The caption lies over the lower edge, and both steps show another query above it.
-    captions, stages = ([take.picture[rows] for take in takes] for rows in (slice(520, None), slice(0, 480)))
-    assert all(caption.max() > 200 for caption in captions)
-    assert (stages[0] != stages[1]).any(axis=2).mean() > 0.02

@@ -263,8 +263,11 @@ def test_a_story_keeps_two_steps_and_is_told(windows: Windows, page: Page) -> No
     send(page, "story-record")
     send(page, "stage-turn", 40)
     shown = answer(page, shown.number, angle=40)
-    for kind in ("story-record", "story-save", "story-tell"):
-        send(page, kind)
+    send(page, "story-record")
+    page.wait_for_function(
+        "() => document.querySelector('#lpn-notice')?.textContent.includes('Step 2')", timeout=1000 * PATIENCE
+    )
+    send(page, "story-play", "Story 1")
     shown = answer(page, shown.number, name=ONE, angle=0)
     (saved,) = json.loads((windows.data / "stories.json").read_text("utf-8"))
     steps = [dict(pair.split("=") for pair in step["shows"].split("&")) for step in saved["steps"]]

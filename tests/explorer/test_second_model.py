@@ -13,7 +13,7 @@ import explorer.app
 import explorer.cli
 import explorer.opening
 import lpn
-from explorer.cli import Explore, StoryCommand
+from explorer.cli import Explore
 from explorer.explain_window.window import ExplainWindow
 from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
@@ -193,7 +193,7 @@ def test_the_kinds_of_both_models_may_be_named(
     with pytest.raises(InputError, match="--kind needs --model"):
         Explore(data=tmp_path, kind="camp").run()
     with pytest.raises(InputError, match="--pooling needs --model"):
-        StoryCommand(pooling="mean").run()
+        Explore(pooling="mean").run()
     source = Data(data=data, model=ModelOptions(model=model_file))
     with pytest.raises(
         InputError, match="Found 1 kind for 2 models of --beside; give one for each in their order, or auto"

@@ -297,14 +297,6 @@ def test_ranges_are_short_and_exact() -> None:
     assert session_state.SessionState("t", 1).region == ()
 
 
-def test_an_address_is_summed_up_in_words(links: UrlState) -> None:
-    task = "task=drone-to-satellite"
-    assert links.summary(f"{task}&query=0005&with=0007&off=2&map=1") == "0005, with 0007, without part 2, map"
-    assert links.summary(f"{task}&query=0005&with=truth&why=1&lab=0") == "0005, with the true tile, explanation"
-    assert links.summary("") == "the page as it is"
-    assert "\n" not in links.summary("query=%0Ax")
-
-
 def test_the_tab_of_the_explanation_is_in_the_address(links: UrlState) -> None:
     state = SessionState("drone-to-satellite", 4, why=True, why_tab="comparison")
     assert "reason=comparison" in links.write(state)

@@ -187,8 +187,6 @@ interface Lpn {
   tell(story: Story, first?: number): void;
   telling(): boolean;
   welcome(unasked: boolean): void;
-  keepDraft(draft: unknown): void;
-  restoreDraft(): void;
   storyAddress(): "replaceState" | "pushState" | null;
   backEndsStory(): boolean;
   backQuietly(): void;
@@ -204,10 +202,9 @@ interface Lpn {
   look: string | null;
 }
 
-interface Fault { title: string; texts: string[]; lines: Record<string, string[]> }
 interface Window {
   lpn: Lpn;
-  lpnWay: { look(): Promise<Fault | null>; theme(search: string): "light" | "dark" };
+  lpnWay: { look(): Promise<string>; theme(search: string): "light" | "dark" };
   // Of viser.
   __viserMutable: any;
   __viserSceneTree: any;

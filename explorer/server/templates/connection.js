@@ -23,34 +23,31 @@
   const own = [...new Set([folder, folder.replace(/(.)\/$/, "$1")])].map(socketAt);
   const addresses = !chosen || own.includes(chosen) ? own : [chosen];
 
-  // Open a websocket of our own, and close it when the server's greeting has come.
-  const tryAddress = (address) =>
+  // Open a websocket of our own, and close it when the server's greeting has come: whether it came.
+  const opens = (address) =>
     new Promise((done) => {
-      const number = Array.from(crypto.getRandomValues(new Uint8Array(8)), (byte) => byte.toString(16).padStart(2, "0")).join("");
-      const end = (saw) => {
+      const end = (open) => {
         clearTimeout(waiting);
         socket?.close();
-        done({ address, number, saw });
+        done(open);
       };
-      const waiting = setTimeout(() => end("silent"), PATIENCE);
+      const waiting = setTimeout(() => end(false), PATIENCE);
       let socket = null;
       try {
-        socket = new WebSocket(address + "?check=" + number, ["lpn-check"]);
-        socket.onmessage = () => end("open");
-        socket.onclose = () => end("closed");
+        socket = new WebSocket(address, ["lpn-check"]);
+        socket.onmessage = () => end(true);
+        socket.onclose = () => end(false);
       } catch {
-        end("closed");
+        end(false);
       }
     });
+  const firstOpen = () => Promise.any(addresses.map(async (one) => ((await opens(one)) ? one : Promise.reject()))).then((one) => (address = one));
 
   // viser's page sends the address to its worker, and writes it into the page's own address, which needs it nowhere.
   let worker = null;
   let address = addresses[0];
   const post = Worker.prototype.postMessage;
-  const first = addresses.length > 1 ? Promise.any(addresses.map(async (one) => {
-    const { saw } = await tryAddress(one);
-    return saw === "open" ? one : Promise.reject();
-  })).then((one) => (address = one), () => address) : null;
+  const first = addresses.length > 1 ? firstOpen().catch(() => {}) : null;
   Worker.prototype.postMessage = function (message, ...rest) {
     if (message?.type !== "set_server") return post.call(this, message, ...rest);
     worker = this;
@@ -62,71 +59,28 @@
     if (title !== "Viser") replaceState.call(this, state, title, ...rest);
   };
 
-  // The answer to a plain request for the websocket's address, and the server that gives it.
-  const ask = async (one) => {
-    try {
-      const answer = await fetch(one.replace(/^ws/, "http"), { method: "HEAD", redirect: "manual", cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
-      return { answered: answer.type === "opaqueredirect" ? "redirect" : String(answer.status), proxy: answer.headers.get("server") || "" };
-    } catch {
-      return { answered: "none", proxy: "" };
-    }
-  };
-
-  // Try all addresses. Null if one is open, else the fault: its title, texts, and lines of configuration.
+  // Say why no websocket opens; empty if one does.
   const look = async () => {
-    const tried = await Promise.all(addresses.map(tryAddress));
-    const open = tried.find(({ saw }) => saw === "open");
-    if (open) {
-      address = open.address;
-      return null;
-    }
-    if (self.origin === "null") return { title: "Another web site may not use this server", texts: ["This page is in a frame that hides its address. Open it in a tab of its own."], lines: {} };
-    const asked = await Promise.all(addresses.map(ask));
-    const query = new URLSearchParams({
-      page: self.origin,
-      folder,
-      checks: tried.map(({ number }) => number).join(" "),
-      at: addresses.map((one) => new URL(one).pathname).join(" "),
-      answers: asked.map(({ answered }) => answered).join(" "),
-      saw: tried.some(({ saw }) => saw === "silent") ? "silent" : "closed",
-      proxy: asked.map(({ proxy }) => proxy).find(Boolean) || "",
-    });
-    const here = new URL("connection", location.href);
+    if (await firstOpen().catch(() => "")) return "";
+    if (self.origin === "null") return "This page is in a frame that hides its address. Open it in a tab of its own.";
     try {
-      const answer = await fetch(here + "?" + query, { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
-      if (answer.ok && answer.headers.get("content-type")?.includes("json")) return await answer.json();
-      return {
-        title: answer.status === 401 ? "A token is needed" : "LPN Explorer does not answer",
-        texts: [answer.status === 401 ? "The server was started again, or this browser has lost its cookie. Open the link that the server printed." : `The address ${here.pathname} is answered with ${answer.status} by something in between, such as a proxy. Check that the server is running, and that the proxy sends all below ${folder} to it.`],
-        lines: {},
-      };
-    } catch {
-      return { title: "LPN Explorer does not answer", texts: ["The server, or the way to it, is gone. Check that it is running."], lines: {} };
-    }
+      const { status } = await fetch("pictures/", { cache: "no-store", signal: AbortSignal.timeout(PATIENCE) });
+      if (status === 401) return "A token is needed. Open the link that the server printed.";
+      if (status < 500) return "Pages of LPN Explorer arrive, but its websockets do not. A proxy in between must pass the headers Host, Upgrade, Connection, and Sec-WebSocket-Protocol; see docs/serving.md.";
+    } catch {} // no answer
+    return "LPN Explorer does not answer. Check that its server is running.";
   };
 
-  const make = (name, text, parent) => Object.assign(parent.appendChild(document.createElement(name)), { textContent: text });
   const show = (fault) => {
-    const text = JSON.stringify(fault);
     const shown = document.getElementById("lpn-fault");
-    if (shown?.dataset.fault === text) return;
+    if ((shown?.dataset.fault ?? "") === fault) return;
     shown?.remove();
     line.hidden = !!fault;
     if (!fault) return;
-    const box = make("div", "", cover);
-    box.id = "lpn-fault";
-    box.dataset.fault = text;
-    make("h1", fault.title, box);
-    for (const one of fault.texts) make("p", one, box);
-    const lines = Object.entries(fault.lines);
-    if (lines.length) {
-      const list = make("dl", "", box);
-      for (const [kind, some] of lines) {
-        make("dt", kind, list);
-        make("dd", some.join("\n"), list);
-      }
-    }
-    make("small", (lines.length ? "docs/serving.md has whole configurations. " : "") + "This page goes on by itself as soon as it can.", box);
+    const text = cover.appendChild(document.createElement("p"));
+    text.id = "lpn-fault";
+    text.dataset.fault = fault;
+    text.textContent = fault + " This page goes on by itself as soon as it can.";
   };
 
   // Until the page's script removes the cover. viser tries again only while its window has the focus.

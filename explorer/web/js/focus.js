@@ -18,7 +18,6 @@
     ["#lpn-flight", "#lpn-flight [tabindex='0']"],
     ["#lpn-stage-map", "#lpn-stage-map button"],
     [WHY, WHY.split(", ").map((tab) => tab + " [tabindex='0']").join(", ")],
-    ["#lpn-stories", "#lpn-stories .acts [tabindex='0']"],
   ];
   // Elements that keep the focus when a window opens: a person may go on with its keys.
   const KEEPS = "input, textarea, select, [contenteditable]:not([contenteditable=false]), [role=slider], [role=tab]";

@@ -1,5 +1,4 @@
-// Stories: the telling of one, full screen and by keys, or in cards beside what they speak of, and the draft that the browser
-// keeps while its page is loaded again.
+// Stories: the telling of one, full screen and by keys, or in cards beside what they speak of.
 (() => {
   const lpn = window.lpn;
   if (lpn.tell) return;
@@ -11,16 +10,6 @@
   let notes = null; // the presenter's window
   let wanted = null; // a story that waits for the workbench
   const SEEN = "lpn-tour";
-
-  // Without storage, a draft lasts as long as its page.
-  const key = () => "lpn-story " + lpn.title;
-  lpn.keepDraft = (draft) => lpn.store("session", key(), draft ? JSON.stringify(draft) : null);
-  lpn.restoreDraft = () => {
-    try {
-      const kept = JSON.parse(lpn.stored("session", key()));
-      if (kept) lpn.send("story-draft", kept);
-    } catch {} // another program's text
-  };
 
   const make = (tag, parent, name, text = "") => {
     const node = parent.appendChild(parent.ownerDocument.createElement(tag));

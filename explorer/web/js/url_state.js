@@ -123,7 +123,6 @@
     clearTimeout(writing);
     writing = setTimeout(commit, PAUSE);
     lpn.watch();
-    if (begun) lpn.restoreDraft();
     begun = false;
     ready = true;
   };

@@ -90,7 +90,7 @@
     answered.then((up) => {
       if (up) goOn();
       // Pages come through, but websockets may not: a proxy was changed meanwhile.
-      if (up) window.lpnWay?.look().then((fault) => fault && lost && lpn.say([fault.title + ".", ...fault.texts].join(" "), 0));
+      if (up) window.lpnWay?.look().then((fault) => fault && lost && lpn.say(fault, 0));
       setTimeout(() => (trying = false), up ? PATIENCE : 0);
     });
   });

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.compute.centre_mean import CentreMean
 from explorer.compute.request_context import RequestContext
-from explorer.explain_window import messages, model_comparison
+from explorer.explain_window import messages
 from explorer.explain_window.model_comparison import ModelComparison
 from explorer.opening import open_model
 from explorer.session_state import SessionState
@@ -21,11 +20,10 @@ from explorer.url_state import UrlState
 from explorer.web.messages import decode
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.errors import InputError
-from lpn.datasets import open_dataset
 from lpn.drawing import charts
 from lpn.drawing.charts import ModelPoint
 from lpn.drawing.words import speaking
-from lpn.explain.centre import centre_share, centre_shares
+from lpn.explain.centre import centre_share
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import PartsModel, RegionModel
@@ -55,7 +53,7 @@ def analysed(workspace: Workspace, **changes: Any) -> StateAnalysis:
 
 
 def settled(comparison: ModelComparison, state: SessionState) -> None:
-    """Wait until all models are open and ranked, and the means are known."""
+    """Wait until all models are open and ranked."""
     wait_until(lambda: comparison.advance(state) is None)
 
 
@@ -96,56 +94,11 @@ def test_plain_words_name_pictures_and_scoring_as_the_page_does(
     expert = comparison.page(analysis)
     with speaking(workspace.vocabulary(True)):
         plain = comparison.page(analysis)
-        live = comparison.live(analysis.state)
     assert re.findall("<figcaption>(query|tile|picture|answer) <span", expert) == ["query", "tile"] * 2
     assert re.findall("<figcaption>(query|tile|picture|answer) <span", plain) == ["picture", "answer"] * 2
-    assert "all pictures: " in live
-    assert "test set" not in live
     assert "Models are compared as plain here" in expert
     assert "Pictures are compared as they are here, because they are not adjusted for all models." in plain
     assert not re.search("channel sum|activation of|calibrated|R@1", plain)
-
-
-def test_the_means_are_those_of_the_whole_test_set(workspace: Workspace, comparison: ModelComparison) -> None:
-    state = analysed(workspace).state
-    settled(comparison, state)
-    script = comparison.live(state)
-    texts = dict(re.findall(r"\\&#34;([AB] (?:query|tile))\\&#34;: \\&#34;([^&]*)\\&#34;", script))
-    assert list(texts) == ["A query", "A tile", "B query", "B tile"]
-    dataset = open_dataset(workspace.root)
-    for letter, one in zip("AB", (workspace, workspace.beside[0].workspace), strict=True):
-        assert one is not None
-        assert one.model is not None
-        for side, pictures, view in (
-            ("query", dataset.queries("drone"), "drone"),
-            ("tile", dataset.gallery("satellite"), "satellite"),
-        ):
-            mean = 100 * np.mean(list(centre_shares(one.model, pictures, view)))  # type: ignore[arg-type]
-            assert texts[f"{letter} {side}"] == f"test set: {mean:.1f} % (mean of {len(pictures)})"
-
-
-def test_a_mean_goes_on_where_it_stopped_and_tells_a_picture_that_cannot_be_read(
-    workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pictures, model = open_dataset(workspace.root).queries("drone"), workspace.model
-    assert model is not None
-    monkeypatch.setattr("explorer.compute.centre_mean.MOST", 5)
-    mean = CentreMean(model, pictures, "drone")
-    assert (mean.percent, mean.done, mean.total, mean.pictures) == (None, 0, 5, len(pictures))
-    mean._shares = [0.5, 0.5]
-    mean.join("one")
-    wait_until(lambda: not mean.pending)
-    mean.leave("one")
-    assert mean._shares[:2] == [0.5, 0.5]
-    assert mean._shares[2:] == list(centre_shares(model, mean._sample[2:], "drone"))
-    assert model_comparison._mean_text(mean) == (
-        f"test set: {mean.percent:.1f} % (mean of 5 of {len(pictures)} drawn at random)"
-    )
-    damaged = CentreMean(model, [replace(pictures[0], path=tmp_path / "gone.png")], "drone")
-    damaged.join("one")
-    wait_until(lambda: not damaged.pending)
-    assert model_comparison._mean_text(damaged).startswith("test set: no mean. ")
-    assert "gone.png" in damaged.error
 
 
 def test_one_switch_shows_evidence_and_one_gives_all_pictures_one_scale(

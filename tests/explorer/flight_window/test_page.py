@@ -329,10 +329,6 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     assert of["GPS tags"].startswith("5.0 m Median of 3 photos and 45.0 m at most, between the GPS tag and the place")
     assert "error of both together" in of["GPS tags"]
     assert "late" not in of["GPS tags"]
-    # One of two tags lies within a radius, and tags err by more than that.
-    assert of["Check of the radii"].startswith("50, 50, 50 % ")
-    assert "does not tell which of the two fails. Surveyed positions" in of["Check of the radii"]
-    assert of["Check of the radii"].endswith("lpn evaluate flight --positions compares with them.")
     late = TagAudit(9, 15.3, 33.0, 2.8, 0.5, 10.5, 2.7, 14.0, 8.6, 225.0)
     _, of = lines(audit=late)
     assert "are 2.8 s (± 0.5 s) late, or that the camera looks 8.6 m ahead" in of["GPS tags"]
@@ -340,64 +336,25 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
         "a constant offset of 2.7 m of the tags to the south-west that explains a part: 10.5 m remain in the median"
         in of["GPS tags"]
     )
-    assert "does not tell if the radii fail." in of["Check of the radii"]
     unplaced = [replace(frame, stages={}) for frame in flight.frames]
     assert flight_text.accuracy(view_of(replace(flight, frames=unplaced))) is None
     assert page.accuracy(view_of(replace(flight, frames=unplaced))).strip() == ""
-    checked = compared(flight, 0, 0.5, 4.0, 1.0)
-    _, of = lines(frames=checked.frames)
-    assert of["All of a photo"].startswith("1.0 m Median of 3 places of 1 photos that were found on the map one by one")
-    assert "within ± 9.0 m at least" in of["All of a photo"]
 
 
 @pytest.mark.usefixtures("plainly")
-def test_accuracy_tells_a_share_a_side_and_the_camera(flight: LocatedFlight) -> None:
-    def lines(east: np.ndarray, **changes: Any) -> dict[str, str]:
-        """Return the lines of a flight to the north whose places lie some metres east of their tags."""
-        frames = []
-        for i, off in enumerate(east):
-            answer = msgspec.structs.replace(registered(float(off), 5.0 * i, 1.0), camera=False, **changes)
-            frames.append(replace(flight.frames[0], tag=np.array([0.0, 5.0 * i]), stages={"registration": answer}))
-        view = view_of(replace(flight, flight=replace(flight.flight, frames=()), frames=frames, audit=None))
-        known = flight_text.accuracy(view)
-        assert known is not None
-        assert "of them within" in page.sentence(view, running=False)
-        return {line.name: f"{line.figure} {line.source}" for line in known[1]}
-
-    scatter = np.tile([1.0, -1.0], 10)
-    shifted = lines(4.0 + scatter)
-    assert shifted["GPS tags"].startswith(
-        "4.0 m Median of 20 photos, 95 % of them within 5.0 m and 5.0 m at most, between"
-    )
-    assert shifted["Shift to one side"].startswith(
-        "4.0 m On average the places lie 4.0 m (±\N{NO-BREAK SPACE}0.2 m) east and 0.0 m (±\N{NO-BREAK SPACE}0.0 m) north of"
-    )
-    assert "To the east that is more than chance explains, so a steady shift" in shifted["Shift to one side"]
-    assert "To the west that is more than chance explains" in lines(scatter - 4.0)["Shift to one side"]
-    assert "photos 1 to 20, flown to the north, 4.0 m to the east" in shifted["Leg by leg"]
-    assert lines(scatter)["Shift to one side"].startswith("no steady shift found On average")
-    assert "Chance explains as much." in lines(scatter)["Shift to one side"]
-    # A slow change from one side to the other: neighbours err alike, so that twenty count as a few.
-    alike = lines(np.linspace(6.0, 1.0, 20))["Shift to one side"]
-    assert alike.startswith("too few photos to tell On average the places lie 3.5 m east")
-    assert "There are too few independent photos to tell a steady shift from chance." in alike
-    assert "so the 20 count as 1 independent one to the east" in alike
-    assert shifted["Camera and ground"] == (
-        " The GPS tag is of the camera, and the place is of the ground at the photo's middle, as its radius is: from a height of "
-        "30 m, an unknown tilt of 15° moves the middle by 8.0 m."
-    )
-    covariance = np.eye(6).ravel().tolist()
-    pose = CameraPose(4.0, 3.0, 40.0, 40.0, 180.0, -93.0, 4.0, 70.0, "told", True, 40, covariance)
-    posed = lines(np.zeros(5), pose=pose)["Camera and ground"]
-    assert posed.startswith("8.1 m The GPS tag is of the camera")
-    assert "In the 5 photos whose details tell the camera's place, the two lie 8.1 m apart in the median; from" in posed
-
-
-def test_the_places_of_the_camera_say_how_far_the_ground_lies(view: FlightView) -> None:
+def test_accuracy_tells_the_share_of_the_tags_that_lie_near(flight: LocatedFlight) -> None:
+    frames = []
+    for i, off in enumerate(4.0 + np.tile([1.0, -1.0], 10)):
+        answer = msgspec.structs.replace(registered(float(off), 5.0 * i, 1.0), camera=False)
+        frames.append(replace(flight.frames[0], tag=np.array([0.0, 5.0 * i]), stages={"registration": answer}))
+    view = view_of(replace(flight, flight=replace(flight.flight, frames=()), frames=frames, audit=None))
     known = flight_text.accuracy(view)
     assert known is not None
-    (line,) = (line for line in known[1] if line.name == "Camera and ground")
-    assert line.source.startswith("The GPS tag is of the camera, and so are the places: the photos tell their tilt.")
+    assert "of them within" in page.sentence(view, running=False)
+    (of_tags,) = (line for line in known[1] if line.name == "GPS tags")
+    assert f"{of_tags.figure} {of_tags.source}".startswith(
+        "4.0 m Median of 20 photos, 95 % of them within 5.0 m and 5.0 m at most, between"
+    )
 
 
 def test_a_map_made_of_photos_names_the_tags_that_place_it(

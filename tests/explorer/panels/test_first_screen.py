@@ -10,7 +10,7 @@ from hashlib import sha256
 from html import unescape
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 from unittest.mock import Mock
 
 import cv2
@@ -1038,7 +1038,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         views = Mock(_workspace=workspace)
         ClientViews._draw_stage(views, analysis)
         assert views.stage.show.call_args.args[0].chosen.true is None
-        drawn = exported._slide(cast(Any, SimpleNamespace(workspace=workspace)), Step(""), analysis, print)
+        drawn = exported._slide(workspace, Step(""), analysis)
         assert drawn.right is None
         of_slide = [*drawn.analysis.matches, drawn.analysis.chosen, *(match for match, *_ in drawn.ranked)]
         assert {one.true for one in of_slide} == {None}
@@ -1048,7 +1048,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         said = text(pages.verdict(analysis, workspace))
         assert not re.search("[✓✗]|Wrong|true tile|place photographed", said)
         assert "? By its look: wrong, if its details are right The model compared 224 pieces" in said
-        drawn = exported._slide(cast(Any, SimpleNamespace(workspace=workspace)), Step(""), analysis, print)
+        drawn = exported._slide(workspace, Step(""), analysis)
         assert (drawn.right, drawn.headline) == (None, "By its look: wrong, if its details are right")
         assert "wrong tile" not in comparison.page(analysis, workspace, compared, None, computing=False)
     # Nor do the table, the map, and a report's part for experts.

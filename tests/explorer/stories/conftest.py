@@ -6,10 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from explorer.failure_lab.service import FailureLab
-from explorer.flight_window.service import FlightService
 from explorer.opening import open_model
-from explorer.stories.windows import WindowSources
 from explorer.workspace import Workspace
 from tools.fixtures import small_worlds
 
@@ -22,11 +19,6 @@ def opened(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Worksp
         small_worlds.make_dataset(tmp_path_factory.mktemp("stories") / "places", train=1, test=6)
     )
     return open_model(data, model_file)
-
-
-@pytest.fixture
-def sources(workspace: Workspace) -> WindowSources:
-    return WindowSources(workspace, FailureLab(workspace), FlightService(workspace))
 
 
 @pytest.fixture

@@ -3,10 +3,12 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from explorer.cli import StoryCommand
 from explorer.stories import library
-from explorer.stories.story import Step, Story, StoryDraft
+from explorer.stories.story import MOST_STEPS, Step, Story
 from lpn.core.demo import DEMO
 from lpn.core.errors import DataError, InputError, OutputError
 
@@ -14,38 +16,40 @@ ONE = Story("Ünë <b>", (Step("query=a", 'Say "hi"\nto all', "noted"),))
 OTHER = Story("Other", (Step("query=b"),))
 
 
-def test_what_is_saved_is_read_back_and_can_be_read_by_people(tmp_path: Path) -> None:
+def write(folder: Path, *stories: Story) -> None:
+    """Write stories as a person does, by an editor."""
+    (folder / "stories.json").write_bytes(msgspec.json.encode(stories))
+
+
+def test_what_is_kept_is_read_back_and_can_be_read_by_people(tmp_path: Path) -> None:
     assert library.read_all(tmp_path) == library.Stories({})
-    saved = library.save(tmp_path, StoryDraft(ONE))
-    library.save(tmp_path, StoryDraft(OTHER))
-    assert saved == StoryDraft(ONE, ONE)
+    assert library.keep(tmp_path, ONE.steps[0], ONE.name) == ONE
+    library.keep(tmp_path, OTHER.steps[0], OTHER.name)
     assert library.read_all(tmp_path) == library.Stories({ONE.name: ONE, "Other": OTHER})
     text = (tmp_path / "stories.json").read_text("utf-8")
     assert '    "name": "Ünë <b>",\n' in text
     assert library.place(tmp_path) == "stories.json, beside the data, on the computer that runs this page"
 
 
-def test_a_saved_story_takes_the_place_of_the_one_that_was_opened(tmp_path: Path) -> None:
-    library.save(tmp_path, StoryDraft(ONE))
-    library.save(tmp_path, StoryDraft(OTHER))
-    renamed = Story("Renamed", ONE.steps)
-    assert library.save(tmp_path, StoryDraft(renamed, ONE)).opened == renamed
-    assert list(library.read_all(tmp_path).by_name) == ["Renamed", "Other"]
-    assert library.save(tmp_path, StoryDraft(Story("Renamed"), renamed)).opened is None
-    assert list(library.read_all(tmp_path).by_name) == ["Other"]
+def test_a_step_is_added_to_its_story_as_the_file_has_it_now(tmp_path: Path) -> None:
+    library.keep(tmp_path, OTHER.steps[0], None)
+    edited = Story("Story 1", (Step("query=b", "An edited caption"),))
+    write(tmp_path, edited, ONE)
+    assert library.keep(tmp_path, Step("query=c"), "Story 1").steps == (*edited.steps, Step("query=c"))
+    assert list(library.read_all(tmp_path).by_name) == ["Story 1", ONE.name]
 
 
-def test_nobody_s_story_is_overwritten_unseen(tmp_path: Path) -> None:
-    library.save(tmp_path, StoryDraft(ONE))
-    library.save(tmp_path, StoryDraft(OTHER))
+def test_a_new_story_takes_no_name_of_another(tmp_path: Path) -> None:
+    write(tmp_path, Story("Story 1", ONE.steps))
+    assert library.keep(tmp_path, Step("query=c"), None, ["Story 2", "Tour"]).name == "Story 3"
+    assert library.read_all(tmp_path).by_name["Story 1"].steps == ONE.steps
+
+
+def test_a_full_story_is_not_changed(tmp_path: Path) -> None:
+    write(tmp_path, Story("Full", ONE.steps * MOST_STEPS))
     before = (tmp_path / "stories.json").read_bytes()
-    with pytest.raises(InputError, match="another story named 'Other'"):
-        library.save(tmp_path, StoryDraft(Story("Other", ONE.steps)))
-    with pytest.raises(InputError, match="another story named 'Other'"):
-        library.save(tmp_path, StoryDraft(Story("Other", ONE.steps), ONE))
-    theirs = Story(ONE.name, ())
-    with pytest.raises(InputError, match="changed by somebody else"):
-        library.save(tmp_path, StoryDraft(Story(ONE.name, OTHER.steps), theirs))
+    with pytest.raises(InputError, match="begin another one"):
+        library.keep(tmp_path, Step("query=c"), "Full")
     assert (tmp_path / "stories.json").read_bytes() == before
 
 
@@ -65,7 +69,7 @@ def test_nobody_s_story_is_overwritten_unseen(tmp_path: Path) -> None:
 def test_a_damaged_file_is_one_sentence_and_is_not_overwritten(tmp_path: Path, content: bytes, found: str) -> None:
     (tmp_path / "stories.json").write_bytes(content)
     with pytest.raises(DataError, match=r"stories\.json .*; ") as raised:
-        library.save(tmp_path, StoryDraft(ONE))
+        library.keep(tmp_path, ONE.steps[0], ONE.name)
     assert found in str(raised.value)
     stories = library.read_all(tmp_path)
     assert (stories.by_name, stories.errors) == ({}, (str(raised.value),))
@@ -73,11 +77,11 @@ def test_a_damaged_file_is_one_sentence_and_is_not_overwritten(tmp_path: Path, c
 
 
 def test_no_file_is_saved_that_could_not_be_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    library.save(tmp_path, StoryDraft(ONE))
+    library.keep(tmp_path, ONE.steps[0], ONE.name)
     small = dataclasses.replace(library._FORMAT, max_bytes=(tmp_path / "stories.json").stat().st_size + 50)
     monkeypatch.setattr(library, "_FORMAT", small)
     with pytest.raises(InputError, match="delete another story first"):
-        library.save(tmp_path, StoryDraft(Story("Two", ONE.steps)))
+        library.keep(tmp_path, ONE.steps[0], "Two")
     stories = library.read_all(tmp_path)
     assert (stories.by_name, stories.errors) == ({ONE.name: ONE}, ())
 
@@ -85,18 +89,29 @@ def test_no_file_is_saved_that_could_not_be_read_again(tmp_path: Path, monkeypat
 def test_a_place_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(OutputError, match=r"stories\.json cannot be written"):
-        library.save(tmp_path / "file", StoryDraft(ONE))
+        library.keep(tmp_path / "file", ONE.steps[0], ONE.name)
 
 
 def test_stories_of_the_demo_are_saved_in_the_user_s_folder(tmp_path: Path) -> None:
     shipped = (DEMO / "stories.json").read_bytes()
     names = list(library.read_all(DEMO).by_name)
-    opened = library.read_all(DEMO).by_name[names[0]]
-    changed = Story(opened.name, opened.steps[:1])
-    library.save(DEMO, StoryDraft(changed, opened))
-    library.save(DEMO, StoryDraft(ONE))
+    shown = library.read_all(DEMO).by_name[names[0]]
+    library.keep(DEMO, Step("query=c"), names[0])
+    library.keep(DEMO, ONE.steps[0], ONE.name)
     assert (DEMO / "stories.json").read_bytes() == shipped
+    changed = Story(names[0], (Step("query=c"),))
     assert library.read_stories(tmp_path / "home" / "lpn-explorer" / "demo" / "stories.json") == [changed, ONE]
     stories = library.read_all(DEMO).by_name
     assert list(stories) == [*names, ONE.name]
-    assert stories[names[0]] == changed, "the user's own replaces the shipped one"
+    assert stories[names[0]] == changed != shown, "the user's own replaces the shipped one"
+
+
+def test_the_command_lists_the_stories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write(tmp_path, ONE, Story("Empty"))
+    StoryCommand(data=tmp_path).run()
+    assert capsys.readouterr().out == "Ünë <b>  (1 steps)\nEmpty  (0 steps)\n"
+    (tmp_path / "stories.json").write_text("[")
+    StoryCommand(data=tmp_path).run()
+    assert "is not a file of stories" in capsys.readouterr().err
+    with pytest.raises(InputError, match=r"There is no folder .*missing'; give that of a data set with --data"):
+        StoryCommand(data=tmp_path / "missing").run()
