@@ -25,8 +25,6 @@ from tools.soak.record import OWN_ERROR, Fault, Record, sample
 from tools.soak.reference import Reference
 from tools.soak.websocket_client import WebSocketSoakClient
 
-# Seconds between two samples of the server's resources.
-EVERY = 2.0
 # Seconds for the server to release the resources of clients that have left.
 LEAVING = 30.0
 # Seconds for clients to end, each after its current answer, and for the server.
@@ -109,7 +107,8 @@ class Soak:
             try:
                 kind(name, self.seed, url, reference, record, stop).run()
             except Exception:  # such as a missing browser
-                record.faults.append(Fault(OWN_ERROR, name, 0, traceback.format_exc()))
+                if not stop.is_set():
+                    record.faults.append(Fault(OWN_ERROR, name, 0, traceback.format_exc()))
 
         print(f"{', '.join(names)}: {seconds:g} s", file=sys.stderr)
         threads = [threading.Thread(target=work, args=(name,), daemon=True) for name in names]
@@ -118,7 +117,7 @@ class Soak:
         deadline = time.monotonic() + seconds
         try:
             while server.running and time.monotonic() < deadline:
-                time.sleep(min(EVERY, seconds))
+                time.sleep(min(2.0, seconds))
                 record.samples += filter(None, [sample(server.pid)])
         finally:
             stop.set()

@@ -45,11 +45,7 @@ class BrowserSoakClient(SoakClient):
 
     def _turn(self) -> None:
         angle = 180 - (175 - self._state.controls["Rotate"]) % 360
-        self._act(
-            "turn",
-            lambda: self._page.keyboard.press("j"),
-            self._state.with_control("Rotate", angle),
-        )
+        self._act("turn", lambda: self._page.keyboard.press("j"), self._state.with_control("Rotate", angle))
 
     def _why(self) -> None:
         self._act("why", lambda: self._page.keyboard.press("y"), replace(self._state, why=not self._state.why))

@@ -46,7 +46,6 @@ class SoakClient(ABC):
         self._name, self._url, self._reference, self._record, self._stop = name, url, reference, record, stop
         self._rng, self._visit, self._step, self._did = Random(f"{seed} {name}"), 0, 0, ""
         self._state = reference.first(next(iter(reference.tasks)), 0)
-        # When the page was last changed.
         self._changed = 0.0
 
     @abstractmethod
@@ -116,6 +115,8 @@ class SoakClient(ABC):
         except (FaultError, StoppedError):
             raise
         except Exception as error:
+            if self._stop.is_set():  # Ctrl-C ends browsers, too
+                raise StoppedError from error
             raise FaultError("page", f"{type(error).__name__}: {str(error)[:400]}") from error
         self._changed = time.monotonic()
 

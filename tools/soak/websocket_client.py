@@ -13,11 +13,6 @@ from tools.fixtures.websocket_client import CHUNK, WebSocketClient
 from tools.soak.client import BOUND, PARTS, FaultError, SoakClient
 from tools.soak.page import ClientState, read_status
 
-# Changes a second that viser's page sends while a slider is dragged.
-RATE = 20.0
-# Frames that must end the connection.
-GARBAGE = ("text", b"\xff" * 1000, b"\x91" * 2000, b"")
-
 
 class WebSocketSoakClient(SoakClient):
     """A user of all controls."""
@@ -61,7 +56,7 @@ class WebSocketSoakClient(SoakClient):
                 self._send(partial(self._talker.set, label, value))
                 state = state.with_control(label, value)
                 passed.append(state)
-                self._rest(1 / RATE)
+                self._rest(0.05)  # as long as viser's page waits
         self._settle("drag", state, passed)
 
     def _pick(self) -> None:
@@ -85,12 +80,12 @@ class WebSocketSoakClient(SoakClient):
             self._act("compare", lambda: self._talker.set("true tile", True), replace(self._state, tile="truth"))
 
     def _take(self) -> None:
-        """Choose another task where there is one."""
-        for task in self._reference.tasks.keys() - {self._state.task}:
+        """Choose a task."""
+        task = self._rng.choice(list(self._reference.tasks))
+        if task != self._state.task:
             self._last_queries[self._state.task] = self._state.query
             query = self._reference.same_place(self._state, task, self._last_queries.get(task, 0))
-            state = self._state.showing(task=task, query=query)
-            self._act("task", partial(self._talker.tell, "task", task), state)
+            self._act("task", lambda: self._talker.tell("task", task), self._state.showing(task=task, query=query))
 
     def _upload(self) -> None:
         """Upload a unique picture."""
@@ -133,7 +128,7 @@ class WebSocketSoakClient(SoakClient):
             self._send(choose(self._attacks(choose(["Rotate", "Zoom", "Opacity"]), value)))
         if self._rng.random() < 0.2:
             self._begin("sent garbage")
-            self._talker.raw(choose(GARBAGE))
+            self._talker.raw(choose([b"\xff" * 1000, b"\x91" * 2000, b""]) if self._step % 4 else "text")
             if not self._talker.gone(BOUND):
                 raise FaultError("garbage", f"the connection still stands {BOUND:g} s after a frame that is no message")
             self._enter()
