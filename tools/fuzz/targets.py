@@ -242,7 +242,7 @@ def results(folder: Path) -> list[FuzzCase]:
         saved.append(mat.read_bytes())
 
     def compared(query: Path) -> None:
-        _ = array_task(load_arrays(query, g, paths, None), "q").metrics
+        _ = array_task(load_arrays(query, g, paths), "q").metrics
 
     def pack(data: bytes) -> bytes:
         """A MATLAB file with a variable in packed form."""
