@@ -72,7 +72,7 @@ class Soak:
             try:
                 server.until(lambda: "ready: http" in server.out)
             except AssertionError as error:
-                raise LPNError(f"The explorer did not start. Its output: {error or 'nothing'}") from error
+                raise LPNError(f"The explorer did not start. Its output: {str(error).strip() or 'nothing'}") from error
             _settle(server, record, "before")
             with suppress(KeyboardInterrupt):
                 self._phase(server, reference, record, self.alone, ["client 0"])
