@@ -126,7 +126,7 @@ keep: $(VENV)/.dev
 keep-slow: $(VENV)/.dev
 	$(BIN)/python -m tools.keep --slow $(if $(OUT),--out "$(OUT)")
 
-# Every reader, on small real files damaged with a fixed seed; the tests give each some hundred.
+# Every reader, on small real files damaged with a fixed seed: make fuzz INPUTS=10000
 fuzz: $(VENV)/.dev
 	OMP_NUM_THREADS=1 $(BIN)/python -m tools.fuzz.readers --inputs $(or $(INPUTS),10000)
 

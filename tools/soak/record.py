@@ -1,134 +1,138 @@
-"""A thread-safe record of answers and faults; a thread of its own checks the answers."""
+"""What the clients record, the server's resources, and the bounds of both."""
 
 from __future__ import annotations
 
-import os
-import queue
-import threading
-import traceback
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from tools.soak.client_state import ClientState
-from tools.soak.page_content import PageContent
-from tools.soak.reference import Reference
+import numpy as np
 
 # Kinds of acts whose times are reported: each needs at most one description and one ranking.
-CHANGES = ("drag", "parts", "pick", "compare")
+CHANGES = ("drag", "parts", "pick", "turn", "compare")
 # The kind of fault for an error of the soak itself, after which something remained unchecked.
 OWN_ERROR = "the soak's own error"
+# Warm-up in seconds, in which caches and pools grow to their size; at most half of a run.
+FIRST_MINUTE = 60.0
+# Seconds over which the median of memory is taken, since single samples vary by tens of megabytes.
+WHILE = 30.0
+# Megabytes that caches may still grow by after the warm-up. A leak of one a visit exceeds this within ten minutes.
+GROWTH = 64.0
+# Threads that stay once they are there: viser's pool for callbacks has 32, and two serve pictures.
+POOLS = 34
+# Threads and file handles of a busy server, above those of an idle one. Every client takes several of each.
+LEFT = 2
+# Largest allowed ratio of one client's median time to that of all, for clients with at least ENOUGH answers.
+SLOWEST, ENOUGH = 3.0, 20
 
 
-@dataclass(frozen=True)
-class SoakAnswer:
-    """An answer that a page showed.
-
-    Attributes:
-        kind: kind of the client's last act.
-        client_name, step: the client and the number of its acts; with the seed they allow a repetition.
-        text: the act in words.
-        state: the state that the page must show.
-        shown: what the page shows.
-        seconds: time from the last change to the answer; None when nothing changed.
-    """
-
-    kind: str
-    client_name: str
-    step: int
-    text: str
-    state: ClientState
-    shown: PageContent
-    seconds: float | None
-
-
-@dataclass(frozen=True)
-class Fault:
-    """A violation, with fields as in `SoakAnswer`."""
+class Fault(NamedTuple):
+    """A violation: its kind, the client and the number of its act, which the seed repeats, and what was found."""
 
     kind: str
-    client_name: str
+    client: str
     step: int
     text: str
 
 
-@dataclass(frozen=True)
-class Time:
-    """The time of an answer, in phase "alone" or "together"."""
+class ResourceSample(NamedTuple):
+    """A process's resources at a time in seconds: resident memory in megabytes, threads, file handles."""
 
-    phase: str
-    client_name: str
-    kind: str
-    seconds: float
+    at: float
+    megabytes: float
+    threads: int
+    handles: int
+
+
+def sample(pid: int) -> ResourceSample | None:
+    """Sample the resources of a process; None on a system without /proc, and after its end."""
+    process = Path(f"/proc/{pid}")
+    try:
+        lines = dict(line.split(":", 1) for line in (process / "status").read_text().splitlines())
+        memory, handles = int(lines["VmRSS"].split()[0]) / 1024, len(list((process / "fd").iterdir()))
+        return ResourceSample(time.monotonic(), memory, int(lines["Threads"]), handles)
+    except (OSError, KeyError):
+        return None
 
 
 class Record:
-    """Answers, times, and faults of all clients.
+    """Answers and faults of all clients, and the server's resources; all threads may append to its lists.
 
     Attributes:
-        phase: "alone" or "together"; new times get it.
-        times, faults: everything recorded so far.
-        waiting: number of answers not checked yet.
-        checked, wrong: numbers of checked answers, and of those that differ from the direct computation.
-        visits: number of pages opened.
-        clients: number of open pages.
+        phase: "alone" or "together".
+        answers: of each one that was compared the phase, the client, the kind of act, and its seconds if something had changed.
+        faults: all of them.
+        resources: of the server "before" the first client, "after one client", and "after all left", on systems with /proc.
+        samples: resources with all clients.
     """
 
-    def __init__(self, reference: Reference) -> None:
-        self._reference, self._lock = reference, threading.Lock()
-        self._answers: queue.SimpleQueue[SoakAnswer | None] = queue.SimpleQueue()
+    def __init__(self) -> None:
         self.phase = "alone"
-        self.times: list[Time] = []
+        self.answers: list[tuple[str, str, str, float | None]] = []
         self.faults: list[Fault] = []
-        self.waiting = self.checked = self.wrong = self.visits = self.clients = 0
-        self._thread = threading.Thread(target=self._check, name="soak-check", daemon=True)
-        self._thread.start()
+        self.resources: dict[str, ResourceSample] = {}
+        self.samples: list[ResourceSample] = []
 
-    @contextmanager
-    def connected(self) -> Iterator[None]:
-        """Count a page as open."""
-        with self._lock:
-            self.visits += 1
-            self.clients += 1
-        try:
-            yield
-        finally:
-            with self._lock:
-                self.clients -= 1
+    def times(self, phase: str, names: str = "client ") -> dict[str, float]:
+        """Number, median, 95th percentile, and longest of the seconds of one client, or of all whose names begin so."""
+        found = [
+            seconds
+            for of, name, kind, seconds in self.answers
+            if of == phase and f"{name} ".startswith(names) and kind in CHANGES and seconds is not None
+        ]
+        values = np.percentile(found, [50, 95, 100]).tolist() if found else []
+        return dict(zip(("count", "median", "p95", "longest"), (len(found), *values), strict=False))
 
-    def answer(self, answer: SoakAnswer) -> None:
-        """Record the time, and queue the answer for its check."""
-        with self._lock:
-            self.waiting += 1
-            if answer.seconds is not None:
-                self.times.append(Time(self.phase, answer.client_name, answer.kind, answer.seconds))
-        self._answers.put(answer)
+    def slowest(self) -> float | None:
+        """The largest median of a client with enough answers, over the median of all; None without one."""
+        each = [self.times("together", f"{name} ") for name in {name for _, name, *_ in self.answers if name[0] == "c"}]
+        medians = [times["median"] for times in each if times["count"] >= ENOUGH]
+        return max(medians) / self.times("together")["median"] if medians else None
 
-    def fault(self, fault: Fault) -> None:
-        """Record a fault."""
-        with self._lock:
-            self.faults.append(fault)
+    def most(self) -> tuple[float, float]:
+        """Threads and file handles that may stay after all clients have left."""
+        known = [one for name, one in self.resources.items() if name != "after all left"]
+        threads = [one.threads for one in known] + [known[0].threads + POOLS] if known else [np.inf]
+        return max(threads) + LEFT, max((one.handles for one in known), default=np.inf) + LEFT
 
-    def close(self) -> None:
-        """Wait until all answers are checked."""
-        self._answers.put(None)
-        self._thread.join()
+    def memory(self) -> list[float]:
+        """Megabytes after the warm-up and at the end, each a median over a while; nothing without samples."""
+        if not self.samples:
+            return []
+        began, ended = self.samples[0].at, self.samples[-1].at
+        warm = min(began + FIRST_MINUTE, (began + ended) / 2)
+        length = min(WHILE, (ended - warm) / 2)
+        spans = (
+            [one.megabytes for one in self.samples if 0 <= one.at - low <= length] for low in (warm, ended - length)
+        )
+        return [float(np.median(megabytes)) for megabytes in spans if megabytes]
 
-    def _check(self) -> None:
-        with suppress(OSError, AttributeError):  # the server has priority
-            os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), 10)
-        while (answer := self._answers.get()) is not None:
-            try:
-                failures = self._reference.failures(answer.state, answer.shown)
-            except Exception as error:  # go on with the next answer
-                text = "".join(traceback.format_exception(error))
-                self.fault(Fault(OWN_ERROR, answer.client_name, answer.step, f"{answer.text}: {text}"))
-                continue
-            with self._lock:
-                self.waiting -= 1
-                self.checked += 1
-                self.wrong += bool(failures)
-            if failures:
-                self.fault(
-                    Fault("wrong answer", answer.client_name, answer.step, f"{answer.text}: {'; '.join(failures)}")
-                )
+    def failures(self) -> list[str]:
+        """Reasons why the run failed, one sentence each; empty for a pass."""
+        found = [f"{count} x {kind}." for kind, count in Counter(fault.kind for fault in self.faults).most_common()]
+        found += [] if self.answers else ["No answer was checked."]
+        if (slowest := self.slowest()) and slowest > SLOWEST:
+            found.append(f"The slowest client's median is {slowest:.2f} times that of all, not at most {SLOWEST:g}.")
+        left = self.resources.get("after all left")
+        first, *later = [*self.memory(), *([left.megabytes] if left else [])] or [0.0]
+        if (grown := max(later, default=0.0) - first) > GROWTH:
+            found.append(f"Memory grew by {grown:.0f} MB after the warm-up, not by at most {GROWTH:g} MB.")
+        for what, here, most in zip(("Threads", "File handles"), (left or ())[2:4], self.most(), strict=False):
+            if here > most:
+                found.append(f"{what} after all left: {here}; expected at most {most}.")
+        return found
+
+    def figures(self) -> dict[str, Any]:
+        """All figures by their names."""
+        return {
+            "pages opened": sum(kind == "open" for _, _, kind, _ in self.answers),
+            "answers checked": len(self.answers),
+            "faults": Counter(fault.kind for fault in self.faults),
+            "one client alone, s": self.times("alone"),
+            "all clients, s": self.times("together"),
+            "pages in Chromium, s": self.times("together", "page "),
+            "slowest client's median over that of all": self.slowest(),
+            "MB after the warm-up and at the end": self.memory(),
+            **{name: one._asdict() for name, one in self.resources.items()},
+        }
