@@ -28,7 +28,7 @@ from tools.fixtures import small_worlds
 
 
 def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    status = main.main(["verify", str(path)])
+    status = main.main(["doctor", str(path)])
     return status, capsys.readouterr().out
 
 

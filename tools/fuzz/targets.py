@@ -195,9 +195,6 @@ def tables(folder: Path) -> list[FuzzCase]:
 
 def arrays(folder: Path) -> list[FuzzCase]:
     """Plain arrays in each form, and the list of their pictures."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     from lpn.retrieval.plain_arrays import load_arrays
     from lpn.tasks.array_task import array_task
 
@@ -206,7 +203,6 @@ def arrays(folder: Path) -> list[FuzzCase]:
     np.save(folder / "q.npy", query)
     np.save(folder / "g.npy", gallery)
     np.savez(folder / "q.npz", query=query, gallery=gallery)
-    pq.write_table(pa.table({"descriptor": list(query.reshape(3, -1))}), folder / "q.parquet")
     lines = ["file,side,label,latitude,longitude"]
     lines += [f"q{i}.png,query,{i},46.{i},7" for i in range(3)] + [f"g{i}.png,gallery,{i},46.{i},7" for i in range(4)]
     (folder / "paths.csv").write_text("\n".join(lines))
@@ -216,14 +212,11 @@ def arrays(folder: Path) -> list[FuzzCase]:
             (folder / f"damaged{Path(name).suffix}").write_bytes(data)
             damaged = folder / f"damaged{Path(name).suffix}"
             of_query, paths = (folder / "q.npy", damaged) if name == "paths.csv" else (damaged, folder / "paths.csv")
-            n_parts = 2 if name.endswith("parquet") else None
-            _ = array_task(load_arrays(of_query, folder / "g.npy", paths, n_parts), "q").metrics
+            _ = array_task(load_arrays(of_query, folder / "g.npy", paths), "q").metrics
 
         return read
 
-    return [
-        FuzzCase([(folder / name).read_bytes()], reader(name)) for name in ("q.npy", "q.npz", "q.parquet", "paths.csv")
-    ]
+    return [FuzzCase([(folder / name).read_bytes()], reader(name)) for name in ("q.npy", "q.npz", "paths.csv")]
 
 
 def matlab(folder: Path) -> list[FuzzCase]:

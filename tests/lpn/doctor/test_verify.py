@@ -1,4 +1,4 @@
-"""The verdicts of `lpn verify` about indexes and stores that are empty or were not finished."""
+"""The verdicts of `lpn doctor PATH` about indexes and stores that are empty or were not finished."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = [f"tile {i}" for i in range(20)]
 
 
 def said(capsys: pytest.CaptureFixture[str], path: Path) -> tuple[int, str]:
-    return main.main(["verify", str(path)]), capsys.readouterr().out.strip()
+    return main.main(["doctor", str(path)]), capsys.readouterr().out.strip()
 
 
 def full(*_: Any, **__: Any) -> None:
