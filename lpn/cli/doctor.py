@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 
-# The package needs numpy, and the check of the machine runs without; a broken package may raise anything.
+# The check of the machine runs without any package, and a broken one may raise anything.
 with suppress(Exception):
+    import tyro
+
     from lpn.models.adapters import Kind
 
 
