@@ -226,3 +226,21 @@ def test_weights_come_from_the_files_or_are_found(
         validation(places, tmp_path / "runs", RecipeTrial("a", {}), folds=0)
     with pytest.raises(InputError, match=r"seeds 0, 0; .* each once"):
         validation(places, tmp_path / "runs", RecipeTrial("a", {}), seeds=(0, 0))
+
+
+def test_the_command_reads_the_recipe_first_and_refuses_in_one_sentence(
+    places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--data", str(places), "--out", str(tmp_path / "runs"), "--table", str(tmp_path / "table.json")]
+    for options, said in (
+        (["--recipe", "secret"], "no recipe 'secret'"),
+        (["--recipe", "map"], "A map has no places to cross-validate on"),
+        (["--trial", "a b"], "has no valid name"),
+        ([], "no weights of resnet18"),
+    ):
+        assert crossval.main([*given, *options]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("crossval: ")
+        assert said in error
+        assert error.count("\n") == 1
+    assert not (tmp_path / "table.json").exists()

@@ -79,3 +79,12 @@ def test_a_store_that_was_not_finished_is_named(tmp_path: Path) -> None:
     (verdict,) = verify(tmp_path)
     assert not verdict.whole
     assert "its description was not finished; run lpn describe again" in verdict.message
+
+
+def test_files_are_compared_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for options in (["--data", str(tmp_path)], ["--quick"], ["--json", str(tmp_path / "found.json")]):
+        assert main.main(["doctor", str(tmp_path), *options]) == 2
+        assert "is compared with its checksums alone; leave the options out" in capsys.readouterr().err
+    assert main.main(["doctor", str(tmp_path / "none"), str(tmp_path)]) == 2
+    assert "There is nothing at" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
