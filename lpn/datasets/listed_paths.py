@@ -52,7 +52,8 @@ def listed_path(text: str, where: str) -> str:
     if _PLAIN.fullmatch(path):
         return path
     first, *rest = path.split("/")
-    if not path.strip("/") or ":" in first or path.startswith("/") or ".." in (first, *rest) or _controls(path):
+    controls = any(ord(letter) < 32 for letter in path)
+    if not path.strip("/") or ":" in first or path.startswith("/") or ".." in (first, *rest) or controls:
         raise _outside(where, text)
     return path
 
@@ -140,10 +141,6 @@ def _by_fold(names: Iterable[str]) -> dict[str, str | None]:
         key = fold(name)
         names_by_fold[key] = None if key in names_by_fold else name
     return names_by_fold
-
-
-def _controls(path: str) -> bool:
-    return any(ord(letter) < 32 for letter in path)
 
 
 def _outside(where: str, text: str) -> DataError:
