@@ -216,10 +216,10 @@ lpn describe --model lpn.onnx
     assert "lpn evaluate has no --index for a data set" in found[3]
     assert "--out" in found[4]
     assert unknown_options(
-        "`lpn train --teacher x`, `lpn verify --data D`, `--dead`, `--no-calibrate`, `lpn exploit`, and `pip --quiet`"
+        "`lpn train --teacher x`, `lpn index --teach D`, `--dead`, `--no-calibrate`, `lpn exploit`, and `pip --quiet`"
     ) == [
         "line 1: lpn train has no --teacher",
-        "line 1: lpn verify has no --data",
+        "line 1: lpn index has no --teach",
         "line 1: lpn has no --dead",
         "line 1: lpn has no command exploit",
     ]

@@ -14,7 +14,6 @@ import explorer.app
 from explorer.workspace import Workspace
 from lpn import descriptors
 from lpn.cli import by_source
-from lpn.cli.evaluate import EvaluateCommand
 from lpn.cli.main import commands, main
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
@@ -166,19 +165,7 @@ def test_few_options_are_seen_at_once(command: str) -> None:
     default = commands()[command]
     most = 15 if command == "evaluate" else 20
     for one in (default, *default.SOURCES.values()):
-        assert len(set(by_source.options(one)) - set(by_source.options(one, folded=True))) <= most, one
-
-
-def test_a_folded_option_is_named_without_its_explanation_and_works(capsys: pytest.CaptureFixture[str]) -> None:
-    for words, option in (([], "--rotate"), (["index"], "--depth")):
-        with pytest.raises(SystemExit):
-            main(["evaluate", *words, "--help"])
-        shown = " ".join(capsys.readouterr().out.split())
-        assert "Rarely used, and explained in docs/evaluation.md: --latex" in shown
-        assert option in shown
-        assert "University160k's server" not in shown
-    parsed = by_source.parse(EvaluateCommand, ["--data", "d", "--model", "m", "--branch", "drone"], "lpn evaluate")
-    assert parsed.changes.branch == "drone"
+        assert len(set(by_source.options(one))) <= most, one
 
 
 def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -> None:

@@ -9,8 +9,8 @@ from __future__ import annotations
 import sys
 import types
 from collections.abc import Iterator, Sequence
-from dataclasses import field, fields, is_dataclass, make_dataclass
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from dataclasses import fields, is_dataclass, make_dataclass
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
@@ -19,9 +19,6 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.texts import listed
 from lpn.sources import TaskSource
-
-# Marks a rarely used option, Annotated[type, FOLDED]: the help of its command names it without explaining it.
-FOLDED = object()
 
 
 def of_sources(command: type[Any], *sources: type[TaskSource]) -> dict[str, type[Any]]:
@@ -63,43 +60,18 @@ def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
 
 
 def _cli(command: type[Any], arguments: Sequence[str], program: str, more: str = "") -> Any:
-    """Parse the options of a command; its help ends with `more` and the names of the folded options."""
-    folded, shows = ", ".join(options(command, folded=True)), command
-    if folded and {"-h", "--help"} & set(arguments):
-        shows = _without_folded(command)
-        more = f"{more}\n\nRarely used, and explained in docs/evaluation.md: {folded}."
+    """Parse the options of a command; its help ends with `more`."""
     description = f"{command.__doc__ or ''}\n\n{more}".strip()
     with plain_streams(colours=sys.stdout.isatty()):
         return tyro.cli(
-            shows, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,)
+            command, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,)
         )
 
 
-def _without_folded(command: type[Any]) -> type[Any]:
-    """Return a command, or a group of options, that shows no folded option."""
-    hints = get_type_hints(command, include_extras=True)
-    replaced: list[tuple[str, Any, Any]] = []
-    for one in fields(command):
-        kind = hints[one.name]
-        if FOLDED in getattr(kind, "__metadata__", ()):
-            replaced.append((one.name, Annotated[kind, tyro.conf.Suppress], field(default=one.default)))
-        elif isinstance(kind, type) and is_dataclass(kind) and (shown := _without_folded(kind)) is not kind:
-            replaced.append((one.name, shown, field(default_factory=shown)))
-    if not replaced:
-        return command
-    return make_dataclass(
-        command.__name__, replaced, bases=(command,), kw_only=True, namespace={"__doc__": command.__doc__}
-    )
-
-
-def options(command: type[Any], folded: bool = False) -> Iterator[str]:
-    """Yield the options of a command as they are written, such as "--data"; those of its groups, too.
-
-    Args:
-        folded: yield only those that its help does not explain.
-    """
+def options(command: type[Any]) -> Iterator[str]:
+    """Yield the options of a command as they are written, such as "--data"; those of its groups, too."""
     for name, marks in _leaves(command):
-        if tyro.conf.Positional not in marks and (FOLDED in marks or not folded):
+        if tyro.conf.Positional not in marks:
             yield f"--{name.replace('_', '-')}"
 
 

@@ -33,10 +33,6 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
 
 
-# The name of a page ends in one of these.
-PAGES = (".html", ".htm", ".md", ".tex")
-
-
 @dataclass(kw_only=True)
 class ComparisonOptions:
     """The comparison."""
@@ -45,12 +41,6 @@ class ComparisonOptions:
     """Seed of the bootstrap."""
     resamples: int = 1000
     """Number of bootstrap resamples."""
-    markdown: Path | None = None
-    """File to write the tables to, as Markdown."""
-    latex: Path | None = None
-    """File to write the tables to, as LaTeX, ending in .tex; they need its package booktabs."""
-    csv: Path | None = None
-    """File to write one line a model to."""
     json: Path | None = None
     """File to write everything to, as JSON."""
 
@@ -60,6 +50,9 @@ class ComparisonOfSources(ABC):
     """Compare the rankings of two or more models on the same queries and gallery."""
 
     comparison: ComparisonOptions = field(default_factory=ComparisonOptions)
+    page: Path | None = None
+    """File to write the tables to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its package booktabs), or one line
+    a model (.csv)."""
 
     def run(self) -> None:
         from lpn.analysis.model_table import compare
@@ -68,17 +61,17 @@ class ComparisonOfSources(ABC):
         from lpn.core.files import check_outputs, write_atomic, write_json
 
         options = self.comparison
-        check_outputs(
-            (options.markdown, ".md"), (options.latex, ".tex"), (options.csv, ".csv"), (options.json, ".json")
-        )
+        check_outputs((self.page, ".md", ".tex", ".csv"), (options.json, ".json"))
         table = compare(list(self._ranked()), options.seed, options.resamples)
         _print(table, wide_console())
-        if options.markdown is not None:
-            write_atomic(options.markdown, table.to_markdown().encode())
-        if options.latex is not None:
-            write_atomic(options.latex, latex_page([table.section]).encode())
-        if options.csv is not None:
-            write_atomic(options.csv, table.to_csv())
+        if self.page is not None:
+            match self.page.suffix.lower():
+                case ".md":
+                    write_atomic(self.page, table.to_markdown().encode())
+                case ".tex":
+                    write_atomic(self.page, latex_page([table.section]).encode())
+                case _:
+                    write_atomic(self.page, table.to_csv())
         if options.json is not None:
             write_json(options.json, table.to_dict())
 
@@ -155,7 +148,7 @@ class ComparisonOfArrays(ComparisonOfSources):
     """Compare the descriptors of several models, as plain arrays, on one list of pictures."""
 
     queries: tuple[Path, ...]
-    """Descriptors of the queries by each model, as .npy, .npz, .mat, or .parquet."""
+    """Descriptors of the queries by each model, as .npy, .npz, or .mat."""
     gallery: tuple[Path, ...]
     """Descriptors of the gallery by each model, in the same order."""
     paths: Path
@@ -357,16 +350,12 @@ def _networks(
     from lpn.core.files import check_outputs
     from lpn.models.shipped import model_file
 
-    if options.markdown is not None or options.latex is not None or options.csv is not None:
-        raise InputError(
-            "A page is written by --page, and its figures by --json; leave --markdown, --latex, and --csv out."
-        )
     models = compared.options()
     saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
     if saved:
         raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
     _check_several(len(models))
-    check_outputs((page, *PAGES), (options.json, ".json"))
+    check_outputs((page, ".html", ".htm", ".md", ".tex"), (options.json, ".json"))
     files = {name: model_file(model.model) for name, model in models.items()}
     sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
     return {name: model.load() for name, model in models.items()}, sizes

@@ -1,26 +1,30 @@
-"""The command that checks a machine, a data set, or a model: doctor."""
+"""The command that checks a machine, files, a data set, or a model: doctor."""
 
 from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 
-# The package needs numpy, and the check of the machine runs without; a broken package may raise anything.
+# The check of the machine runs without any package, and a broken one may raise anything.
 with suppress(Exception):
+    import tyro
+
     from lpn.models.adapters import Kind
 
 
 @dataclass
 class DoctorCommand:
-    """Check this machine, a data set, or a model: what it holds and what is broken; ends with status 1 if something is. With
-    --reproduce: the plan of lpn reproduce all."""
+    """Check this machine, files, a data set, or a model: what it holds and what is broken; ends with status 1 if something is."""
 
+    paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
+    """Stores, indexes, shards, models, and trainings, or folders of them, to compare with their checksums."""
     data: Path | None = None
-    """Data set in any layout of docs/data.md; without it, machine, packages, and demo are checked."""
+    """Data set in any layout of docs/data.md; without it and paths, machine, packages, and demo are checked."""
     model: Path | None = None
     """Model to check: how far its evidence is exact, proved on pictures of --data, or on coloured squares without it."""
     kind: Kind | None = None
@@ -30,22 +34,19 @@ class DoctorCommand:
     or rings:N; see docs/models.md."""
     quick: bool = False
     """Read only the header and end of each picture, without decoding it."""
-    reproduce: tuple[Path, ...] = ()
-    """Folders of data sets: print which rows of the paper's tables can be made on them, the trainings with an estimate of their
-    hours, and what is missing; nothing is trained."""
     json: Path | None = None
     """File to write all findings to, with every name, as JSON."""
 
     def run(self) -> int:
-        from lpn.core.files import check_outputs, write_json
+        from lpn.core.files import check_outputs, printable, write_json
 
-        if self.reproduce:
+        if self.paths:
             if self.data or self.model or self.kind or self.pooling or self.quick or self.json:
-                raise InputError("--reproduce takes folders of data sets alone; leave out the other options.")
-            from lpn.cli.reproduce import print_plan
-
-            print_plan([str(folder) for folder in self.reproduce])
-            return 0
+                raise InputError(
+                    f"{printable(str(self.paths[0]))} is compared with its checksums alone; leave the options out, or give a "
+                    "data set's folder with --data, and a model to prove with --model."
+                )
+            return self._verify()
         check_outputs((self.json, ".json"))
         if self.model is not None:
             return self._check_model(self.model)
@@ -94,6 +95,20 @@ class DoctorCommand:
             values = {"method": model.contract.method, "level": model.contract.claim, "fingerprint": model.fingerprint}
             write_json(self.json, values | {"views": [vars(one) for one in findings]})
         return 0 if all(finding.healthy for finding in findings) else 1
+
+    def _verify(self) -> int:
+        from lpn.core.files import printable
+        from lpn.doctor.verify import verify
+
+        damaged = 0
+        for verdict in (verdict for path in self.paths for verdict in verify(path)):
+            damaged += not verdict.whole
+            name = printable(str(verdict.path))
+            if verdict.whole:
+                print(f"{name} {verdict.message}.")
+            else:
+                print(f"EMPTY: {name} {verdict.message}" if verdict.empty else f"DAMAGED: {name}: {verdict.message}")
+        return 1 if damaged else 0
 
     def _check_environment(self) -> int:
         from lpn.core.files import write_json

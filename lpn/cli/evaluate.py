@@ -8,18 +8,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-from lpn.cli.by_source import FOLDED
 from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
-from lpn.core.views import View
 from lpn.descriptors.weather import WeatherName
 from lpn.sources import Arrays, Data, Flown, Indexed, KindOption, PoolingOption, ProviderOption, Published
 from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
-    from lpn.analysis.text_tables import TextTable
     from lpn.core.consoles import Console
     from lpn.datasets import Dataset
     from lpn.flights import Flight
@@ -29,7 +26,6 @@ if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
     from lpn.retrieval.weathers import WeatherResult
-    from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 
@@ -48,17 +44,6 @@ class ChangeOptions:
     weather: WeatherName | Literal["all"] = "normal"
     """Weather of University-WX in drone or street pictures, whichever side they are; all measures the ten of them in both
     directions and prints the leaderboard's table."""
-    weather_strength: Annotated[float, FOLDED] = 1.0
-    """Share of the weather in each picture, 0 to 1."""
-    weather_seed: Annotated[int, FOLDED] = 0
-    """Seed of the weather; with a seed, the same picture always has the same weather."""
-    whole: Annotated[bool, FOLDED] = False
-    """Describe whole query pictures even if the data set marks a region (Oxford5k, Paris6k)."""
-    branch: Annotated[View | None, FOLDED] = None
-    """Branch of the model that describes both queries and gallery (Table VI); by default the branch of each view."""
-    protocol: Annotated[Literal["ours", "released"], FOLDED] = "ours"
-    """Protocol: ours, or as the released test code does: pictures without their EXIF orientation, queries turned to the nearest
-    pixel, and on Oxford5k and Paris6k means of the map of pictures of up to 1024 pixels; see docs/evaluation.md."""
 
 
 @dataclass(kw_only=True)
@@ -67,8 +52,6 @@ class RankingOptions:
 
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
-    average_queries: Annotated[bool, FOLDED] = False
-    """Average all query pictures of a place into one query."""
     centre: bool = False
     """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
     no labels, and makes up for places and cameras that differ from those of the training."""
@@ -90,17 +73,12 @@ class RankingOptions:
             raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
         parts, changed = _numbers(self.parts), changes or ChangeOptions()
         name: WeatherName = "normal" if changed.weather == "all" else changed.weather
-        weather = Weather(name, changed.weather_strength, changed.weather_seed)
         return Protocol(
-            Change(changed.rotate, changed.shift, changed.scale, weather=weather),
+            Change(changed.rotate, changed.shift, changed.scale, weather=Weather(name)),
             None if parts is None else tuple(parts),
-            changed.branch,
-            self.average_queries,
-            changed.whole,
-            self.centre,
-            calibrate,
-            self.csls,
-            changed.protocol == "released",
+            centre=self.centre,
+            calibrate=calibrate,
+            csls=self.csls,
         )
 
 
@@ -110,80 +88,19 @@ class EvaluationOfSource(ABC):
 
     json: Path | None = None
     """File to write the measures to, as JSON."""
-    latex: Annotated[Path | None, FOLDED] = None
-    """File to write the table to, as LaTeX, ending in .tex; it needs LaTeX's package booktabs."""
 
     def run(self) -> None:
         from lpn.core.files import check_outputs, write_json
 
-        check_outputs((self.json, ".json"), (self.latex, ".tex"))
+        check_outputs((self.json, ".json"))
         title, result = self._evaluate()
         _print_result(title, result)
-        self._write_latex(title, _table(result), result.sentence)
         if self.json is not None:
             write_json(self.json, result.to_dict())
-
-    def _write_latex(self, title: str, table: TextTable, sentence: str) -> None:
-        """Write a table with its protocol, if it is asked for."""
-        from lpn.analysis.text_tables import TableSection, latex_page
-        from lpn.core.files import write_atomic
-
-        if self.latex is not None:
-            write_atomic(self.latex, latex_page([TableSection(title, (table,), after=sentence)]).encode())
 
     @abstractmethod
     def _evaluate(self) -> tuple[str, Result]:
         """Return the table's title and the result."""
-
-
-@dataclass(kw_only=True)
-class EvaluationWithAnswers(EvaluationOfSource):
-    """Measure recall and AP, or write answers for a server that keeps the true matches."""
-
-    answers: Annotated[Path | None, FOLDED] = None
-    """File to write the names of each query's ten nearest gallery pictures to, as University160k's server takes them
-    (answer.txt); nothing is measured then."""
-
-    def run(self) -> None:
-        from lpn.core.files import check_outputs, printable
-        from lpn.tasks.answers import write_answers
-
-        if self.answers is None:
-            super().run()
-            return
-        if self.json is not None or self.latex is not None or self._changed():
-            raise InputError(
-                "Answers are those of whole descriptors of queries as they are, and nothing is measured; leave --json, --latex, "
-                "changes of queries, and other rankings out."
-            )
-        check_outputs((self.answers, ".txt"))
-        _check_no_query_lacks(self._data())
-        written = write_answers(self._task(), self.answers)
-        print(f"{printable(str(self.answers))} has the answers to {written} queries; a server takes it zipped.")
-
-    @abstractmethod
-    def _task(self) -> Task:
-        """Open the task."""
-
-    @abstractmethod
-    def _data(self) -> Path | None:
-        """Return the data set of the queries."""
-
-    def _changed(self) -> bool:
-        """Return whether options of the measurement are given."""
-        return False
-
-
-def _check_no_query_lacks(data: Path | None) -> None:
-    """Refuse a data set without some of its queries: a server takes each line of answers as that of its own list's query."""
-    from lpn.datasets import open_dataset
-
-    left_out = [] if data is None else open_dataset(data).left_out
-    if left_out:
-        raise InputError(
-            f"{left_out[0].file} {left_out[0].why}, and {len(left_out)} files of the data set cannot be used; a server takes "
-            "answers by their place in its list, so unpack the data set again."
-        )
 
 
 @dataclass(kw_only=True)
@@ -193,7 +110,7 @@ class EvaluationOfPublished(EvaluationOfSource):
     saved: Path
     """Result of the published test code, pytorch_result.mat."""
     n_parts: int | None = None
-    """Number of parts of its descriptors; needed with --parts, --average-queries, and --centre."""
+    """Number of parts of its descriptors; needed with --parts and --centre."""
     ranking: RankingOptions = field(default_factory=RankingOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
@@ -201,10 +118,10 @@ class EvaluationOfPublished(EvaluationOfSource):
         from lpn.retrieval.published_results import check_n_parts, load_saved
 
         protocol = self.ranking.protocol()
-        if (protocol.average or protocol.centre) and self.n_parts is None:
+        if protocol.centre and self.n_parts is None:
             raise InputError(
-                "Averaging and centring normalise each part, and a saved result does not contain the number of parts; give it "
-                "with --n-parts (1 for a baseline)."
+                "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
+                "(1 for a baseline)."
             )
         saved = load_saved(self.saved, check_n_parts(self.n_parts))
         return saved.name, evaluate_saved(saved, protocol)
@@ -224,7 +141,7 @@ class EvaluationOfArrays(EvaluationOfSource):
         if source.paths is None:
             raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
         arrays = source.load()
-        by_metres = not arrays.labelled.any() and arrays.all_positions is not None and not protocol.average
+        by_metres = not arrays.labelled.any() and arrays.all_positions is not None
         if not (by_metres or arrays.labelled.all()):
             raise InputError(
                 f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {source.paths.name} that "
@@ -251,7 +168,7 @@ class EvaluationOfArrays(EvaluationOfSource):
 
 
 @dataclass(kw_only=True)
-class EvaluationOfIndex(EvaluationWithAnswers):
+class EvaluationOfIndex(EvaluationOfSource):
     """Measure recall of the searches of an index; AP needs all ranks, and a search returns only the first."""
 
     source: Indexed
@@ -259,14 +176,8 @@ class EvaluationOfIndex(EvaluationWithAnswers):
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.tasks.evaluation import evaluate_task
 
-        task = self._task()
+        task = open_first_task(self.source)
         return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)
-
-    def _task(self) -> Task:
-        return open_first_task(self.source)
-
-    def _data(self) -> Path | None:
-        return self.source.data
 
 
 @dataclass(kw_only=True)
@@ -388,7 +299,7 @@ class EvaluationOfFlight:
 
 
 @dataclass(kw_only=True)
-class EvaluateCommand(EvaluationWithAnswers):
+class EvaluateCommand(EvaluationOfSource):
     """Measure recall and AP on a test split or a saved result, or the errors of a located flight."""
 
     SOURCES: ClassVar[dict[str, type[EvaluationOfSource | EvaluationOfFlight]]] = {
@@ -403,7 +314,7 @@ class EvaluateCommand(EvaluationWithAnswers):
     ranking: RankingOptions = field(default_factory=RankingOptions)
 
     def run(self) -> None:
-        if self.changes.weather == "all" and self.answers is None:
+        if self.changes.weather == "all":
             self._run_weathers()
         else:
             super().run()
@@ -412,18 +323,10 @@ class EvaluateCommand(EvaluationWithAnswers):
         from lpn.core.files import check_outputs, write_json
         from lpn.retrieval.weathers import evaluate_weathers
 
-        check_outputs((self.json, ".json"), (self.latex, ".tex"))
+        check_outputs((self.json, ".json"))
         model, dataset, tasks, title = self._opened()
-        result = evaluate_weathers(
-            model,
-            dataset,
-            tasks,
-            self.ranking.protocol(self.changes, self.source.calibrate),
-            self.changes.weather_strength,
-            self.changes.weather_seed,
-        )
+        result = evaluate_weathers(model, dataset, tasks, self.ranking.protocol(self.changes, self.source.calibrate))
         _print_weathers(title, result)
-        self._write_latex(title, _weather_table(result), result.sentence)
         if self.json is not None:
             write_json(self.json, result.to_dict())
 
@@ -443,7 +346,7 @@ class EvaluateCommand(EvaluationWithAnswers):
 
         source = self.source
         model, dataset = source.model.load(), open_dataset(source.data)
-        tasks = dataset.tasks() if self.changes.branch else offered_tasks(model, dataset)
+        tasks = offered_tasks(model, dataset)
         if source.task is None and not tasks:
             raise no_task_error(model, dataset)
         task = source.task or tasks[0]
@@ -453,33 +356,6 @@ class EvaluateCommand(EvaluationWithAnswers):
         ]
         return model, dataset, [task, *reverse], title
 
-    def _task(self) -> Task:
-        return open_first_task(self.source)
-
-    def _data(self) -> Path | None:
-        return self.source.data
-
-    def _changed(self) -> bool:
-        return (self.changes, self.ranking) != (ChangeOptions(), RankingOptions())
-
-
-def _table(result: Result) -> TextTable:
-    """Return the table of recall and AP."""
-    from lpn.analysis.text_tables import TextTable
-
-    grouped = bool(result.groups)
-    names = [f"recall@{k}" for k in result.recall]
-    head = ("task", *([result.group_name] if grouped else []), "queries", "gallery", *names, "ap")
-    rows = [
-        (
-            *(result.task, *([group] if grouped else []), str(figures.queries), figures.name),
-            *map(_figure, (*figures.recall.values(), figures.ap)),
-        )
-        for group, galleries in [("all", result.galleries), *result.groups.items()]
-        for figures in galleries
-    ]
-    return TextTable(head, rows, texts=2 if grouped else 1)
-
 
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
@@ -488,11 +364,14 @@ def _print_result(title: str, result: Result) -> None:
     from lpn.core.consoles import wide_console
     from lpn.retrieval.evaluate import WITHOUT
 
-    measured, table = _table(result), Table(title=title)
-    for name in measured.head:
+    table, of_group = Table(title=title), [result.group_name] if result.groups else []
+    for name in ("task", *of_group, "queries", "gallery", *(f"recall@{k}" for k in result.recall), "ap"):
         table.add_column(name, justify="right", no_wrap=True)
-    for row in measured.rows:
-        table.add_row(*row)
+    for group, galleries in [("all", result.galleries), *result.groups.items()]:
+        for figures in galleries:
+            values = map(_figure, (*figures.recall.values(), figures.ap))
+            names = (result.task, *([group] if of_group else []))
+            table.add_row(*names, str(figures.queries), figures.name, *values)
     console = wide_console()
     console.print(table)
     console.print(result.sentence)
@@ -513,16 +392,6 @@ def _print_result(title: str, result: Result) -> None:
         console.print(
             f"By the positions, the median error of the top match is {median}; the shares of queries are {shares}."
         )
-
-
-def _weather_table(result: WeatherResult) -> TextTable:
-    """Return University-WX's table: a row for each weather, and their mean."""
-    from lpn.analysis.text_tables import TextTable
-
-    head = ("weather", *(f"{task} {name}" for task in result.tasks for name in ("R@1", "AP")))
-    return TextTable(
-        head, [(name, *(_figure(value) for pair in pairs for value in pair)) for name, pairs in result.rows()]
-    )
 
 
 def _print_weathers(title: str, result: WeatherResult) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lpn
-from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import signed
@@ -17,7 +17,6 @@ from lpn.sources import KindOption, PoolingOption
 
 if TYPE_CHECKING:
     from lpn.core.consoles import Console
-    from lpn.drawing.part_areas import PartAreas
     from lpn.explain import Evidence
     from lpn.models.base import Model
     from lpn.retrieval import DescribedPicture
@@ -50,30 +49,18 @@ class ExplainCommand:
     png: Path | None = None
     """Figure to write, as PNG of 1200 pixels in width and, for square pictures and four parts, 1026 in height: both pictures with
     their parts and the evidence of each cell, and bars of the parts."""
-    light: bool = False
-    """Draw the figure dark on white, for print."""
-    among: Path | None = None
-    """Folder of tiles that --match lies in: the figure is then the query beside the nearest of them, with their parts, ranks, and
-    squared distances, and --match, which counts as the true one, is marked, and added where it is not among them."""
-    top: int | None = None
-    """Number of nearest tiles of --among in the figure, 1 to 10; by default 5."""
 
     def run(self) -> None:
-
         from lpn import explain, retrieval
         from lpn.core import images
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
-        from lpn.drawing import pair_figure, theme, verdicts
+        from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
-        for option, given in (("--light", self.light), ("--among", self.among is not None)):
-            if given and self.png is None:
-                raise InputError(f"{option} belongs to a figure; give its file with --png.")
-        self._check_among()
         model, views = lpn.load(self.model, kind=self.kind, pooling=self.pooling), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
@@ -102,76 +89,16 @@ class ExplainCommand:
             console.print(verdicts.describe_evidence(evidence, names, *views), markup=False)
         if self.json is not None:
             write_json(self.json, of)
-        if self.png is not None and self.among is not None:
-            write_atomic(self.png, pair_figure.encode(self._ranking(model, self.among, query)))
-        elif self.png is not None and evidence is not None and traces is not None:
+        if self.png is not None and evidence is not None and traces is not None:
             cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
             titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
             areas = [
                 PartAreas.of(model.contract, view, trace.size, trace) for view, trace in zip(views, traces, strict=True)
             ]
-            palette = theme.LIGHT if self.light else theme.DARK
             figure = pair_figure.draw(
-                evidence, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses, palette
+                evidence, (cut[0], cut[1]), titles, views, model.contract, (areas[0], areas[1]), losses
             )
             write_atomic(self.png, pair_figure.encode(figure))
-
-    def _check_among(self) -> None:
-        """Raise InputError if options of the figure of a ranking do not go together."""
-        if self.top is not None and self.among is None:
-            raise InputError("--top belongs to a ranking; give the folder of its tiles with --among.")
-        if self.top is not None and not 1 <= self.top <= 10:
-            raise InputError(f"The number of tiles is {self.top}; expected 1 to 10.")
-        if self.among is not None and self.covering:
-            raise InputError("--covering is drawn on a pair, and --among draws a ranking; leave one of them out.")
-        if self.among is not None and not self.match.resolve().is_relative_to(self.among.resolve()):
-            raise InputError(
-                f"{printable(str(self.match))} does not lie in {printable(str(self.among))}; give the folder of all tiles."
-            )
-
-    def _ranking(self, model: Model, folder: Path, query: DescribedPicture) -> UInt8Array:
-        """Draw the query beside the nearest tiles of a folder."""
-        from lpn import retrieval
-        from lpn.drawing import ranking_figure, theme
-        from lpn.retrieval import scoring
-
-        gallery = lpn.Gallery.of_folder(folder, model, self.view_match)
-        weights = scoring.part_weights(model.n_parts, part_values(self.weights))
-        ranking = retrieval.rank(scoring.part_cosines(query.descriptor, gallery.descriptors), weights)
-        matches = ranking.top(len(gallery))
-        true = self.match.resolve()
-        shown = [
-            one for one in matches if one.rank <= (self.top or 5) or gallery.pictures[one.index].path.resolve() == true
-        ]
-        tiles = []
-        for match in shown:
-            picture = gallery.pictures[match.index]
-            tile = retrieval.describe_picture(model, picture.load(), self.view_match)
-            tiles.append(
-                ranking_figure.RankedTile(
-                    model.as_partitioned(tile.picture, self.view_match),
-                    _areas(model, self.view_match, tile),
-                    printable(picture.name),
-                    match.rank,
-                    match.distance2,
-                    picture.path.resolve() == true,
-                )
-            )
-        return ranking_figure.draw(
-            model.as_partitioned(query.picture, self.view_query),
-            _areas(model, self.view_query, query),
-            f"{self.view_query} {_short(self.query)}",
-            tiles,
-            theme.LIGHT if self.light else theme.DARK,
-        )
-
-
-def _areas(model: Model, view: View, described: DescribedPicture) -> PartAreas | None:
-    """Return where the parts of a described picture lie; None for a model without cells."""
-    from lpn.drawing.part_areas import PartAreas
-
-    trace = described.trace
-    return None if trace is None else PartAreas.of(model.contract, view, trace.size, trace)
 
 
 def part_values(text: str | None) -> list[float] | None:

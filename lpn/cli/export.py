@@ -1,59 +1,81 @@
-"""The commands export and quantize, which write a model for deployment."""
+"""The command export, which writes a model for deployment."""
 
 from __future__ import annotations
 
+import tempfile
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 from typing import Literal
 
+from lpn.core.errors import InputError
 from lpn.core.resources import ProviderName
 from lpn.sources import KindOption, PoolingOption
+
+_PICTURES, _LEAST_COSINE = 128, 0.98
 
 
 @dataclass
 class ExportCommand:
-    """Write a .pth or .safetensors model as .onnx, which needs no torch."""
+    """Write a .pth or .safetensors model as .onnx, which needs no torch; with --compute int8 also an .onnx in 8 bits."""
 
     model: Path
-    """Trained LPN: .safetensors or .pth; with --pooling also an .onnx that returns tokens."""
+    """Trained LPN: .safetensors or .pth; with --pooling also an .onnx that returns tokens; with --compute int8 also an .onnx
+    that was exported with --storage float32."""
     out: Path
     """File to write, ending in .onnx; views with weights of their own get files beside it."""
     kind: KindOption = None
     pooling: PoolingOption = None
     storage: Literal["float32", "float16", "int8"] = "float32"
     """Precision of the weights in the file: float16 halves it, int8 reduces it to about a third; all compute in float32."""
+    compute: Literal["float32", "int8"] = "float32"
+    """Numbers that convolutions and linear layers compute in: int8 is the quickest on a CPU, and needs --data."""
+    data: Path | None = None
+    """With --compute int8: data set whose pictures set the ranges of the 8-bit numbers, in any layout of docs/data.md."""
+    pictures: int = _PICTURES
+    """With --compute int8: number of these pictures, spread evenly over the training split, else over the test split."""
+    provider: ProviderName = "auto"
+    """With --compute int8: provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or
+    another of ONNX Runtime."""
+    least_cosine: float = _LEAST_COSINE
+    """With --compute int8: least mean cosine with float32 descriptors, of each view, below which nothing is written."""
 
     def run(self) -> None:
-        files = import_module("lpn.models.export").export(self.model, self.out, self.storage, self.kind, self.pooling)
+        if self.compute == "int8":
+            self._quantize()
+            return
+        if self.data or (self.pictures, self.provider, self.least_cosine) != (_PICTURES, "auto", _LEAST_COSINE):
+            raise InputError(
+                "--data, --pictures, --provider, and --least-cosine are of --compute int8; give it, or leave them out."
+            )
+        self._report(self._export(self.out))
+
+    def _export(self, out: Path) -> list[Path]:
+        files: list[Path] = import_module("lpn.models.export").export(
+            self.model, out, self.storage, self.kind, self.pooling
+        )
+        return files
+
+    def _report(self, files: list[Path]) -> None:
         print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
 
+    def _quantize(self) -> None:
+        from lpn.core.files import check_writable
 
-@dataclass
-class QuantizeCommand:
-    """Quantize an exported model to 8-bit integers, calibrated on real pictures."""
-
-    model: Path
-    """Model exported with --storage float32 (.onnx)."""
-    data: Path
-    """Data set whose pictures set the ranges of the 8-bit numbers, in any layout of docs/data.md."""
-    out: Path
-    """File to write, ending in .onnx; views with weights of their own get files beside it."""
-    pictures: int = 128
-    """Number of calibration pictures, spread evenly over the training split, or the test split if there is none."""
-    provider: ProviderName = "auto"
-    """Provider of the calibration: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or another of ONNX
-    Runtime."""
-    least_cosine: float = 0.98
-    """Nothing is written if the mean cosine with the float32 descriptors of a view's pictures is below this."""
-
-    def run(self) -> None:
+        if self.data is None:
+            raise InputError("--compute int8 takes the ranges of its numbers from pictures; give a data set as --data.")
+        if self.storage != "float32":
+            raise InputError("--compute int8 stores 8-bit numbers by itself; leave --storage out.")
         dataset = import_module("lpn.datasets").open_dataset(self.data)
         quantize = import_module("lpn.models.quantize").quantize
-        files, agreement = quantize(
-            self.model, dataset, self.out, self.pictures, self.provider, least_cosine=self.least_cosine
-        )
-        print(f"Wrote {', '.join(file.name for file in files)} to {self.out.parent}.")
+        check_writable(self.out)
+        exported = self.model.suffix == ".onnx" and self.pooling is None and self.kind is None
+        with tempfile.TemporaryDirectory(prefix="lpn-") as folder:
+            model = self.model if exported else self._export(Path(folder) / self.out.name)[0]
+            files, agreement = quantize(
+                model, dataset, self.out, self.pictures, self.provider, least_cosine=self.least_cosine
+            )
+        self._report(files)
         cosines = ", ".join(f"{view} {cosine:.4f}" for view, cosine in agreement.cosines.items())
         print(f"Mean cosine with the float32 descriptors of calibration pictures: {cosines}.")
         if agreement.same_first is not None:

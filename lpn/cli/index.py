@@ -50,8 +50,6 @@ class IndexCommand:
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Precision of the copy that exact scans: float16 and int8 take more disk and search faster, with equal results."""
-    codes: Literal["flat", "sq8", "pq"] | None = None
-    """For faiss: pq (default) stores a byte for 32 numbers; sq8 stores one for each and is slower; flat compares every vector."""
     structure: Literal["flat", "ivf", "hnsw"] | None = None
     """For milvus: flat (default) compares every vector; ivf and hnsw are approximate, and faster on many tiles."""
     replace: bool = False
@@ -74,7 +72,7 @@ class IndexCommand:
         tiles = open_tiles(self.descriptors, self.data)
         added = read = 0
         with (
-            create_index(self.out, tiles.kind, self.engine, self.precision, self.codes, self.structure) as index,
+            create_index(self.out, tiles.kind, self.engine, self.precision, structure=self.structure) as index,
             counting_bar("Indexing") as progress,
         ):
             progress(0, tiles.count)
@@ -120,7 +118,7 @@ class IndexCommand:
             )
         kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding)
         with (
-            create_index(self.out, kind, self.engine, self.precision, self.codes, self.structure) as index,
+            create_index(self.out, kind, self.engine, self.precision, structure=self.structure) as index,
             counting_bar("Describing windows") as progress,
         ):
             added = index_windows(
@@ -156,11 +154,6 @@ class SearchCommand:
     provider: ProviderOption = "auto"
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
-    effort: int | None = None
-    """Searched lists (faiss: 64 by default; milvus with ivf: 128) or neighbours (hnsw: 128); more increase recall and time.
-    Exact and flat indexes have no such setting."""
-    depth: int | None = None
-    """For faiss: candidates, in multiples of --top, that are scored again by their vectors; 16 by default."""
     json: Path | None = None
     """File to write the tiles to, with scores, parts, and positions, as JSON."""
 
@@ -168,18 +161,17 @@ class SearchCommand:
         from lpn import retrieval
         from lpn.core import images
         from lpn.core.files import check_outputs, write_json
-        from lpn.index import check_effort, open_index
+        from lpn.index import open_index
         from lpn.index.base import check_count
         from lpn.retrieval import scoring
 
         check_count(self.top)
-        check_effort(self.effort, self.depth)
         check_outputs((self.json, ".json"))
         model = lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
         # An index holds a gallery (`lpn.index.tiles`).
         model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
-        with open_index(self.index, model.fingerprint, self.effort, self.depth) as index:
+        with open_index(self.index, model.fingerprint) as index:
             query = retrieval.describe_picture(
                 model, images.load_picture(self.picture), self.view, self.rotate
             ).descriptor
@@ -195,7 +187,6 @@ class SearchCommand:
                 "picture": str(self.picture),
             }
             request |= {"view": self.view, "rotate": self.rotate, "weights": weights.tolist(), "box": self.box}
-            request |= {"effort": self.effort, "depth": self.depth}
             write_json(self.json, request | {"matches": matches})
 
 

@@ -34,7 +34,7 @@ class LiveInput:
     map: Path
     """Map: a folder of lpn map, or a georeferenced picture."""
     model: Path
-    """Trained LPN (.onnx, .safetensors, .pth); an .onnx of lpn quantize is the quickest on a CPU."""
+    """Trained LPN (.onnx, .safetensors, .pth); an .onnx of lpn export --compute int8 is the quickest on a CPU."""
     kind: KindOption = None
     provider: ProviderOption = "auto"
     telemetry: str | None = None

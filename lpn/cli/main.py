@@ -16,12 +16,11 @@ import lpn
 from lpn.cli import by_source
 from lpn.cli.choices import IN_ORDER
 from lpn.cli.compare import CompareCommand
-from lpn.cli.crossval import CrossvalCommand, parse_crossval
 from lpn.cli.describe import DescribeCommand, GatherCommand
 from lpn.cli.doctor import DoctorCommand
 from lpn.cli.evaluate import EvaluateCommand
 from lpn.cli.explain import ExplainCommand
-from lpn.cli.export import ExportCommand, QuantizeCommand
+from lpn.cli.export import ExportCommand
 from lpn.cli.failures import FailuresCommand
 from lpn.cli.flight import FlightCommand
 from lpn.cli.index import IndexCommand, SearchCommand
@@ -33,7 +32,6 @@ from lpn.cli.report import ReportCommand
 from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
 from lpn.cli.sweep import SweepCommand
 from lpn.cli.train import TrainCommand, parse_train
-from lpn.cli.verify import VerifyCommand
 from lpn.core import log
 from lpn.core.consoles import plain_streams
 from lpn.core.errors import LPNError
@@ -43,7 +41,6 @@ from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finis
 
 COMMANDS: dict[str, type[Any]] = {
     "train": TrainCommand,
-    "crossval": CrossvalCommand,
     "evaluate": EvaluateCommand,
     "compare": CompareCommand,
     "explain": ExplainCommand,
@@ -51,7 +48,6 @@ COMMANDS: dict[str, type[Any]] = {
     "failures": FailuresCommand,
     "report": ReportCommand,
     "export": ExportCommand,
-    "quantize": QuantizeCommand,
     "describe": DescribeCommand,
     "gather": GatherCommand,
     "index": IndexCommand,
@@ -61,7 +57,6 @@ COMMANDS: dict[str, type[Any]] = {
     "locate": LocateCommand,
     "models": ModelsCommand,
     "doctor": DoctorCommand,
-    "verify": VerifyCommand,
     "reproduce": ReproduceCommand,
 }
 
@@ -75,7 +70,7 @@ def commands() -> dict[str, type[Any]]:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, and return the exit status.
 
-    It is 0; 1 if doctor, verify, or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of
+    It is 0; 1 if doctor or describe with Ray found damage; 2 after an error of the user; or 128 plus the number of
     the signal that stopped the command. A command whose reader closes the pipe (`lpn doctor | head -1`) ends without a word, with
     128 plus the number of SIGPIPE.
     """
@@ -203,8 +198,6 @@ _AGAIN = "Nothing is half-written; give the same command again."
 def _parse(command: type[Any], arguments: list[str], program: str) -> Any:
     if command is TrainCommand:
         return parse_train(arguments, program)
-    if command is CrossvalCommand:
-        return parse_crossval(arguments, program)
     if command is ReproduceCommand:
         return parse_reproduce(arguments, program)
     if command is LocateCommand and any(one.partition("=")[0] == "--live" for one in arguments):

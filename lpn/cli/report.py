@@ -43,10 +43,6 @@ class ReportOptions:
 class RotationOptions:
     """Rotated queries, which a network describes again."""
 
-    profile: bool = False
-    """Also rotate each query by the full circle: 24 more forward passes each."""
-    step: float = 15.0
-    """Degrees between two of these rotations."""
     rotate: float = 0.0
     """Degrees counter-clockwise by which each query is rotated first."""
 
@@ -111,8 +107,7 @@ class ReportOfNetwork(ReportOfSource):
         from lpn.descriptors.transforms import Change
         from lpn.report import Options
 
-        turned = self.rotation
-        return Options(self.report.matches, turned.profile, turned.step, Change(rotate=turned.rotate))
+        return Options(self.report.matches, Change(rotate=self.rotation.rotate))
 
 
 @dataclass(kw_only=True)

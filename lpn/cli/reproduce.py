@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from importlib import import_module
@@ -119,22 +118,6 @@ def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
     flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
     names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
     return replace(command, changed=tuple(field.name for field in fields(Recipe) if field.name in names))
-
-
-def print_plan(data: Sequence[str]) -> None:
-    """Print the plan of `lpn reproduce all` on data sets, without running it.
-
-    Raises:
-        LPNError: when a folder is no data set, or two have one role.
-    """
-    import_module("torch")
-    from lpn.reproduce.command import KEYS, Reproduction
-
-    for folder in data:
-        if not Path(folder).is_dir():
-            raise InputError(f"There is no folder {folder}; give those of data sets to reproduce on.")
-    with tempfile.TemporaryDirectory() as out:
-        Reproduction(data, Path(out), {}, (), (0,), _scale("auto", data), partial=True).plan(KEYS)
 
 
 def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:

@@ -2,7 +2,7 @@
 
 A model file carries a seal in its metadata: the SHA-256 of the whole file, computed with the seal's own digits as zeros. It is
 checked whenever the file is opened, before anything else reads it. A store's array is too large for that: its manifest holds a
-CRC-32 of every block, compared by `lpn verify` and before rows are copied into another store.
+CRC-32 of every block, compared by `lpn doctor PATH` and before rows are copied into another store.
 """
 
 from __future__ import annotations

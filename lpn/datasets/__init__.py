@@ -1,6 +1,6 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), University160k, UniV, GeoText-1652,
+It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), UniV, GeoText-1652,
 SUES-200, DenseUAV, GTA-UAV, UAV-VisLoc in GTA-UAV's form, World-UAV, VIGOR, CVUSA, CVACT, Oxford5k, Paris6k, your own pairs with
 a `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
 """
@@ -40,7 +40,6 @@ from lpn.datasets.sues import SUES200, is_sues
 from lpn.datasets.tile_pairs import TilePairs, is_tile_pairs
 from lpn.datasets.univ import UniV, is_univ, is_univ_videos, open_univ_videos
 from lpn.datasets.university import University
-from lpn.datasets.university160k import University160k, is_university160k
 from lpn.datasets.vigor import VIGOR, is_vigor
 from lpn.datasets.world_uav import WorldUAV, is_world_uav
 
@@ -62,7 +61,6 @@ __all__ = [
     "Truth",
     "UniV",
     "University",
-    "University160k",
     "WorldUAV",
     "files_below",
     "hidden",
@@ -75,7 +73,7 @@ __all__ = [
 _LAYOUTS = (
     "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
     "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
-    "Index/test.txt (World-UAV), gallery_satellite_160k (University160k), 45/2fps (UniV), test_951_version.json (GeoText-1652), "
+    "Index/test.txt (World-UAV), 45/2fps (UniV), test_951_version.json (GeoText-1652), "
     "*_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
 )
 
@@ -116,7 +114,7 @@ def open_dataset(root: str | Path) -> Dataset:
         return Landmarks(root, queries)
     if files := files_below(root):
         return Folder(root, files, whole)
-    if (error := levels.archives_alone(root) or levels.videos_alone(root)) is not None:
+    if (error := levels.files_alone(root)) is not None:
         raise error
     inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"
     raise DataError(f"{root} holds {inside}; expected {_LAYOUTS}.")
@@ -134,7 +132,6 @@ def _marked(root: Path) -> Callable[..., Dataset] | None:
         (is_tile_pairs, TilePairs),
         (is_vigor, VIGOR),
         (is_world_uav, WorldUAV),
-        (is_university160k, University160k),
         (is_univ, UniV),
         (is_univ_videos, open_univ_videos),
         (is_geotext, GeoText),

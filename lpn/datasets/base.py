@@ -162,7 +162,6 @@ class Dataset(ABC):
             results of a group take its queries and gallery pictures, and all pictures without a group.
         mean_of_groups: True if the published figure is the mean of its groups' figures.
         trained_distractors: True if the test gallery holds the places to train on, as published.
-        truth_keeper: who keeps the true matches of a test split that is published without them; else empty.
         measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
         published_sizes: the size of each of `lists` in the complete data set, if known.
         left_out: files that cannot be used; logged once, when the data set is opened.
@@ -173,7 +172,6 @@ class Dataset(ABC):
     group_name: str = ""
     mean_of_groups: bool = False
     trained_distractors: bool = False
-    truth_keeper: str = ""
     measured_by: PositionProtocol | None = None
 
     def __init__(self, root: Path) -> None:

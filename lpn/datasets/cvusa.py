@@ -46,9 +46,7 @@ class CVUSA(ListedDataset):
         listed: dict[CvusaSplit, list[tuple[str, str]]] = {"train": _read(root, "train"), "val": _read(root, "val")}
         labels = _labels(listed["train"] + listed["val"])
         left_out: list[LeftOut] = []
-        files = FilesBelow(root).resolve(
-            (file for pairs in listed.values() for pair in pairs for file in pair), "splits"
-        )
+        files = FilesBelow(root).resolve(file for pairs in listed.values() for pair in pairs for file in pair)
         pictures: dict[CvusaSplit, dict[str, list[Picture]]] = {}
         for split, pairs in listed.items():
             of_split: dict[str, list[Picture]] = {"satellite": [], "street": []}

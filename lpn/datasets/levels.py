@@ -6,7 +6,6 @@ Nothing here opens a data set. Each function tells what a person most likely gav
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -31,7 +30,7 @@ _PARTS = frozenset(
         ),
         *("satview_polish", "ANU_data_small", "ANU_data_test", "drone", "satellite", "ground"),
         *("Chicago", "NewYork", "SanFrancisco", "Seattle"),
-        *("Index", "images", "gallery_satellite_160k", "query_drone_160k", "query_drone160k_wx"),
+        *("Index", "images"),
     )
 )
 # The deepest list of a split is three folders below (Testing/150/query_drone).
@@ -45,67 +44,42 @@ _LISTED = {
 }
 _TRAIN_SETS = ("satellite", "drone", "street", "google")
 _TEST_LISTS = tuple(f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite", "street"))
-_ARCHIVE = re.compile(
-    r"\.(zip|7z|rar|tar|tgz|tbz2?|txz|tzst|(tar\.)?(gz|bz2|xz|zst))(\.(\d{2,3}|[a-z]{2}))?$|\.[zr]\d\d$|\.part\d+\.rar$",
-    re.IGNORECASE,
+# What a file is by its ending, and what to do with it.
+_ARCHIVE = "an archive", "unpack it first, and give the folder that it makes"
+_VIDEO = (
+    "of a flight",
+    "read its frames with lpn flight {} --out FLIGHT, and give FLIGHT to lpn locate or lpn explore flight",
 )
-_OF_A_VIDEO = (".mp4", ".mov", ".m4v", ".mkv", ".avi", ".srt", ".lrf")
-_MODELS = (".pth", ".pt", ".ckpt", ".safetensors", ".onnx")
-# First bytes of zip (also empty and in parts), 7z, rar, gzip, bzip2, xz, and zstandard.
-_MAGIC = (
-    b"PK\x03\x04",
-    b"PK\x05\x06",
-    b"PK\x07\x08",
-    b"7z\xbc\xaf",
-    b"Rar!",
-    b"\x1f\x8b",
-    b"BZh",
-    b"\xfd7zXZ",
-    b"(\xb5/\xfd",
-)
+_MODEL = "a file of a model", "give it with --model, and a data set's folder with --data"
+_ENDINGS = {
+    **dict.fromkeys((".zip", ".tar", ".tgz", ".gz", ".7z", ".rar"), _ARCHIVE),
+    **dict.fromkeys((".mp4", ".mov", ".srt"), _VIDEO),
+    **dict.fromkeys((".pth", ".pt", ".ckpt", ".safetensors", ".onnx"), _MODEL),
+}
 
 Marked = Callable[[Path], object | None]
 
 
 def no_folder(root: Path) -> DataError:
-    """Return the error about a path that is no folder: an archive, a file of a data set, or nothing."""
-    if root.is_file() and root.suffix.lower() in _MODELS:
-        return DataError(
-            f"{printable(str(root))} is a file of a model; give it with --model, and a data set's folder with --data."
-        )
-    if root.is_file() and (_ARCHIVE.search(root.name) or _begins_as_archive(root)):
-        return DataError(f"{printable(str(root))} is an archive; unpack it first, and give the folder that it makes.")
+    """Return the error about a path that is no folder: an archive, a video, a model, another file, or nothing."""
+    shown = printable(str(root))
+    if root.is_file() and (told := _ENDINGS.get(root.suffix.lower())) is not None:
+        return DataError(f"{shown} is {told[0]}; {told[1].format(shown)}.")
     if root.exists():
         return DataError(
-            f"{printable(str(root))} is a file; expected a data set's folder, so give --data {printable(str(root.parent))}."
+            f"{shown} is a file; expected a data set's folder, so give --data {printable(str(root.parent))}."
         )
-    beside = sorted(name for name in _names(root.parent) if name.startswith(root.name) and _ARCHIVE.search(name))
-    if beside:
-        return DataError(
-            f"There is no data set folder at {printable(str(root))}, but {printable(beside[0])} is beside it; unpack it first."
-        )
-    return DataError(f"There is no data set folder at {printable(str(root))}; check the path.")
+    return DataError(f"There is no data set folder at {shown}; check the path.")
 
 
-def archives_alone(root: Path) -> DataError | None:
-    """Return the error about a folder that holds archives alone, besides files that systems add; None for another folder."""
-    archives = sorted(name for name in _names(root) if not hidden_name(name) and _ARCHIVE.search(name))
-    if not archives:
+def files_alone(root: Path) -> DataError | None:
+    """Return the error about a folder of archives or videos without pictures; None for another folder."""
+    told = {name: _ENDINGS.get(Path(name).suffix.lower()) for name in sorted(_names(root)) if not hidden_name(name)}
+    first = next((of for of in told.values() if of is not None), None)
+    if first is None:
         return None
-    listed = first_few([printable(name) for name in archives], 3)
-    return DataError(f"{printable(str(root))} holds {listed}; unpack first, and give the folder with the pictures.")
-
-
-def videos_alone(root: Path) -> DataError | None:
-    """Return the error about a folder that holds videos, or their subtitles, and no pictures; None for another folder."""
-    videos = sorted(name for name in _names(root) if not hidden_name(name) and name.lower().endswith(_OF_A_VIDEO))
-    if not videos:
-        return None
-    shown = printable(str(root))
-    return DataError(
-        f"{shown} holds {first_few([printable(name) for name in videos], 2)}, which are of a flight and no data set; read the "
-        f"frames with lpn flight {shown} --out FLIGHT, then give that folder to lpn locate or lpn explore flight."
-    )
+    shown, listed = printable(str(root)), first_few([printable(name) for name, of in told.items() if of == first], 2)
+    return DataError(f"{shown} holds {listed}, {first[0]}; {first[1].format(shown)}.")
 
 
 def below(root: Path, marked: Marked) -> DataError | None:
@@ -221,12 +195,3 @@ def _names(folder: Path) -> list[str]:
         return os.listdir(folder)  # noqa: PTH208 (names are enough)
     except OSError:
         return []
-
-
-def _begins_as_archive(file: Path) -> bool:
-    try:
-        with file.open("rb") as opened:
-            head = opened.read(512)
-    except OSError:
-        return False
-    return head.startswith(_MAGIC) or head[257:262] == b"ustar"

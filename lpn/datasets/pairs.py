@@ -45,7 +45,7 @@ class PairsCSV(ListedDataset):
 
     def __init__(self, root: Path) -> None:
         views, rows = _read(root / NAME)
-        there = FilesBelow(root).resolve((file for row in rows for file in row.files.values()), NAME)
+        there = FilesBelow(root).resolve(file for row in rows for file in row.files.values())
         # One picture may be listed in two spellings, and is one place all the same.
         rows = [replace(row, files={view: there.get(file, file) for view, file in row.files.items()}) for row in rows]
         files = set(there.values())

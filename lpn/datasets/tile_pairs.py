@@ -87,8 +87,8 @@ class TilePairs(ListedDataset):
         train = _read(_list(root, area, "train"))[0] if _list(root, area, "train").is_file() else []
         self.kind, self.measured_by = form, form
         there = FilesBelow(root)
-        test = _here(there, test, _list(root, area, "test").name)
-        train = _here(there, train, _list(root, area, "train").name)
+        test = _here(there, test)
+        train = _here(there, train)
         folders = {pair.tiles for pair in test}
         if len(folders) != 1:
             raise DataError(
@@ -265,9 +265,9 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
     return _Pair(file, (first, second), true, listed, listed_path(str(entry["sate_img_dir"]), where))
 
 
-def _here(there: FilesBelow, pairs: list[_Pair], name: str) -> list[_Pair]:
+def _here(there: FilesBelow, pairs: list[_Pair]) -> list[_Pair]:
     """Resolve the paths of the pairs to files and folders on this machine."""
-    resolved = there.resolve((path for pair in pairs for path in (pair.file, pair.tiles)), name)
+    resolved = there.resolve(path for pair in pairs for path in (pair.file, pair.tiles))
     return [
         replace(pair, file=resolved.get(pair.file, pair.file), tiles=resolved.get(pair.tiles, pair.tiles))
         for pair in pairs

@@ -28,7 +28,7 @@ from lpn.core.images import SUFFIXES
 from lpn.core.tables import Column, number_column
 from lpn.datasets.areas import SCENES, Scenes, choose_split
 from lpn.datasets.base import LeftOut, ListedDataset, Picture, Truth, hidden_name, read_lines, read_text, warn_left_out
-from lpn.datasets.listed_paths import checked_path, fold, name_of
+from lpn.datasets.listed_paths import fold, listed_path, name_of
 
 _SUFFIXES: dict[Scenes, str] = {"terrain": "", "city": "_country", "mix": "_all"}
 # The released commands name the lists in both folders.
@@ -134,7 +134,7 @@ class WorldUAV(ListedDataset):
             return []
         title = file.relative_to(root).as_posix()
         lines = [(number, line) for number, line in enumerate(read_lines(file, title), 1) if line.strip()]
-        paths = dict.fromkeys(checked_path(line, f"Line {number} of {title}") for number, line in lines)
+        paths = dict.fromkeys(listed_path(line, f"Line {number} of {title}") for number, line in lines)
         if not paths:
             raise DataError(f"{title} of {printable(root.name)} names no region; expected the path of one a line.")
         regions = []

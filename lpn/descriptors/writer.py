@@ -11,7 +11,7 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.consoles import counting_bar
 from lpn.core.errors import DataError, PictureError, StoreError
-from lpn.core.files import exclusive_lock, printable, space_remedy, write_atomic
+from lpn.core.files import exclusive_lock, first_few, printable, space_remedy, write_atomic
 from lpn.core.progress import CountProgress
 from lpn.core.views import View
 from lpn.datasets import files_below, unread_below, warn_left_out
@@ -51,7 +51,8 @@ def describe(
         progress: called with the numbers of described and of all pictures, in place of a bar; an exception stops the work.
 
     Raises:
-        PictureError: if files are broken (see `lpn.datasets.integrity`), before anything is computed.
+        PictureError: if files are broken: before anything is computed where header or end tell it (see
+            `lpn.datasets.integrity`), else after all others are described. It names the first few.
         InputError: if the model lacks the view, or the transform leaves nothing of a picture.
         StoreError: if `out` cannot be written, or holds other descriptors.
     """
@@ -69,8 +70,22 @@ def describe(
         load = images.load_without_orientation if change.released else images.load_picture
         return prepare_row(model, load(files[row]), rows[row], change, view)
 
+    def fill(partial: PartialStore) -> None:
+        broken: dict[int, PictureError] = {}
+        fill_store(model, partial, prepare, view, bar, broken)
+        if broken:
+            raise _broken([(rows[row].file, broken[row]) for row in sorted(broken)], len(rows))
+
     bar = counting_bar(title) if progress is None else nullcontext(progress)
-    return write_store(out, manifest, lambda partial: fill_store(model, partial, prepare, view, bar))
+    return write_store(out, manifest, fill)
+
+
+def _broken(errors: Sequence[tuple[str, PictureError]], total: int) -> PictureError:
+    """Return the error about all pictures that could not be described."""
+    if len(errors) == 1:
+        return errors[0][1]
+    names = first_few([printable(name) for name, _ in errors], 5)
+    return PictureError(f"{len(errors)} of {total} pictures cannot be described: {names}. The first: {errors[0][1]}")
 
 
 def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], None], whole: bool = True) -> Store:

@@ -328,8 +328,7 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
         queried = {picture.label for picture in queries}
         kept = sum(picture.label in queried for picture in gallery)
         without = f" ({kept} without distractors)" if dataset.truth(task) is None and 0 < kept < len(gallery) else ""
-        command = "lpn explore" if dataset.truth_keeper else "lpn evaluate"
-        yield f"{command} --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
+        yield f"lpn evaluate --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
     if tables := _tables(dataset, places > 0):
         counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
         smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.published_sizes

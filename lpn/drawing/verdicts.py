@@ -317,25 +317,6 @@ def describe_effect(effect: Effect) -> str:
     )
 
 
-def describe_rotation(profile: SweepResult, views: tuple[View, View]) -> str:
-    """Say at which rotation of the query the followed tile ranks best, and what heading the nearest tile suggests.
-
-    Args:
-        views: of the query and of the tiles.
-    """
-    best, now = profile.best_rank, profile.unchanged
-    name = f"The {say('positive')}" if best.true else f"The {say('tile')}"
-    if not best.change.rotate or (now is not None and now.rank == best.rank):
-        text = (
-            f"{name} ranks best with the {say('query')} as it is ({ordinal(best.rank if now is None else now.rank)})."
-        )
-    else:
-        before = "" if now is None else f" instead of {ordinal(now.rank)}"
-        angle = signed_value("rotation", best.change)
-        text = f"{name} ranks best when the {say('query')} is turned {angle:g}°: {ordinal(best.rank)}{before}."
-    return f"{text} {describe_heading(profile, views)}".strip()
-
-
 def describe_heading(profile: SweepResult, views: tuple[View, View], known: float | None = None) -> str:
     """Guess from the nearest tile alone where the top of the query points, and judge the guess if the heading is known.
 

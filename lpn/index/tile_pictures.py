@@ -13,7 +13,7 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import Picture
-from lpn.datasets.listed_paths import checked_path
+from lpn.datasets.listed_paths import listed_path
 from lpn.drawing import captions
 from lpn.maps import Map, NamedWindow
 from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
@@ -78,7 +78,7 @@ def tile_picture(
     else:
         with suppress(DataError, OSError):
             for folder in folders:
-                if (file := folder / checked_path(name, "The index")).is_file():
+                if (file := folder / listed_path(name, "The index")).is_file():
                     return Picture(file, label, title)
         reason = "no file of this name is at hand; give the folder that was described as --data."
     return Picture(root / "index" / str(label), label, title, cut=TilePlaceholder(title, reason, position))

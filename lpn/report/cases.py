@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 
-from lpn.analysis.analyser import Analysis, OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
+from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
 from lpn.analysis.comparison import effect_on
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
@@ -14,10 +14,9 @@ from lpn.core.numbers import shown_difference
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.drawing.part_areas import PartAreas
-from lpn.explain import Evidence, counterfactual, sweeps
+from lpn.explain import Evidence, counterfactual
 from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
 from lpn.explain.part_activation import part_activation
-from lpn.explain.sweeps import SweepResult
 from lpn.retrieval import DescribedPicture, Match, Ranking
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
@@ -102,8 +101,6 @@ class Options:
 
     Attributes:
         matches: number of tiles listed for each query, 1 or more.
-        profile: rotate each query by the full circle; each step takes one forward pass.
-        step: degrees between two steps.
         change: the change that is applied to each query first.
         compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
@@ -113,8 +110,6 @@ class Options:
     """
 
     matches: int = 5
-    profile: bool = False
-    step: float = 15.0
     change: Change = UNCHANGED
     compared_tile: int | None = None
     selection: str = ""
@@ -130,7 +125,6 @@ class Options:
     def __post_init__(self) -> None:
         if self.matches < 1:
             raise InputError(f"The number of tiles listed is {self.matches}; expected 1 or more.")
-        sweeps.changes_over("rotation", self.step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +166,6 @@ class Case:
         without: ranks of the positive without each part; None if no positive is known.
         change: the smallest change of part weights that puts a positive first; None if impossible or needless.
         effect: the effect of `change` on all queries of the task; None for a gallery that only searches know.
-        profile: the rotation sweep; None unless requested.
     """
 
     name: str
@@ -191,7 +184,6 @@ class Case:
     without: RanksWithoutParts | None
     change: Reweighting | None
     effect: Effect | None
-    profile: SweepResult | None
 
     @property
     def margin_shown(self) -> float | None:
@@ -215,19 +207,16 @@ class Cases:
             raise InputError(
                 f"There is no gallery picture {options.compared_tile}; the gallery has positions 0 to {len(task.gallery) - 1}."
             )
-        if task.model is None and (options.profile or options.change):
+        if task.model is None and options.change:
             raise InputError(
-                f"{task.model_name} has saved descriptors but no network, so queries cannot be changed; leave the profile and "
-                "changes out."
+                f"{task.model_name} has saved descriptors but no network, so queries cannot be changed; leave changes out."
             )
         self._task, self._options = task, options
         self._tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
         self._analyser = QueryAnalyser(task.model, lambda _, index: self._tile(index))
-        turns = sweeps.changes_over("rotation", options.step) if options.profile else []
-        self.turns = sweeps.apply_to_base("rotation", options.change, turns) if turns else []
 
-    def make(self, query: int | OwnPicture, on_step: Callable[[], None]) -> Case:
-        """Analyse one query; call `on_step` after each step of its rotation sweep and at the end."""
+    def make(self, query: int | OwnPicture) -> Case:
+        """Analyse one query."""
         task, options = self._task, self._options
         index = None if isinstance(query, OwnPicture) else query
         weights = None if task.weights is None else tuple(task.part_weights.tolist())
@@ -244,7 +233,7 @@ class Cases:
             margin = counterfactual.margin(ranking, true.index, wrong.index)
         change = None if positive is None or positive.rank == 1 else counterfactual.smallest_change(ranking)
         errors_m = analysis.errors_m
-        case = Case(
+        return Case(
             name=analysis.name,
             known=ranking.relevant is not None,
             doubtful=index in options.ungraded,
@@ -261,10 +250,7 @@ class Cases:
             without=counterfactual.ranks_without_parts(ranking),
             change=change,
             effect=None if change is None else self._effect(change),
-            profile=self._profile(analysis, index, on_step),
         )
-        on_step()
-        return case
 
     def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:
         task = self._task
@@ -298,19 +284,3 @@ class Cases:
     def _effect(self, change: Reweighting) -> Effect | None:
         task = self._task
         return effect_on(task, task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
-
-    def _profile(self, analysis: Analysis, index: int | None, on_step: Callable[[], None]) -> SweepResult | None:
-        task, options = self._task, self._options
-        if not self.turns or task.model is None:
-            return None
-        change = options.change
-        entry = task.queries[index or 0]
-        turns = [turn.for_picture(entry, analysis.zoom) for turn in self.turns]
-        follow = analysis.chosen.index if index is None else None
-        points = []
-        for point in sweeps.sweep_points(
-            task.model.for_task(*task.views), analysis.source, task.query_view, turns, task.ranks_under(index), follow
-        ):
-            points.append(point)
-            on_step()
-        return SweepResult("rotation", tuple(points), change.for_picture(entry, analysis.zoom))

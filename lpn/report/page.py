@@ -54,11 +54,11 @@ def build(
 ) -> bytes:
     """Build a report: a UTF-8 HTML file with its pictures inside, about 0.2 MB for each query.
 
-    Each query and each compared tile takes one forward pass, and each step of a profile one more.
+    Each query and each compared tile takes one forward pass.
 
     Args:
         queries: positions among the task's queries, or pictures that are no queries, in the order of the report.
-        progress: called after each step with the numbers of finished and of all steps; what it raises ends the work.
+        progress: called after each query with the numbers of finished and of all queries; what it raises ends the work.
         made: date and time that the report bears, by default now.
 
     Raises:
@@ -70,20 +70,14 @@ def build(
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
     shown, task = task.without_truth(options.ungraded), task.without_truth(options.doubtful)
     cases = Cases(shown, options)
-    done, steps = 0, len(queries) * (1 + len(cases.turns))
-
-    def tick() -> None:
-        nonlocal done
-        done += 1
-        if progress is not None:
-            progress(done, steps)
-
     lines, sections = [], []
     for number, query in enumerate(queries, 1):
-        case = cases.make(query, tick)
+        case = cases.make(query)
         # A case holds pictures and a whole ranking, so only its HTML is kept.
         lines.append(_line(case, shown, query))
         sections.append(section(case, shown, number))
+        if progress is not None:
+            progress(number, len(queries))
     graded = int(task.metrics["queries"])
     return render(
         "report.html.j2",

@@ -38,7 +38,6 @@ class _PairEvidence:
 def section(case: Case, task: Task, number: int) -> Markup:
     """Render everything about one query."""
     headline, reason = summary(case, task)
-    followed = case.profile and case.profile.points[0]
     return render(
         "query.html.j2",
         number=number,
@@ -61,8 +60,6 @@ def section(case: Case, task: Task, number: int) -> Markup:
         heatmaps=_heatmaps(case, task),
         heatmaps_note=heatmaps.note(len(task.part_names)),
         steps=charts.waterfall(case.margin.parts, sum_shown=case.margin_shown) if case.margin else [],
-        profile=case.profile and charts.profile_charts(case.profile, task.part_names, _CHART_WIDTH),
-        followed=followed and ("the true tile" if followed.true else f"tile {task.gallery[followed.tile].name}"),
     )
 
 
@@ -86,8 +83,6 @@ def _sentences(case: Case, task: Task) -> list[str]:
         sentences.append(verdicts.describe_ablation(case.without, task.part_names))
     if several and case.positive is not None and case.positive.rank > 1:
         sentences.append(verdicts.describe_reweighting(case.change, case.effect))
-    if case.profile is not None:
-        sentences.append(verdicts.describe_rotation(case.profile, task.views))
     return sentences
 
 

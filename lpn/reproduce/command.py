@@ -81,17 +81,6 @@ class Reproduction:
         with exclusive_lock(lock, wait=True):
             return self._write(wanted, drawn)
 
-    def plan(self, keys: Sequence[str]) -> None:
-        """Print the plan of `run`, and train nothing; pretrained weights may be lacking, and are named.
-
-        Raises:
-            LPNError: as `run`.
-        """
-        _, drawn, uses = self._prepare(keys)
-        if lacking := checks.lacking_weights(self._jobs):
-            self.console.print(f"To give with --init: weights of {lacking}.", markup=False, soft_wrap=True)
-        self._say_ahead(self._check_work(uses), drawn)
-
     def _prepare(self, keys: Sequence[str]) -> tuple[list[PaperTable], list[str], list[NetworkUse]]:
         """Open data and networks, plan the trainings, and print which rows can be made; return tables, pictures, and uses."""
         wanted = [find(key, self.scale) for key in keys if key in tables(self.scale) or key not in DRAWN]

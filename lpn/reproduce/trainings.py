@@ -56,7 +56,7 @@ class TrainingJob:
         folder: of the run.
         source: the training data.
         start: pretrained weights of its backbone, None for random ones.
-        fold: a fold of the training places that is held out, and measured by `lpn.reproduce.cross_validation`.
+        fold: a fold of the training places that is held out, and measured by `tools.crossval`.
     """
 
     training: Training

@@ -198,11 +198,6 @@ def evaluate(
         DataError: when the test split is incomplete, or its `geo.csv` does not cover it.
     """
     started = time.perf_counter()
-    if dataset.truth_keeper:
-        raise InputError(
-            f"The true matches of {dataset.kind} are kept by {dataset.truth_keeper}, so nothing can be measured here; lpn "
-            "evaluate --answers writes a file of answers for it, and lpn explore ranks its queries."
-        )
     protocol = protocol or Protocol()
     protocol.chosen(model.n_parts)
     if protocol.change.weather:
@@ -211,8 +206,6 @@ def evaluate(
     model = model if protocol.branch else model.for_task(*pictures.views)
     for view in pictures.views:
         _check_branch(model, protocol.branch or view, protocol)
-    if protocol.whole:
-        pictures = replace(pictures, queries=[replace(picture, box=None) for picture in pictures.queries])
     queries, gallery, truth = pictures.queries, pictures.gallery, pictures.truth
     if truth is None and len({picture.label for picture in gallery}) == 1:
         log.warning(
@@ -221,7 +214,7 @@ def evaluate(
     if protocol.average and truth is not None:
         raise InputError(
             f"Each query of {dataset.root.name} has its own list of true matches; only queries with labels can be averaged, "
-            "so leave --average-queries out."
+            "so evaluate them one by one."
         )
     if protocol.csls:
         _check_csls(protocol, queries, gallery, truth)
@@ -236,7 +229,8 @@ def evaluate(
         change, gallery_change = replace(change, weather=CLEAR), replace(gallery_change, weather=change.weather)
     if protocol.calibrate and (protocol.branch or protocol.centre or protocol.released):
         raise InputError(
-            "A calibration centres each view, takes its own branch, and is ours; leave --branch, --centre, and --protocol out."
+            "A calibration centres each view, takes its own branch, and is ours; leave --centre, another branch, and the "
+            "released protocol out."
         )
     if protocol.released and truth is not None and task == "street-to-street":
         return _carried(model, pictures, truth, protocol, started)
@@ -299,8 +293,8 @@ def _carried(
     """Measure features carried over to landmarks as released."""
     if protocol.change or protocol.parts or protocol.average or protocol.centre or protocol.csls:
         raise InputError(
-            "The released transfer takes whole descriptors of queries as they are; leave changes of queries, --parts, "
-            "--average-queries, --centre, and --csls out."
+            "The released transfer takes whole descriptors of queries as they are; leave changes of queries, parts, averaging, "
+            "centring, and CSLS out."
         )
     view = protocol.branch or "street"
     query, tiles = (transfer.map_means(model, side, view) for side in (pictures.queries, pictures.gallery))
@@ -459,10 +453,10 @@ def evaluate_descriptors(
     """
     started = time.perf_counter()
     protocol = protocol or Protocol()
-    if protocol.change or protocol.branch or protocol.whole or protocol.calibrate or protocol.released:
+    if protocol.change or protocol.branch or protocol.calibrate or protocol.released:
         raise InputError(
-            "These are descriptors, not pictures: weather, rotation, shift, scale, branch, whole queries, the released protocol, "
-            "and calibration need a model and a data set; leave them out."
+            "These are descriptors, not pictures: weather, rotation, shift, scale, branch, the released protocol, and "
+            "calibration need a model and a data set; leave them out."
         )
     query, tiles = (centred(side) for side in sides) if protocol.centre else sides
     stated = [*clauses, *([CENTRED] if protocol.centre else [])]
@@ -532,8 +526,8 @@ def _figures(name: str, retrieval: metrics.Retrieval, ranked: int, known_queries
 def _check_branch(model: Model, branch: View, protocol: Protocol) -> None:
     if branch not in model.views and protocol.branch is None:
         raise InputError(
-            f"This model has no {branch!r} view; it has {', '.join(model.views)}. To describe both sides with one of "
-            "these, choose it with --branch."
+            f"This model has no {branch!r} view; it has {', '.join(model.views)}. Of landmarks, lpn reproduce table6 "
+            "describes both sides with one of these; in Python, Protocol(branch=...) does so of any data set."
         )
     model.check_view(branch)
 

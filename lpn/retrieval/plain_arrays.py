@@ -5,7 +5,6 @@ An array is (N, D), (N, n, D), or (N, D, n), floats of any precision, in one of 
     .npy        the array
     .npz        one array; or `query` and `gallery`, so that one file may hold both sides
     .mat        MATLAB 5: query_f, query, gallery_f, gallery, descriptors, or features (extra `train`)
-    .parquet    one column of lists, such as `descriptor`; else all columns of numbers (pyarrow)
 
 The list (`paths.csv`) has a line for each row of both arrays, those of one side in the order of their rows:
 
@@ -27,7 +26,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -53,8 +52,6 @@ _KEYS = {
     "query": ("query_f", "query", "descriptors", "features"),
     "gallery": ("gallery_f", "gallery", "descriptors", "features"),
 }
-# Columns of floats that are no numbers of a descriptor.
-_PLACES = frozenset({"latitude", "longitude", "lat", "lon", "lng", "altitude", "height", "heading"})
 # Norms of parts that differ by less than this share from 1/sqrt(n) are not worth a warning.
 _TOLERANCE = 0.01
 _PLACEHOLDER = 256
@@ -126,14 +123,13 @@ def load_arrays(
     Args:
         query, gallery: files of arrays, see the module; they may be the same `.npz` or `.mat`.
         paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
-        n_parts: number of parts. Two-dimensional arrays are cut into so many, 1 by default; others must have so many. Without
-            it, a three-dimensional array must not have more parts than numbers of a part, as it may be in the other order.
+        n_parts: number of parts. Two-dimensional arrays are cut into so many, 1 by default; others must have so many.
         order: "parts-first" for (N, n, D), and for rows that are n parts one after the other; "parts-last" for (N, D, n).
         root: the folder that the list's paths are relative to; by default the list's.
 
     Raises:
         DataError: if a file is missing, damaged, or does not fit the others.
-        InputError: if an array does not consist of that many parts, or seems to be in the other order.
+        InputError: if an array does not consist of that many parts.
     """
     sides: dict[Role, Path] = {"query": Path(query), "gallery": Path(gallery)}
     arrays = {side: _descriptors(_read(file, side), file, n_parts, order) for side, file in sides.items()}
@@ -145,7 +141,7 @@ def load_arrays(
     folder = Path(root) if root is not None else sides["query"].parent if paths is None else Path(paths).parent
     if not folder.is_dir():
         raise DataError(f"There is no folder of pictures at {printable(str(folder))}; check the path.")
-    lines = _numbered(arrays) if paths is None else _here(folder, _listed(Path(paths), arrays), _name(Path(paths)))
+    lines = _numbered(arrays) if paths is None else _here(folder, _listed(Path(paths), arrays))
     names = [line.label for side in lines.values() for line in side]
     numbers = _label_numbers(names)
     labels = {side: np.array([numbers[line.label] for line in of], np.int64) for side, of in lines.items()}
@@ -219,7 +215,7 @@ def _read(file: Path, side: Role) -> AnyArray:
         raise DataError(f"{printable(str(file))} is a folder; give the file of {side} descriptors.")
     if not file.is_file():
         raise DataError(f"There is no file of {side} descriptors at {printable(str(file))}; check the path.")
-    readers = {".npy": _read_npy, ".npz": _read_npz, ".mat": _read_mat, ".parquet": _read_parquet}
+    readers = {".npy": _read_npy, ".npz": _read_npz, ".mat": _read_mat}
     reader = readers.get(file.suffix.lower())
     if reader is None:
         raise DataError(f"{_name(file)} is no array file; expected one that ends in {', '.join(readers)}.")
@@ -273,48 +269,6 @@ def _read_mat(file: Path, side: Role) -> AnyArray:
     return np.asarray(variables[chosen])
 
 
-def _read_parquet(file: Path, side: Role) -> AnyArray:
-    del side
-    import pyarrow as pa
-    import pyarrow.compute as pc
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(file)
-        names = table.column_names
-    except (OSError, UnicodeDecodeError, pa.ArrowException) as error:
-        raise DataError(
-            f"{_name(file)} is no Parquet file ({printable(str(error).splitlines()[0])}); save it again."
-        ) from error
-    lists = [name for name in names if _is_list(table.schema.field(name).type, pa)]
-    if len(lists) == 1:
-        column = table.column(lists[0]).combine_chunks()
-        lengths = pc.unique(pc.list_value_length(column)).to_pylist()
-        if len(lengths) != 1 or not lengths[0]:
-            listed = " and ".join("none" if length is None else str(length) for length in lengths[:2]) or "no"
-            raise DataError(
-                f"The rows of {printable(lists[0])} in {_name(file)} have {listed} numbers; expected as many in each row, at "
-                "least one."
-            )
-        return cast(AnyArray, column.flatten().to_numpy(zero_copy_only=False).reshape(len(column), lengths[0]))
-    numbers = [name for name in table.column_names if pa.types.is_floating(table.schema.field(name).type)]
-    if lists or not numbers:
-        raise DataError(
-            f"{_name(file)} has {len(lists)} columns of lists; expected one, or a column of floats for each number of a "
-            "descriptor."
-        )
-    if places := [name for name in numbers if name.strip().lower() in _PLACES]:
-        raise DataError(
-            f"{_name(file)} has the columns {printable(', '.join(places))} among the numbers of the descriptors; leave them out, "
-            "and give positions in the list of pictures."
-        )
-    return np.stack([table.column(name).to_numpy() for name in numbers], axis=1)
-
-
-def _is_list(kind: Any, pa: Any) -> bool:
-    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
-
-
 def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order) -> Float32Array:
     """Return descriptors (N, n, D) with parts of norm 1/sqrt(n)."""
     name = _name(file)
@@ -336,12 +290,6 @@ def _descriptors(array: AnyArray, file: Path, n_parts: int | None, order: Order)
         raise InputError(
             f"{name} has {parts.shape[1]} parts of {parts.shape[2]} numbers with --order {order}; expected {n_parts} parts, so "
             "check --n-parts and --order."
-        )
-    if array.ndim == 3 and n_parts is None and parts.shape[1] > parts.shape[2]:
-        other = "parts-last" if order == "parts-first" else "parts-first"
-        raise InputError(
-            f"{name} has, with --order {order}, {parts.shape[1]} parts of {parts.shape[2]} numbers; give --order {other} if "
-            f"these are {parts.shape[2]} parts of {parts.shape[1]}, else --n-parts {parts.shape[1]}."
         )
     return _scaled(parts, name)
 
@@ -405,13 +353,10 @@ def _listed(file: Path, arrays: Mapping[Role, Float32Array]) -> dict[Role, list[
     return lines_of
 
 
-def _here(folder: Path, lines: dict[Role, list[_Line]], name: str) -> dict[Role, list[_Line]]:
-    """Return lines with the files that their paths name below the folder; other paths stay, but none is absolute."""
-    there = FilesBelow(folder).resolve((line.file for of in lines.values() for line in of), name)
-    return {
-        side: [replace(line, file=there.get(line.file, line.file.lstrip("/").replace(":", ""))) for line in of]
-        for side, of in lines.items()
-    }
+def _here(folder: Path, lines: dict[Role, list[_Line]]) -> dict[Role, list[_Line]]:
+    """Return lines with the files that their paths name below the folder; other paths stay."""
+    there = FilesBelow(folder).resolve(line.file for of in lines.values() for line in of)
+    return {side: [replace(line, file=there.get(line.file, line.file)) for line in of] for side, of in lines.items()}
 
 
 def _position(row: Mapping[str, str], where: str) -> Position | None:

@@ -25,7 +25,6 @@ class Protocol:
         parts: 1-based parts to use, None for all (Table V).
         branch: the branch that describes both sides, None for each view's own (Table VI).
         average: average the queries of one place into one.
-        whole: ignore the boxes of queries (Oxford5k, Paris6k).
         centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
         calibrate: subtract the mean of each view, and choose the zoom, see `lpn.retrieval.calibration`.
         csls: the number of nearest queries by which CSLS re-ranks, see `lpn.retrieval.csls`; 0 for no re-ranking.
@@ -37,7 +36,6 @@ class Protocol:
     parts: tuple[int, ...] | None = None
     branch: View | None = None
     average: bool = False
-    whole: bool = False
     centre: bool = False
     calibrate: bool = False
     csls: int = 0

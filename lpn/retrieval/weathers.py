@@ -8,7 +8,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from lpn.core.errors import InputError
 from lpn.core.notebook_html import percentages
 from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
@@ -81,27 +80,22 @@ def evaluate_weathers(
     dataset: Dataset,
     tasks: Sequence[str],
     protocol: Protocol | None = None,
-    strength: float = 1.0,
-    seed: int = 0,
 ) -> WeatherResult:
     """Evaluate tasks in each of `WEATHERS`; descriptors come from the data set or the user's cache.
 
     Args:
         tasks: such as "drone-to-satellite" and its reverse; weather falls on the pictures that are no satellite tiles.
         protocol: the published protocol by default; its weather is replaced.
-        strength, seed: of each weather, see `Weather`.
 
     Raises:
         InputError: if a task compares tiles with tiles, or `evaluate` refuses it.
         DataError: if the test split is incomplete.
     """
     protocol, read = protocol or Protocol(), descriptor_reader(dataset.root)
-    if not strength:
-        raise InputError("The weather's strength is 0, at which all weathers are alike; expected above 0, up to 1.")
     for task in tasks:
         check_weather(task)
     results: dict[WeatherName, dict[str, Result]] = {}
     for name in WEATHERS:
-        change = replace(protocol.change, weather=Weather(name, strength, seed))
+        change = replace(protocol.change, weather=Weather(name))
         results[name] = {task: evaluate(model, dataset, task, replace(protocol, change=change), read) for task in tasks}
     return WeatherResult(results)

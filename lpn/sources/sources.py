@@ -264,7 +264,7 @@ class Arrays(TaskSource):
     WORD = "arrays"
 
     queries: Path
-    """Descriptors of the queries that any model made, as .npy, .npz, .mat, or .parquet."""
+    """Descriptors of the queries that any model made, as .npy, .npz, or .mat."""
     gallery: Path
     """Descriptors of the gallery, in such a file."""
     paths: Path | None = None

@@ -19,7 +19,7 @@ from lpn.cli import main
 from lpn.core.checksums import Checksums
 from lpn.core.errors import DataError, ModelFileError
 from lpn.datasets.geo import read_positions
-from lpn.datasets.integrity import picture_error
+from lpn.datasets.integrity import DAMAGED, picture_error
 from lpn.models.checkpoints import load_torch
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
@@ -28,7 +28,7 @@ from tools.fixtures import small_worlds
 
 
 def verified(path: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    status = main.main(["verify", str(path)])
+    status = main.main(["doctor", str(path)])
     return status, capsys.readouterr().out
 
 
@@ -197,7 +197,7 @@ def test_a_png_that_claims_gigabytes_needs_no_room(tmp_path: Path) -> None:
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
     resource.setrlimit(resource.RLIMIT_AS, (used + (2 << 30), before[1]))
     try:
-        assert picture_error(file) == "is cut short or damaged"
+        assert picture_error(file, decode=True) == DAMAGED
     finally:
         resource.setrlimit(resource.RLIMIT_AS, before)
 

@@ -130,7 +130,8 @@ def test_export(model_file: Path, tmp_path: Path, killer: Killer) -> None:
 @pytest.mark.slow
 def test_quantize(model_file: Path, places: Path, tmp_path: Path, killer: Killer) -> None:
     file = tmp_path / "out" / "small.onnx"
-    arguments = ["quantize", "--model", str(model_file), "--data", str(places), "--out", str(file), "--pictures", "2"]
+    arguments = ["export", "--model", str(model_file), "--out", str(file)]
+    arguments += ["--compute", "int8", "--data", str(places), "--pictures", "2"]
     survives(Command(arguments, lambda: opened(file), lambda: opened(file)), killer, file.parent, FEW)
 
 

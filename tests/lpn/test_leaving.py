@@ -17,11 +17,14 @@ import msgspec
 import numpy as np
 import pytest
 
+import lpn
+from lpn.analysis.model_table import compare, rank_model
 from lpn.analysis.named_views import ChosenQueries, NamedView, read_views, save_view
 from lpn.cli import main
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.datasets import open_dataset
 from lpn.flights import Flight, Frame, open_flight, write_flight
 from lpn.locate.corrections import Correction, read_corrections, set_correction
 from lpn.locate.tracks import TrackPoint, write_track
@@ -201,9 +204,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
-def test_tables_and_reports_of_such_names(
-    places: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_path: Path) -> None:
     given = ["--data", str(places), "--model", str(model_file)]
     assert main.main(["failures", *given, "--csv", str(tmp_path / "a.csv")]) == 0
     rows = _table((tmp_path / "a.csv").read_bytes())
@@ -219,15 +220,15 @@ def test_tables_and_reports_of_such_names(
     assert "script" not in page.tags
     assert not page.handlers
     assert TEXTS[6] in page.text
-    files = {kind: tmp_path / f"a.{kind.replace('markdown', 'md')}" for kind in ("json", "markdown", "csv")}
-    options = [part for kind, file in files.items() for part in (f"--{kind}", str(file))]
-    capsys.readouterr()
-    assert main.main(["compare", str(model), str(model_file), "--data", str(places), *options]) == 0, (
-        capsys.readouterr().err
+    figures = tmp_path / "a.json"
+    assert main.main(["compare", str(model), str(model_file), "--data", str(places), "--json", str(figures)]) == 0
+    assert msgspec.json.decode(figures.read_bytes())["models"][0]["name"] == model.name
+    dataset = open_dataset(places)
+    table = compare(
+        [rank_model(lpn.load(file), file.name, dataset, "drone-to-satellite") for file in (model, model_file)]
     )
-    assert msgspec.json.decode(files["json"].read_bytes())["models"][0]["name"] == model.name
-    assert _table(files["csv"].read_bytes())[1][0] == f"'{model.name}"
-    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in files["markdown"].read_text("utf-8")
+    assert _table(table.to_csv())[1][0] == f"'{model.name}"
+    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in table.to_markdown()
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems allow no such name")

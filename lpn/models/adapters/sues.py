@@ -59,7 +59,7 @@ class LopsidedSum(PartBranch):
         """Return the vector and its account, with the length of the first pass held."""
         weight = cast(Tensor, self.weight)
         count = images.shape[0]
-        # Both passes are one batch, so that the graph has one trunk, which is what `lpn quantize` looks for.
+        # Both passes are one batch, so that the graph has one trunk, which is what `lpn.models.quantize` looks for.
         both = self.vector.account(torch.cat([images, images.flip(3)]))
         vectors = by_heads(both.parts, weight, self.bias)
         scale = 1 / torch.linalg.vector_norm(vectors[:count], dim=2, keepdim=True)

@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import math
+import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -161,10 +162,10 @@ def test_models_and_saved_results_compare_on_one_gallery(
     second = tmp_path / "other" / "model.onnx"
     second.parent.mkdir()
     second.write_bytes(model_file.read_bytes())
-    outputs = [tmp_path / f"table.{kind}" for kind in ("md", "csv", "json")]
-    options = ["--data", str(root), "--markdown", str(outputs[0]), "--csv", str(outputs[1]), "--json", str(outputs[2])]
+    figures = tmp_path / "table.json"
+    options = ["--data", str(root), "--json", str(figures)]
     assert main(["compare", str(model_file), str(second), *options]) == 0
-    found = json.loads(outputs[2].read_text())
+    found = json.loads(figures.read_text())
     assert (found["gallery"], found["queries"], found["bootstrap"]["seed"]) == ("full gallery, 6", 5, 0)
     assert found["models"][0]["AP"] == found["models"][1]["AP"]
     assert (found["tests"][0]["only_first"], found["tests"][0]["p"]) == (0, 1.0)
@@ -173,9 +174,16 @@ def test_models_and_saved_results_compare_on_one_gallery(
     assert "without distractors, 5" in capsys.readouterr().out
     save_result(tmp_path / "result.mat", root, model_file)
     assert main(["compare", str(model_file), str(tmp_path / "result.mat"), *options]) == 0
-    found = json.loads(outputs[2].read_text())
+    found = json.loads(figures.read_text())
     assert [one["name"] for one in found["models"]] == ["model.onnx", "result.mat"]
     assert (found["tests"][0]["only_first"], found["tests"][0]["only_second"]) == (0, 0)
+    pages = {kind: tmp_path / f"table.{kind}" for kind in ("md", "csv", "tex")}
+    two = [str(tmp_path / "result.mat"), str(shutil.copy(tmp_path / "result.mat", tmp_path / "again.mat"))]
+    for page in pages.values():
+        assert main(["compare", "published", *two, "--data", str(root), "--page", str(page)]) == 0
+    assert pages["csv"].read_text("utf-8-sig").splitlines()[1].startswith("result.mat,")
+    assert "| result.mat |" in pages["md"].read_text()
+    assert r"\begin{tabular}" in pages["tex"].read_text()
     dataset = open_dataset(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")[1:]
     drawn = np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+import shutil
 from pathlib import Path
 
 from lpn.analysis.text_tables import TableSection, TextTable, latex_page, latex_text
 from lpn.cli.main import main
 from lpn.reproduce import report
 from lpn.reproduce.record import TableRecord, row_record
+from tools.fixtures.published_results import save_result
 
 
 def columns(latex: str) -> list[list[int]]:
@@ -46,20 +48,19 @@ def test_reproduced_tables_have_the_columns_of_the_markdown() -> None:
     assert r"LPN, 90$^{\circ}$ & 49.00 & 75.93 & 55.10 & 79.14 \\" in latex
 
 
-def test_evaluate_and_compare_write_latex(
-    data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path
-) -> None:
-    files = [tmp_path / name for name in ("one.tex", "all.tex", "two.tex", "page.tex")]
+def test_compare_writes_latex(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("two.tex", "page.tex")]
+    result = tmp_path / "result.mat"
     model, more = str(model_file), ["--resamples", "20"]
-    assert main(["evaluate", "--data", str(data), "--model", model, "--latex", str(files[0])]) == 0
-    assert main(["evaluate", "--data", str(data), "--model", model, "--weather", "all", "--latex", str(files[1])]) == 0
     compared = ["compare", model, str(one_part_model_file), "--data", str(data), *more]
-    assert main([*compared, "--latex", str(files[2])]) == 0
-    assert main([*compared, "--page", str(files[3])]) == 0
+    save_result(result, data, model_file)
+    published = ["compare", "published", str(result), str(shutil.copy(result, tmp_path / "again.mat"))]
+    assert main([*published, "--data", str(data), *more, "--page", str(files[0])]) == 0
+    assert main([*compared, "--page", str(files[1])]) == 0
     counts = [columns(file.read_text("utf-8")) for file in files]
-    assert [len(tables) for tables in counts[:3]] == [1, 1, 2]
-    assert len(counts[3]) > 3
-    captions = re.findall(r"\\caption\{(.*)\}", files[2].read_text("utf-8"))
+    assert len(counts[0]) == 2
+    assert len(counts[1]) > 3
+    captions = re.findall(r"\\caption\{(.*)\}", files[0].read_text("utf-8"))
     assert captions[1] == f"{captions[0]} Paired tests."
     for tables in counts:
         for table in tables:

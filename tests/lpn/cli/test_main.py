@@ -33,10 +33,10 @@ def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_pat
         *("branch", "averaged", "calibration", "csls", "cropped", "junk", "protocol", "seconds"),
     ]
     assert (whole["task"], whole["parts"], whole["queries"]) == ("drone-to-satellite", [1, 2, 3, 4], 14)
-    changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5", "--branch", "drone", "--average-queries"]
+    changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5", "--centre"]
     assert main.main([*common, "--task", "satellite-to-drone", *changes, "--parts", "2,4"]) == 0
     turned = json.loads(out.read_text())
-    for said in ("turned 90°", "3 px to the left", "scaled by 1.5", "the drone branch", "parts 2, 4 of 4", "averaged"):
+    for said in ("turned 90°", "3 px to the left", "scaled by 1.5", "parts 2, 4 of 4", "the mean of the queries"):
         assert said in turned["protocol"]
     assert (turned["task"], turned["rotate"], turned["parts"]) == ("satellite-to-drone", 90, [2, 4])
     assert turned["ap"] != whole["ap"]
@@ -82,7 +82,6 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
         (["evaluate", "--data", "DATA", "--model", "MODEL", "--rotate", "nan"], "rotation is nan"),
         (["evaluate", "--data", "DATA", "--model", "MODEL", "--scale", "0"], "scale is 0"),
         (["evaluate", "--data", "DATA", "--model", "MODEL", "--shift", "-64"], "64 wide"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--branch", "street"], "no 'street' view"),
         (
             ["evaluate", "--data", "DATA", "--model", "MODEL", "--n-parts", "4"],
             "lpn evaluate published and lpn evaluate arrays have it",

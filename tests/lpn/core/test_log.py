@@ -163,5 +163,5 @@ def test_the_command_line_names_it(capsys: pytest.CaptureFixture[str], monkeypat
     assert main.main(["--help"]) == 0
     assert "--log-level debug COMMAND" in capsys.readouterr().out
     monkeypatch.setenv("LPN_LOG", "loud")
-    assert main.main(["verify"]) == 2
+    assert main.main(["doctor"]) == 2
     assert capsys.readouterr().err == "lpn: LPN_LOG is 'loud'; expected one of debug, info, warning, error.\n"

@@ -38,7 +38,7 @@ f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.slee
 # Another thread says it, after it has run many times while the main thread made no step: a signal before that would end the
 # command by Python's own handler.
 IN_A_LIBRARY = """
-import hashlib, threading, time, lpn.cli.verify as v
+import hashlib, threading, time, lpn.cli.doctor as v
 def say():
     for _ in range(20):
         time.sleep(0.01)
@@ -46,7 +46,7 @@ def say():
 def run(self):
     threading.Thread(target=say, daemon=True).start()
     hashlib.pbkdf2_hmac("sha256", b"", b"", 2**31 - 1)
-v.VerifyCommand.run = run
+v.DoctorCommand.run = run
 """
 
 
@@ -141,7 +141,7 @@ def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_
 
 @untraced
 def test_a_library_that_computes_is_not_waited_for(tmp_path: Path) -> None:
-    with Process(["verify"], tmp_path / "cache", IN_A_LIBRARY) as process:
+    with Process(["doctor"], tmp_path / "cache", IN_A_LIBRARY) as process:
         process.until(lambda: "computing" in process.out)
         process.terminate()
         status, seconds = process.ended()
@@ -153,7 +153,7 @@ def test_a_library_that_computes_is_not_waited_for(tmp_path: Path) -> None:
 @untraced
 def test_a_second_ctrl_c_ends_at_once(tmp_path: Path) -> None:
     patient = "import lpn.core.shutdown as s\ns.GRACE = 600\n"
-    with Process(["verify"], tmp_path / "cache", patient + IN_A_LIBRARY) as process:
+    with Process(["doctor"], tmp_path / "cache", patient + IN_A_LIBRARY) as process:
         process.until(lambda: "computing" in process.out)
         while process.running:  # two signals at once may count as one
             process.interrupt()
@@ -210,13 +210,13 @@ def test_what_another_thread_writes_is_waited_for() -> None:
 
 def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = [signal.getsignal(number) for number in shutdown.SIGNALS]
-    assert main.main(["verify", str(tmp_path / "absent")]) == 2
+    assert main.main(["doctor", str(tmp_path / "absent")]) == 2
 
     def interrupted(_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main.COMMANDS["verify"], "run", interrupted)
-    assert main.main(["verify"]) == 130
+    monkeypatch.setattr(main.COMMANDS["doctor"], "run", interrupted)
+    assert main.main(["doctor"]) == 130
     assert [signal.getsignal(number) for number in shutdown.SIGNALS] == before
     assert not [thread for thread in threading.enumerate() if thread.name == "lpn-stopping"]
 

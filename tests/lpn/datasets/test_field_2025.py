@@ -1,4 +1,4 @@
-"""World-UAV, UniV, University160k, and GeoText-1652, written small in their released forms."""
+"""World-UAV, UniV, and GeoText-1652, written small in their released forms."""
 
 from __future__ import annotations
 
@@ -10,19 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import lpn
 from lpn.cli.main import main
-from lpn.core.errors import DataError, InputError
+from lpn.core.errors import DataError
 from lpn.datasets import UniV, open_dataset
 from lpn.doctor.dataset_check import check_dataset
-from lpn.index import DescriptorKind, create_index
-from lpn.index.queries import dataset_queries
-from lpn.index.shared import SharedIndex
-from lpn.index.task import index_task
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
-from lpn.tasks.answers import write_answers
-from lpn.tasks.opening import describe_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
@@ -170,90 +163,6 @@ def test_a_key_of_world_uav_without_a_tile_is_no_query(tmp_path: Path) -> None:
     assert len(dataset.queries("drone")) == 4
 
 
-@pytest.mark.parametrize(("weather", "test"), [(False, True), (True, False)])
-def test_university160k_has_queries_in_the_order_of_its_list_and_no_truth(
-    tmp_path: Path, weather: bool, test: bool
-) -> None:
-    dataset = open_dataset(layouts.university160k(tmp_path / "University160k", weather, test))
-    assert (dataset.kind, dataset.tasks()) == ("University160k", ["drone-to-satellite"])
-    assert [query.name for query in dataset.queries("drone")] == ["z0", "x0", "y0"]
-    assert [tile.name for tile in dataset.gallery("satellite")] == ["a7", "b7", "c7", "d7", "e7"]
-    truth = dataset.truth("drone-to-satellite")
-    assert truth is not None
-    assert not any(one.known for one in truth)
-    report = check_dataset(dataset)
-    assert report.healthy
-    assert report.runs[0] == "lpn explore --task drone-to-satellite: 3 queries, 5 pictures in the gallery"
-    with pytest.raises(InputError, match="true matches of University160k are kept by its evaluation server"):
-        evaluate(PartsModel(RegionModel()), dataset, "drone-to-satellite")
-
-
-def test_university160k_is_opened_through_an_index(tmp_path: Path, model_file: Path) -> None:
-    dataset, model = open_dataset(layouts.university160k(tmp_path / "University160k")), lpn.load(model_file)
-    whole = describe_task(model, "model.onnx", dataset, "drone-to-satellite")
-    index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
-    index.add([tile.path.name for tile in whole.gallery], whole.gallery_descriptors)
-    shared = SharedIndex(index)
-    task = index_task(model, "model.onnx", shared, dataset_queries(model, dataset, shared))
-    assert (task.tiles, len(task.queries)) == (5, 3)
-    assert (task.outcomes.rank == -1).all()
-    for query in range(3):
-        ranked, expected = (
-            one.start_search(query, one.query_descriptors[query])(one.part_weights) for one in (task, whole)
-        )
-        assert [task.tile_name(tile) for tile in ranked.order] == [
-            whole.gallery[tile].path.name for tile in expected.order
-        ]
-    assert write_answers(task, tmp_path / "index.txt") == write_answers(whole, tmp_path / "whole.txt") == 3
-    assert (tmp_path / "index.txt").read_text() == (tmp_path / "whole.txt").read_text()
-    index.close()
-
-
-def test_answers_of_university160k_are_names_in_the_order_of_its_list(
-    tmp_path: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root, out = layouts.university160k(tmp_path / "University160k"), tmp_path / "answer.txt"
-    command = ["evaluate", "--data", str(root), "--model", str(model_file)]
-    assert main([*command, "--answers", str(out)]) == 0
-    assert capsys.readouterr().out.endswith(f"{out} has the answers to 3 queries; a server takes it zipped.\n")
-    task = describe_task(lpn.load(model_file), "model.onnx", open_dataset(root), "drone-to-satellite")
-    scores = np.einsum("qnd,gnd->qg", *task.sides())
-    assert out.read_text() == "".join(
-        "\t".join(np.array(["a7", "b7", "c7", "d7", "e7"])[np.argsort(-row)]) + "\n" for row in scores
-    )
-    assert main([*command, "--answers", str(out), "--rotate", "90"]) == 2
-    assert "leave --json, --latex, changes of queries, and other rankings out" in capsys.readouterr().err
-    next(file for file in root.rglob("*") if file.parent.name.startswith("query_drone") and file.is_file()).unlink()
-    before = out.read_text()
-    assert main([*command, "--answers", str(out)]) == 2
-    assert "a server takes answers by their place in its list" in " ".join(capsys.readouterr().err.split())
-    assert out.read_text() == before
-    assert main(command) == 2
-    assert "lpn evaluate --answers writes a file of answers" in " ".join(capsys.readouterr().err.split())
-
-
-@pytest.mark.parametrize("lost", ["query_drone_name.txt", "test/query_drone_160k"])
-def test_a_missing_part_of_university160k_is_named(tmp_path: Path, lost: str) -> None:
-    root = layouts.university160k(tmp_path / "set")
-    remove(lost)(root)
-    with pytest.raises(
-        DataError, match=f"set has University160k's gallery_satellite_160k and no {Path(lost).name}; exp"
-    ):
-        open_dataset(root)
-
-
-def test_university160k_without_a_gallery_or_a_name_is_refused(tmp_path: Path) -> None:
-    root = layouts.university160k(tmp_path / "set")
-    (root / "query_drone_name.txt").write_text("\n")
-    with pytest.raises(
-        DataError, match=r"query_drone_name\.txt of set names no query; expected the name of one a line"
-    ):
-        open_dataset(root)
-    shutil.rmtree(root / "test" / "gallery_satellite_160k")
-    with pytest.raises(DataError, match="set has University160k's query_drone_160k and no gallery_satellite_160k"):
-        open_dataset(root)
-
-
 def test_a_region_of_world_uav_without_flights_is_damage(tmp_path: Path) -> None:
     root = layouts.world_uav(tmp_path / "set")
     shutil.rmtree(root / "Country" / "Spain" / "b" / "query")
@@ -272,14 +181,6 @@ def test_a_list_that_univ_lacks_is_named_when_a_model_has_no_task(
         "mend what is missing there (query_satellite, query_drone), or choose another data set"
         in capsys.readouterr().err
     )
-
-
-def test_a_query_that_university160k_lists_and_lacks_is_named(tmp_path: Path) -> None:
-    root = layouts.university160k(tmp_path / "set")
-    (root / "test" / "query_drone_160k" / "x0.jpeg").unlink()
-    dataset = open_dataset(root)
-    assert [(item.file, item.why) for item in dataset.left_out] == [("test/query_drone_160k/x0.jpeg", "is not there")]
-    assert not check_dataset(dataset, decode=False).healthy
 
 
 def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

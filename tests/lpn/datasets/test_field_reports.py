@@ -47,19 +47,9 @@ def test_a_tile_of_another_pyramid_among_those_of_uav_visloc_is_named(tmp_path: 
         open_dataset(root).positions()
 
 
-@pytest.mark.parametrize(
-    "before",
-    [
-        "\\full\\path\\to\\",
-        "/home/j.y/data/",
-        "/project-master/data/",
-        "D:\\",
-        "E:/downloads/my data/",
-        "\\\\server\\share\\",
-    ],
-)
+@pytest.mark.parametrize("before", ["", ".\\", "./"])
 @pytest.mark.parametrize("after", ["", " " * 150, "\t"])
-def test_lists_with_paths_of_the_machine_that_wrote_them(tmp_path: Path, before: str, after: str) -> None:
+def test_lists_with_paths_as_another_system_writes_them(tmp_path: Path, before: str, after: str) -> None:
     root = layouts.pairs(tmp_path / "mine", "satellite,drone\nimages/b.jpg,images/1.jpg\n")
     (root / "pairs.csv").write_text(f"satellite,drone\n{before}images/b.jpg{after},{before}images\\1.JPG{after}\n")
     assert sizes(root) == {"test/satellite": 1, "test/drone": 1}

@@ -5,9 +5,11 @@ from pathlib import Path
 import pytest
 from PIL import Image
 
+import lpn
 from lpn.core import images
 from lpn.core.errors import PictureError
-from lpn.datasets.integrity import list_errors, picture_error, picture_errors
+from lpn.datasets.integrity import DAMAGED, list_errors, picture_error, picture_errors
+from lpn.descriptors import describe
 from tools.fixtures import small_worlds
 
 KINDS = ("jpg", "png", "webp")
@@ -39,12 +41,26 @@ def test_a_picture_cut_anywhere_is_found_without_decoding_all(kind: str, kept: f
     assert picture_error(file, decode=True) is not None
 
 
-def test_a_png_damaged_in_the_middle_is_found(tmp_path: Path) -> None:
-    file = picture(tmp_path, "png")
-    whole = bytearray(file.read_bytes())
-    whole[len(whole) // 2 : len(whole) // 2 + 50] = bytes(50)
-    file.write_bytes(whole)
-    assert picture_error(file) == "is cut short or damaged"
+def test_pngs_damaged_in_the_middle_are_named_together_when_they_are_described(
+    tmp_path: Path, model_file: Path
+) -> None:
+    whole = picture(tmp_path, "png")
+    files = [whole, *(whole.with_name(f"{letter}.png") for letter in "ab")]
+    for file in files[1:]:
+        harmed = bytearray(whole.read_bytes())
+        harmed[len(harmed) // 2 : len(harmed) // 2 + 50] = bytes(50)
+        file.write_bytes(harmed)
+        assert (picture_error(file), picture_error(file, decode=True)) == (None, DAMAGED)
+    model = lpn.load(model_file)
+    with pytest.raises(
+        PictureError, match=r"2 of 3 pictures cannot be described: a\.png, b\.png\. The first: .*a\.png is "
+    ):
+        describe(model, files, "drone", tmp_path / "store", root=tmp_path)
+    with pytest.raises(PictureError, match=r"a\.png is cut short or damaged"):
+        describe(model, files[:2], "drone", tmp_path / "other", root=tmp_path)
+    for file in files[1:]:
+        file.write_bytes(whole.read_bytes())
+    assert describe(model, files, "drone", tmp_path / "store", root=tmp_path).descriptors.shape == (3, 4, 512)
 
 
 def test_what_passes_can_be_loaded_and_what_cannot_be_loaded_does_not_pass(tmp_path: Path) -> None:

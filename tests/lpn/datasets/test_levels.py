@@ -173,9 +173,7 @@ def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [["doctor"], ["train", "--out", "OUT", "--recipe", "small", "--from-scratch"]])
-@pytest.mark.parametrize(
-    "name", ["x.zip", "x.tar", "x.tar.gz", "x.tgz", "x.7z", "x.rar", "x.zip.001", "x.part1.rar", "x"]
-)
+@pytest.mark.parametrize("name", ["x.zip", "x.tar", "x.tar.gz", "x.tgz", "x.7z", "x.rar", "x.part1.rar"])
 def test_an_archive_is_to_be_unpacked_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str
 ) -> None:
@@ -198,8 +196,13 @@ def test_videos_of_a_flight_are_no_data_set(tmp_path: Path) -> None:
     with pytest.raises(DataError) as raised:
         open_dataset(tmp_path)
     assert str(raised.value) == (
-        f"{tmp_path} holds DJI_0001.MP4, DJI_0001.SRT, and 1 more, which are of a flight and no data set; read the frames with "
-        f"lpn flight {tmp_path} --out FLIGHT, then give that folder to lpn locate or lpn explore flight."
+        f"{tmp_path} holds DJI_0001.MP4, DJI_0001.SRT, and 1 more, of a flight; read its frames with lpn flight {tmp_path} "
+        "--out FLIGHT, and give FLIGHT to lpn locate or lpn explore flight."
+    )
+    video = tmp_path / "DJI_0001.MP4"
+    assert refusal(video) == (
+        f"{video} is of a flight; read its frames with lpn flight {video} --out FLIGHT, and give FLIGHT to lpn locate or lpn "
+        "explore flight."
     )
 
 
@@ -214,12 +217,10 @@ def test_a_file_or_a_folder_of_archives_is_told_too(tmp_path: Path) -> None:
     (downloads / "University-Release.zip").write_bytes(b"PK\3\4")
     (downloads / "Thumbs.db").write_bytes(b"")
     assert refusal(downloads) == (
-        f"{downloads} holds University-Release.zip; unpack first, and give the folder with the pictures."
+        f"{downloads} holds University-Release.zip, an archive; unpack it first, and give the folder that it makes."
     )
     absent = downloads / "University-Release"
-    assert refusal(absent) == (
-        f"There is no data set folder at {absent}, but University-Release.zip is beside it; unpack it first."
-    )
+    assert refusal(absent) == f"There is no data set folder at {absent}; check the path."
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The verdicts of `lpn verify` about indexes and stores that are empty or were not finished."""
+"""The verdicts of `lpn doctor PATH` about indexes and stores that are empty or were not finished."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NAMES = [f"tile {i}" for i in range(20)]
 
 
 def said(capsys: pytest.CaptureFixture[str], path: Path) -> tuple[int, str]:
-    return main.main(["verify", str(path)]), capsys.readouterr().out.strip()
+    return main.main(["doctor", str(path)]), capsys.readouterr().out.strip()
 
 
 def full(*_: Any, **__: Any) -> None:
@@ -79,3 +79,12 @@ def test_a_store_that_was_not_finished_is_named(tmp_path: Path) -> None:
     (verdict,) = verify(tmp_path)
     assert not verdict.whole
     assert "its description was not finished; run lpn describe again" in verdict.message
+
+
+def test_files_are_compared_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for options in (["--data", str(tmp_path)], ["--quick"], ["--json", str(tmp_path / "found.json")]):
+        assert main.main(["doctor", str(tmp_path), *options]) == 2
+        assert "is compared with its checksums alone; leave the options out" in capsys.readouterr().err
+    assert main.main(["doctor", str(tmp_path / "none"), str(tmp_path)]) == 2
+    assert "There is nothing at" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())

@@ -734,7 +734,7 @@ def test_codes_and_structure_can_be_chosen(
 
     pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
     store = _options(descriptors=described.store)
-    assert main(["index", *store, *_options(out=tmp_path / "i", engine="faiss", codes="pq")]) == 0
+    create_index(tmp_path / "i", KIND, "faiss", codes="pq").close()
     with open_index(tmp_path / "i") as index:
         assert isinstance(index, FaissIndex)
         assert index.codes == "pq"
@@ -743,76 +743,6 @@ def test_codes_and_structure_can_be_chosen(
         assert isinstance(index, MilvusIndex)
         assert index.structure == "hnsw"
     assert main(["index", *store, *_options(out=COLLECTION, structure="ivf")]) == 2
-
-
-def test_effort_and_depth_reach_the_engine(
-    described: Described,
-    tmp_path: Path,
-    client: type[FakeMilvusClient],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    from lpn.index import FaissIndex
-
-    pytest.importorskip("faiss", reason="faiss is not installed (the extra search)")
-    places = {"exact": str(tmp_path / "exact"), "faiss": str(tmp_path / "faiss"), "milvus": COLLECTION}
-    making = ["index", *_options(descriptors=described.store)]
-    assert main([*making, *_options(out=places["exact"])]) == 0
-    assert main([*making, *_options(out=places["faiss"], engine="faiss")]) == 0
-    used: list[tuple[int, int]] = []
-    search = FaissIndex.search
-    monkeypatch.setattr(
-        FaissIndex, "search", lambda self, *given: used.append((self.nprobe, self.depth)) or search(self, *given)
-    )
-    asked: list[Any] = []
-    monkeypatch.setattr(
-        client, "search", lambda *_, search_params, **__: asked.append(search_params["params"]) or [[]], raising=False
-    )
-    monkeypatch.setattr(client, "query", lambda *_, **__: [{"count(*)": 0}])
-    with open_index(places["faiss"]) as index:
-        kind = index.kind
-    json_file = tmp_path / "found.json"
-    searching = ["search", *_options(model=described.model, picture=described.tile, view="satellite", json=json_file)]
-    for given, expected in (
-        ([], (64, 16)),
-        (["--effort", "7"], (7, 16)),
-        (["--depth", "3"], (64, 3)),
-        (["--effort", "5", "--depth", "1"], (5, 1)),
-    ):
-        assert main([*searching, "--index", places["faiss"], *given]) == 0
-        assert used.pop() == expected
-    found = json.loads(json_file.read_text())
-    assert (found["effort"], found["depth"]) == (5, 1)
-    for structure, name in (("ivf", "nprobe"), ("hnsw", "ef")):
-        client.description = json.dumps({"format": "lpn-milvus/1", **vars(kind), "structure": structure})
-        assert main([*searching, "--index", COLLECTION, "--effort", "99"]) == 0
-        assert asked[0][name] == 99  # none came back: another search looks through more
-        asked.clear()
-    capsys.readouterr()
-    for place, given, said in (
-        (
-            "exact",
-            ["--effort", "7"],
-            "no effort to choose here, as an exact index compares every tile; leave effort 7 out.",
-        ),
-        (
-            "exact",
-            ["--depth", "7"],
-            "no depth to choose here, as an exact index compares every tile; leave depth 7 out.",
-        ),
-        ("milvus", ["--depth", "7"], "as only faiss has this option; leave depth 7 out."),
-        ("flat", ["--effort", "7"], "as a flat collection compares every vector; leave effort 7 out."),
-        ("faiss", ["--effort", "0"], "The effort is 0; expected 1 or more."),
-        ("faiss", ["--depth=-2"], "The depth is -2; expected 1 or more."),
-    ):
-        if place == "flat":
-            client.description = client.description.replace("hnsw", "flat")
-        assert main([*searching, "--index", places.get(place, COLLECTION), *given]) == 2, given
-        error = capsys.readouterr().err
-        assert said in error, (said, error)
-        assert error.count("\n") == 1
-    assert all(one.closed for one in client.clients)
-    assert (used, asked) == ([], [])
 
 
 def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(

@@ -261,7 +261,8 @@ def test_the_commands_pass_the_option_on(
     describe = ["describe", "--model", str(model_file), "--images", str(pictures), "--view", "satellite"]
     describe += ["--out", str(tmp_path / "store"), "--provider"]
     evaluate = ["evaluate", "--model", str(model_file), "--data", str(data), "--provider"]
-    quantized = ["quantize", "--model", str(model_file), "--data", str(data), "--out", str(tmp_path / "int8.onnx")]
+    quantized = ["export", "--model", str(model_file), "--out", str(tmp_path / "int8.onnx")]
+    quantized += ["--compute", "int8", "--data", str(data)]
     explore = ["explore", "--model", str(model_file), "--data", str(data), "--port", "0", "--provider"]
     for command in (describe, evaluate, [*quantized, "--provider"], explore):
         assert main.main([*command, "cuda"]) == 2

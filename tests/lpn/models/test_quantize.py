@@ -129,13 +129,27 @@ def test_the_command_says_how_close_it_is(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "small.onnx"
-    given = ["--model", str(model_file), "--data", str(data), "--out", str(out), "--pictures", "4"]
-    assert main.main(["quantize", *given]) == 0
+    given = ["export", "--compute", "int8", "--out", str(out), "--pictures", "4", "--model"]
+    assert main.main([*given, str(model_file), "--data", str(data)]) == 0
     said = capsys.readouterr().out
     assert "Wrote small.onnx" in said
     assert "satellite 0.9" in said
     assert "the same of 2 pictures first" in said
     assert "of 2 queries" in said
+    of_onnx = lpn.load(out).fingerprint
+    # A model that is not exported yet is exported first, with the same result.
+    assert main.main([*given, str(model_file.with_suffix(".safetensors")), "--data", str(data)]) == 0
+    assert lpn.load(out).fingerprint == of_onnx
+    capsys.readouterr()
+    before = out.read_bytes()
+    for options, refused in (
+        ([], "give a data set as --data"),
+        (["--data", str(data), "--storage", "int8"], "leave --storage out"),
+        (["--data", str(data), "--compute", "float32"], "are of --compute int8; give it, or leave them out"),
+    ):
+        assert main.main([*given, str(model_file), *options]) == 2
+        assert refused in capsys.readouterr().err
+    assert out.read_bytes() == before
 
 
 def transformer(path: Path) -> Path:

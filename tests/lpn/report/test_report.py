@@ -244,20 +244,16 @@ def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
     page = Page(report.build(saved, [worst(task)]))
     assert "Evidence for and against" not in page.text
     assert "against wrong tile" in page.text
-    for options in (Options(profile=True), Options(change=Change(rotate=30))):
-        with pytest.raises(InputError, match="no network"):
-            report.build(saved, [0], options)
+    with pytest.raises(InputError, match="no network"):
+        report.build(saved, [0], Options(change=Change(rotate=30)))
     with pytest.raises(InputError, match="choose a query of the data set"):
         report.build(saved, [OwnPicture("mine.jpg", images.load_picture(task.queries[2].path))])
 
 
-def test_a_profile_is_drawn_and_progress_counts_each_step(task: Task) -> None:
+def test_progress_counts_the_queries(task: Task) -> None:
     seen: list[tuple[int, int]] = []
-    page = Page(report.build(task, [4, 1], Options(profile=True, step=90), lambda *done: seen.append(done)))
-    assert seen == [(step, 10) for step in range(1, 11)]
-    assert page.text.count("The query turned once around") == 2
-    assert len(page.all("polyline")) == 2 * (4 + 3)
-    assert "The query turned once around" not in Page(report.build(task, [4])).text
+    report.build(task, [4, 1], progress=lambda *done: seen.append(done))
+    assert seen == [(1, 2), (2, 2)]
 
 
 def test_an_exception_of_progress_ends_the_work(task: Task) -> None:
@@ -314,7 +310,6 @@ def test_the_worst_failures_come_first(
         (["--query", "0008", "--failures", "3"], "leave one of them out"),
         (["--failures", "0"], "expected 1 or more"),
         (["--matches", "0"], "expected 1 or more"),
-        (["--profile", "--step", "400"], "expected degrees"),
         (["--rotate", "nan"], "expected degrees"),
         (["--weights", "1,2"], "expected 4 numbers"),
         (["--where", "rank < 1"], "No query is one with rank < 1"),

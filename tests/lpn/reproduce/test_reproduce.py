@@ -545,34 +545,6 @@ def test_rows_whose_data_are_not_given_say_so_in_their_place(places: Path, model
     assert "| LPN, ground branch | not run: no places as in University-1652 are given with --data | 51.71 |" in text
 
 
-def test_the_plan_is_printed_without_running(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(trainings.TrainingJob, "epoch_seconds", lambda job: job.work * 100)
-    monkeypatch.chdir(tmp_path)
-    root = small_worlds.make_views(tmp_path / "views", 40)
-    assert main(["doctor", "--reproduce", str(root), str(landmarks(tmp_path))]) == 0
-    text = capsys.readouterr().out
-    assert "table1: 7 of 7 rows\n" in text
-    assert "table2: 0 of 7 rows, and 8 quoted; no panoramas and tiles as in CVUSA are given with --data\n" in text
-    assert "table6: 4 of 5 rows; no --init has the weights of resnet50 (ImageNet alone)\n" in text
-    assert "figure7b, figure8-panoramas not drawn: no panoramas are given with --data.\n" in text
-    assert "To give with --init: weights of resnet50 for instance, lpn, contrastive, " in text
-    # 7 networks of Table I, of which 4 have a metric loss and 70 epochs, 4 more sizes, and 3 more n.
-    epochs = 4 * 70 + (3 + 4 + 3) * 120
-    assert f"Plan: 14 of 14 trainings are left: {epochs} epochs, about " in text
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["oxford", "views"]
-    assert main(["doctor", "--reproduce", str(tmp_path / "typo")]) == 2
-    assert main(["doctor", "--quick", "--reproduce", str(root)]) == 2
-    assert "leave out the other options" in capsys.readouterr().err
-    # The recipe has 8 places a step.
-    few = layouts.university_gaps(tmp_path / "few")
-    assert main(["doctor", "--reproduce", str(few)]) == 2
-    said = capsys.readouterr()
-    assert "table1: 7 of 7 rows\n" in said.out
-    assert "places a step, and few has" in said.err
-
-
 @pytest.mark.slow
 def test_all_runs_on_tiny_sets_in_the_released_layouts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = (

@@ -274,7 +274,7 @@ def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
 def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     for protocol in (Protocol(calibrate=True, branch="satellite"), Protocol(calibrate=True, centre=True)):
-        with pytest.raises(InputError, match="leave --branch, --centre, and --protocol out"):
+        with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
             evaluate(model, dataset, TASK, protocol)
 
 

@@ -62,12 +62,11 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     assert figures[0]["ap"] == pytest.approx(figures[1]["ap"], abs=1e-9)
 
 
-@pytest.mark.parametrize("flag", ["--average-queries", "--centre"])
-def test_a_saved_result_is_averaged_and_centred_part_by_part_only(
-    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], flag: str
+def test_a_saved_result_is_centred_part_by_part_only(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", "published", "--saved", str(tmp_path / "r.mat"), flag]
+    arguments = ["evaluate", "published", "--saved", str(tmp_path / "r.mat"), "--centre"]
     assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
     assert main.main([*arguments, "--n-parts", "4"]) == 0
@@ -107,7 +106,7 @@ def test_pictures_of_another_data_set_are_not_taken(data: Path, model_file: Path
 def test_what_needs_pictures_is_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
     saved = load_saved(tmp_path / "r.mat")
-    for protocol in (Protocol(Change(shift=3)), Protocol(branch="drone"), Protocol(whole=True)):
+    for protocol in (Protocol(Change(shift=3)), Protocol(branch="drone")):
         with pytest.raises(InputError, match="not pictures"):
             evaluate_saved(saved, protocol)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from lpn.cli.main import main
+import lpn
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
+from lpn.descriptors.transforms import Change
 from lpn.models.checkpoints import load_torch, save
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
@@ -36,29 +37,25 @@ def test_a_query_is_shrunk_by_the_factor_of_its_whole_picture() -> None:
     assert not images.shrink_to(picture, 4096, (2000.0, 0.0, 2100.0, 300.0))[:, 48:].any()
 
 
-def test_the_released_protocol_is_measured_by_its_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    root, file = layouts.oxford(tmp_path / "oxford"), tmp_path / "lpn.safetensors"
+def test_the_released_protocol_is_measured_and_stated(tmp_path: Path) -> None:
+    dataset, file = open_dataset(layouts.oxford(tmp_path / "oxford")), tmp_path / "lpn.safetensors"
     save(small_worlds.make_network(), file)
-    arguments = ["evaluate", "--data", str(root), "--model", str(file), "--branch", "satellite"]
-    assert main([*arguments, "--protocol", "released", "--json", str(tmp_path / "figures.json")]) == 0
-    said = capsys.readouterr().out
-    assert "the mean over the last feature map, neither mirrored nor normalised, as released" in " ".join(said.split())
-    figures = json.loads((tmp_path / "figures.json").read_text())
+    model, released = load_torch(file), Protocol(branch="satellite", released=True)
+    figures = evaluate(model, dataset, "street-to-street", released).to_dict()
+    assert "the mean over the last feature map, neither mirrored nor normalised, as released" in figures["protocol"]
     assert figures["protocol"].startswith("Protocol: pictures of at most 1024 pixels")
     assert figures["junk"] == "lists"
-    result = evaluate(load_torch(file), open_dataset(root), "street-to-street", Protocol(branch="satellite"))
+    result = evaluate(model, dataset, "street-to-street", Protocol(branch="satellite"))
     assert "as released" not in result.sentence
-    assert main([*arguments, "--protocol", "released", "--parts", "1"]) == 2
-    assert "leave changes of queries, --parts, --average-queries" in capsys.readouterr().err
-    assert main([*arguments, "--protocol", "released", "--calibrate"]) == 2
-    assert "leave --branch, --centre, and --protocol out" in capsys.readouterr().err
+    with pytest.raises(InputError, match="leave changes of queries, parts, averaging"):
+        evaluate(model, dataset, "street-to-street", replace(released, parts=(1,)))
+    with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
+        evaluate(model, dataset, "street-to-street", replace(released, calibrate=True))
 
 
 def test_a_model_of_one_size_is_refused(tmp_path: Path) -> None:
     root = layouts.oxford(tmp_path / "oxford")
     model = small_worlds.make_model(tmp_path)
-    import lpn
-
     with pytest.raises(InputError, match=r"give one, or leave --protocol out"):
         evaluate(lpn.load(model), open_dataset(root), "street-to-street", Protocol(branch="satellite", released=True))
 
@@ -81,16 +78,13 @@ def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_p
     assert np.abs(cv2.blur(turned, (5, 5)).astype(int) - cv2.blur(images.rotate(picture, 45), (5, 5))).mean() < 12
 
 
-def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    root = small_worlds.make_dataset(tmp_path / "places", train=0, test=4)
-    file = small_worlds.make_model(tmp_path)
-    command = ["evaluate", "--data", str(root), "--model", str(file), "--rotate", "45", "--task", "satellite-to-drone"]
-    said = []
-    for protocol in ("ours", "released"):
-        assert main([*command, "--protocol", protocol]) == 0
-        said.append(" ".join(capsys.readouterr().out.split()))
+def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(tmp_path: Path) -> None:
+    dataset = open_dataset(small_worlds.make_dataset(tmp_path / "places", train=0, test=4))
+    model, turned = lpn.load(small_worlds.make_model(tmp_path)), Change(45)
+    said = [
+        evaluate(model, dataset, "satellite-to-drone", Protocol(turned, released=released)).sentence
+        for released in (False, True)
+    ]
     assert "queries turned 45°, bicubic" in said[0]
     assert "queries turned 45° (nearest pixel)" in said[1]
     assert "without their EXIF orientation" in said[1]

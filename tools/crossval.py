@@ -1,5 +1,7 @@
 """Cross-validation of recipes for little data: named trials, each trained on all folds of the training places but one.
 
+    python -m tools.crossval --data ROOT --out runs/crossval --table table.json --trial base --trial wide:ground_ratio=2
+
 Only training pictures are read. Every trial has the same folds, so each place is found or missed once by each trial and seed, and
 two trials are compared place by place. A training that was stopped goes on, and several processes may share the work.
 """
@@ -8,25 +10,28 @@ from __future__ import annotations
 
 import copy
 import re
+import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, get_type_hints
+from typing import Annotated, Any, cast, get_type_hints
 
 import msgspec
 import numpy as np
+import tyro
 from rich import box
 from rich.table import Table
 
 import lpn
 from lpn import descriptors
 from lpn.analysis.model_table import RESAMPLES, intervals
+from lpn.cli.train import flag_value
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.consoles import Console, wide_console
-from lpn.core.errors import InputError
+from lpn.core.errors import InputError, LPNError
 from lpn.core.files import check_outputs, fingerprint, printable, write_atomic, write_json
 from lpn.core.formats import decode_json
-from lpn.datasets import Dataset
+from lpn.datasets import Dataset, open_dataset
 from lpn.models.base import Model
 from lpn.models.pretrained_weights import AUTO, find_weights
 from lpn.reproduce import trainings
@@ -38,7 +43,8 @@ from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import metrics
 from lpn.retrieval.calibration import MIN_PICTURES, calibrate
 from lpn.retrieval.protocol import centred
-from lpn.training.recipes import Recipe
+from lpn.training import recipes
+from lpn.training.recipes import Recipe, RecipeName
 from lpn.training.training_set import Fold, paired_pictures
 
 FORMAT = "lpn-cross-validation/1"
@@ -158,17 +164,17 @@ class CrossValidation:
         self.console = console or wide_console()
         self.out, self.trials, self.folds = out, tuple(trials), folds
         self.source = Source(dataset, rendered=False)
-        recipes = {trial.name: replace(recipe, **trial.changes) for trial in trials}
-        starts = {} if from_scratch else self._starts(init, {one.backbone for one in recipes.values()})
+        changed = {trial.name: replace(recipe, **trial.changes) for trial in trials}
+        starts = {} if from_scratch else self._starts(init, {one.backbone for one in changed.values()})
         # All trials of a fold come one after the other, so that a run that is stopped has whole comparisons.
         self.jobs = [
             TrainingJob(
                 Training(trial.name, "lpn"),
                 seed,
-                replace(recipes[trial.name], seed=seed),
+                replace(changed[trial.name], seed=seed),
                 out / f"{trial.name}-seed{seed}-fold{number}",
                 self.source,
-                starts.get(recipes[trial.name].backbone),
+                starts.get(changed[trial.name].backbone),
                 fold=Fold(number, folds),
             )
             for seed in seeds
@@ -381,3 +387,69 @@ def _differences(
                 for name, row, estimate in zip(names, rows, intervals(rows, labels, _SEED, RESAMPLES), strict=True)
             }
     return result
+
+
+@dataclass
+class CrossvalCommand:
+    """Compare recipes by cross-validation on the training places; resumable."""
+
+    data: Path
+    """Data set with pictures to train on, in any layout of docs/data.md. Its test split is not read."""
+    out: Path
+    """Folder of all runs."""
+    table: Path
+    """File to write the table to, as JSON, after each fold."""
+    trial: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    """A recipe to try, NAME or NAME:setting=value,setting=value with settings of lpn train --help; once for each. The first is
+    the baseline of the others; without any, the recipe alone is measured as base."""
+    recipe: RecipeName = "small"
+    """Recipe of all trials; its settings are flags as well."""
+    init: Annotated[tuple[Path, ...], tyro.conf.UseAppendAction] = ()
+    """Weights to start from, ImageNet's or a trained model's, once for each backbone; auto searches for those not given."""
+    from_scratch: bool = False
+    """Start from random weights instead of --init."""
+    folds: int = 5
+    """Number of folds of the training places."""
+    run_folds: int = 0
+    """Train the first so many folds only; 0 trains all."""
+    seeds: tuple[int, ...] = (0,)
+    """Random seeds: one training of each trial and fold for each."""
+    settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=lambda: recipes.RECIPES["small"])
+
+    def run(self) -> None:
+        if self.settings.windows:
+            raise InputError("A map has no places to cross-validate on; choose a recipe for places.")
+        trials = [parse_trial(text, self.settings) for text in self.trial or ("base",)]
+        CrossValidation(
+            open_dataset(self.data),
+            self.out,
+            self.settings,
+            trials,
+            self.init,
+            self.folds,
+            self.run_folds,
+            self.seeds,
+            self.from_scratch,
+        ).run(self.table)
+        print(f"Wrote {self.table}.")
+
+
+def main(arguments: list[str]) -> int:
+    """Run the command line; the recipe sets the defaults of the other flags. Return the exit status, 2 after an error."""
+    try:
+        name = flag_value(arguments, "--recipe") or "small"
+        default = CrossvalCommand(
+            tyro.MISSING, tyro.MISSING, tyro.MISSING, recipe=cast(RecipeName, name), settings=recipes.find(name)
+        )
+        tyro.cli(CrossvalCommand, args=arguments, prog="python -m tools.crossval", default=default).run()
+    except LPNError as error:
+        print(f"crossval: {printable(str(error))}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("crossval: Stopped. Whole epochs and measurements are kept; the same command goes on.", file=sys.stderr)
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

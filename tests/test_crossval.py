@@ -15,11 +15,11 @@ from rich.console import Console
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.datasets.university import University
-from lpn.reproduce import cross_validation
-from lpn.reproduce.cross_validation import CrossValidation, RecipeTrial, parse_trial, summary
 from lpn.retrieval import calibration
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet
+from tools import crossval
+from tools.crossval import CrossValidation, RecipeTrial, parse_trial, summary
 from tools.fixtures import small_worlds, trainings
 
 QUICK = replace(trainings.QUICK, epochs=1, n_parts=2)
@@ -40,7 +40,7 @@ def validation(places: Path, out: Path, *trials: RecipeTrial, **options: Any) ->
 def test_held_out_places_are_read_calibrated_where_there_are_enough(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (cross_validation, calibration):
+    for module in (crossval, calibration):
         monkeypatch.setattr(module, "MIN_PICTURES", 4)
     trials = (RecipeTrial("base", {}), RecipeTrial("wide", {"ground_ratio": 2.0}))
     values = validation(places, tmp_path / "runs", *trials, run_folds=1).run(tmp_path / "table.json")
@@ -55,7 +55,7 @@ def test_held_out_places_are_read_calibrated_where_there_are_enough(
 def test_a_reading_that_one_fold_is_too_small_for_is_left_out(
     places: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for module in (cross_validation, calibration):
+    for module in (crossval, calibration):
         monkeypatch.setattr(module, "MIN_PICTURES", 7)
     values = validation(places, tmp_path / "runs", RecipeTrial("base", {})).run(tmp_path / "table.json")
     folds = [json.loads((tmp_path / f"runs/base-seed0-fold{number}/fold.json").read_bytes()) for number in (0, 1)]
@@ -211,7 +211,7 @@ def test_weights_come_from_the_files_or_are_found(
         asked.append(backbone)
         return tmp_path / f"{backbone}.pth", "a folder"
 
-    monkeypatch.setattr(cross_validation, "find_weights", found)
+    monkeypatch.setattr(crossval, "find_weights", found)
     (tmp_path / "resnet50.pth").touch()
     (tmp_path / "resnet18.pth").touch()
     trials = (RecipeTrial("base", {}), RecipeTrial("deep", {"backbone": "resnet50"}))
@@ -226,3 +226,21 @@ def test_weights_come_from_the_files_or_are_found(
         validation(places, tmp_path / "runs", RecipeTrial("a", {}), folds=0)
     with pytest.raises(InputError, match=r"seeds 0, 0; .* each once"):
         validation(places, tmp_path / "runs", RecipeTrial("a", {}), seeds=(0, 0))
+
+
+def test_the_command_reads_the_recipe_first_and_refuses_in_one_sentence(
+    places: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["--data", str(places), "--out", str(tmp_path / "runs"), "--table", str(tmp_path / "table.json")]
+    for options, said in (
+        (["--recipe", "secret"], "no recipe 'secret'"),
+        (["--recipe", "map"], "A map has no places to cross-validate on"),
+        (["--trial", "a b"], "has no valid name"),
+        ([], "no weights of resnet18"),
+    ):
+        assert crossval.main([*given, *options]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith("crossval: ")
+        assert said in error
+        assert error.count("\n") == 1
+    assert not (tmp_path / "table.json").exists()
