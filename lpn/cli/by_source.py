@@ -14,7 +14,6 @@ from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import tyro
 
-from lpn.core.consoles import plain_streams
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.texts import listed
@@ -62,10 +61,7 @@ def parse(command: type[Any], arguments: Sequence[str], program: str) -> Any:
 def _cli(command: type[Any], arguments: Sequence[str], program: str, more: str = "") -> Any:
     """Parse the options of a command; its help ends with `more`."""
     description = f"{command.__doc__ or ''}\n\n{more}".strip()
-    with plain_streams(colours=sys.stdout.isatty()):
-        return tyro.cli(
-            command, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,)
-        )
+    return tyro.cli(command, args=arguments, prog=program, description=description, config=(tyro.conf.OmitArgPrefixes,))
 
 
 def options(command: type[Any]) -> Iterator[str]:

@@ -155,7 +155,7 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
     """Parse a command, append it to `parsed`, and run it."""
     try:
         command = commands()[arguments[0]]
-        with IN_ORDER:
+        with IN_ORDER, plain_streams(colours=sys.stdout.isatty()):  # tyro prints colours
             parsed.append(_parse(command, arguments[1:], f"lpn {arguments[0]}"))
         return int(parsed[0].run() or 0)
     except LPNError as error:

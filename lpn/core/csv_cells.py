@@ -12,6 +12,7 @@ import io
 import re
 from collections.abc import Iterable, Iterator
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
 
@@ -51,7 +52,7 @@ def csv_bytes(rows: Iterable[Iterable[object]], *, keep: str = "\n\t", own: bool
     # Only with this terminator does the writer quote a carriage return in a cell.
     writer = csv.writer(SimpleNamespace(write=lines.append), lineterminator="\r\n")
     for row in rows:
-        writer.writerow([escape_formula(shown(cell)) if isinstance(cell, str) else cell for cell in row])
+        writer.writerow([escape_formula(shown(str(cell))) if isinstance(cell, str | Path) else cell for cell in row])
     return "".join(line.removesuffix("\r\n") + "\n" for line in lines).encode("utf-8", "surrogateescape")
 
 

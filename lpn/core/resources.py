@@ -19,6 +19,8 @@ from typing import Any
 # CoreMLExecutionProvider.
 ProviderName = str
 PROVIDER_ENDING = "ExecutionProvider"
+# Devices whose descriptors agree to 1e-4: both compute in float32.
+FLOAT32_DEVICES = ("cpu", "cuda")
 # For sentences: commands without the flag --provider read the variable as well, see `resolve_provider`.
 COMPUTE_ON_CPU = "compute on the CPU (--provider cpu, or LPN_PROVIDER=cpu)"
 

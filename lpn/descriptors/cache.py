@@ -18,6 +18,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import cache_folder, linked_folder, printable
 from lpn.core.progress import CountProgress
+from lpn.core.resources import FLOAT32_DEVICES
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.partial_store import complete_store
@@ -74,6 +75,7 @@ def _cached(
     identity += [f"down {change.down}"] if change.down else []
     identity += ["around"] if change.around else []
     identity += ["cropped"] if any(boxes) else []
+    identity += [] if model.device in FLOAT32_DEVICES else [model.device]
     identity += ["released"] if change.released else []
     identity += [["weather", *astuple(change.weather)]] if change.weather else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]

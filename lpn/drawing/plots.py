@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import io
 import os
+from contextlib import suppress
 from typing import Any, cast
 
+from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder
 
 
@@ -16,7 +18,8 @@ def pyplot() -> Any:
     """
     own = os.path.join(os.environ.get("XDG_CONFIG_HOME") or "~/.config", "matplotlib"), "~/.matplotlib"  # noqa: PTH118
     if not any(os.path.isdir(os.path.expanduser(folder)) for folder in own):  # noqa: PTH111, PTH112 (no home is no error)
-        os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
+        with suppress(OutputError):  # neither here
+            os.environ.setdefault("MPLCONFIGDIR", str(cache_folder() / "matplotlib"))
     import matplotlib
 
     matplotlib.use("Agg")

@@ -147,6 +147,13 @@ def _listed(path: Path) -> list[Path]:
     return files
 
 
+# A code, its URN, a datum, or PROJ parameters.
+_SAFE = re.compile(
+    r"\w+:[\w+]+$|urn:ogc:def:crs:\w+:[\w.]*:\w+$|(WGS(84|72)|NAD(27|83))$|\+init=epsg:\d+$|(\+\w+=\S+\s+)*\+proj=",
+    re.ASCII | re.IGNORECASE,
+)
+
+
 def parse_crs(text: str) -> Any:
     """Return the rasterio CRS of a text such as EPSG:32632, PROJ parameters, or WKT.
 
@@ -154,9 +161,11 @@ def parse_crs(text: str) -> Any:
         InputError: if it is none.
         DataError: if it names a file by its path.
     """
-    text = text.strip()
+    text = re.sub(
+        r"^(?:EPSG:\s+|https?://www\.opengis\.net/def/crs/EPSG/[\w.]+/)?(\d+)$", r"EPSG:\1", text.strip(), flags=re.I
+    )
     try:
-        return _crs(f"EPSG:{text}" if text.isdecimal() else text)
+        return _crs(text)
     except _gdal.failures(ValueError) as error:
         raise InputError(f"There is no CRS {printable(text)[:100]!r}; expected one such as EPSG:32632.") from error
 
@@ -167,7 +176,7 @@ def _crs(text: str, **options: bool) -> Any:
         raise DataError(f"The CRS {printable(text)[:100]!r} names a file by its path; expected one such as EPSG:32632.")
     library = _gdal.rasterio()
     with library.Env():
-        if re.match(r"\w+:[\w+]+$|urn:ogc:def:crs:\w+:[\w.]*:\w+$|WGS84$|\+proj=", text, re.ASCII | re.IGNORECASE):
+        if _SAFE.match(text):
             return library.crs.CRS.from_user_input(text)
         return library.crs.CRS.from_wkt(text, **options)
 

@@ -47,7 +47,7 @@ def open_on_provider(path: Path, provider: ProviderName, input_size: tuple[int, 
     Raises:
         InputError: if ONNX Runtime lacks the provider, or it does not work.
     """
-    name, built = _full_name(provider), ort.get_available_providers()
+    name, built = _full_name(provider), [one for one in ort.get_available_providers() if _REMOTE not in one.lower()]
     if name not in built:
         raise InputError(
             f"ONNX Runtime {ort.__version__} has no {printable(name)[:60]}, but {', '.join(built)}; install the one that has it "
@@ -55,7 +55,7 @@ def open_on_provider(path: Path, provider: ProviderName, input_size: tuple[int, 
         )
     options = ort.SessionOptions()
     options.log_severity_level = 4
-    # Only constants are left to the CPU.
+    # CUDA leaves only constants to the CPU.
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     reason = "it is built in, but was not started"
     try:

@@ -11,8 +11,7 @@ from lpn.reproduce.trainings import TrainingJob
 # Notes on single tables.
 _APART = {
     "table1": (
-        "LPN and the baseline are trained with google, as the baseline of 58.49 is in the released script. Metric losses as "
-        "released (layumi/University1652-triplet-loss): cosines of each satellite with the hardest of four drone pictures of its "
+        "Metric losses as released (layumi/University1652-triplet-loss): cosines of each satellite with the hardest of four drone pictures of its "
         "place, and with the hardest of other places among 96 drone pictures of the batch; no street pictures, and so no google.",
     ),
     "table2": (
@@ -28,13 +27,14 @@ _APART = {
     "table5": ("The parts named, counted from the centre, are compared and no others.",),
     "table6": (
         "Both sides are described by the branch named; ImageNet alone: the mean over the last feature map. Baseline and LPN are "
-        "those of Table I, both with google.",
+        "those of Table I.",
     ),
     "figure5": ("The paper's values are those of Table I; for other n it draws a curve only.",),
     "figure7": (
         "An even map has the centre's share of the cells; the paper shows heatmaps of single pictures and gives no number.",
     ),
 }
+_GOOGLE = "LPN and the baseline are trained with google, as the baseline of 58.49 is in the released script."
 # Notes on what differs between the protocols, by table.
 _OF_PROTOCOL: dict[str, dict[str, str]] = {
     "table4": {
@@ -71,7 +71,8 @@ def _rows(labels: Sequence[str], every: Sequence[str]) -> str:
 
 def about(table: PaperTable, data: Sequence[Source], scale: Scale) -> list[str]:
     """Describe a table and the pictures it was measured on."""
-    notes = [*_APART.get(table.key, ())]
+    google = table.key == "table1" and (not data or data[0].has_google)
+    notes = [*[_GOOGLE] * google, *_APART.get(table.key, ())]
     if table.key in _OF_PROTOCOL:
         notes.append(_OF_PROTOCOL[table.key][scale.protocol])
     if not data:

@@ -17,7 +17,7 @@ from lpn.core.formats import newer_version
 from lpn.training.model_selection import EpochMetrics
 from lpn.training.recipes import Recipe
 
-FORMAT = 4
+FORMAT = 5
 
 
 @dataclass(frozen=True)

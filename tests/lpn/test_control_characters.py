@@ -213,6 +213,24 @@ def test_a_stop_shows_the_cursor_that_a_bar_hid() -> None:
     assert received.endswith("\x1b[?25h" * 2)
 
 
+def test_the_help_and_the_errors_of_every_command_keep_their_colours() -> None:
+    code = """
+import sys
+from contextlib import suppress
+from lpn.cli.main import commands, main
+for name in commands():
+    for option in ("--help", "--nonsense"):
+        print("command", name, option, flush=True)
+        with suppress(SystemExit):
+            main([name, option])
+"""
+    status, received = on_terminal(code)
+    assert status == 0
+    for told in received.split("command ")[1:]:
+        assert "?[" not in told, told[:300]
+    assert "\x1b[1m" in received
+
+
 def test_a_terminal_gets_bars_and_spinners_whole_and_no_command_of_a_name() -> None:
     code = """
 import logging, sys

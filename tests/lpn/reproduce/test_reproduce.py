@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
 import torch
@@ -89,9 +90,12 @@ def test_every_row_names_a_method_and_carries_the_paper_s_values() -> None:
 def test_the_note_of_table_i_says_which_rows_are_trained_with_google(scale: Scale) -> None:
     table = find("table1", scale)
     google = [row.label for row in table.rows if row.training and scale.recipe(row.training, 0).google]
-    (note,) = footnotes.about(table, (), scale)
     assert google == ["Instance loss (baseline)", "LPN"]
-    assert "LPN and the baseline are trained with google" in note
+    told = "LPN and the baseline are trained with google"
+    assert told in footnotes.about(table, (), scale)[0]
+    for has_google in (True, False):
+        source = Mock(has_google=has_google, sizes=lambda _: "sizes")
+        assert (told in " ".join(footnotes.about(table, [source], scale))) is has_google
 
 
 def test_the_claims_on_table_iii_are_the_paper_s_and_hold_for_its_figures() -> None:
