@@ -6,7 +6,6 @@ lpn evaluate index --index tiles --model city-lpn --data ROOT
 
 from __future__ import annotations
 
-import sys
 import types
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass, make_dataclass

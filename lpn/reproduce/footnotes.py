@@ -11,8 +11,9 @@ from lpn.reproduce.trainings import TrainingJob
 # Notes on single tables.
 _APART = {
     "table1": (
-        "Metric losses as released (layumi/University1652-triplet-loss): cosines of each satellite with the hardest of four drone pictures of its "
-        "place, and with the hardest of other places among 96 drone pictures of the batch; no street pictures, and so no google.",
+        "Metric losses as released (layumi/University1652-triplet-loss): cosines of each satellite with the hardest of four "
+        "drone pictures of its place, and with the hardest of other places among 96 drone pictures of the batch; no street "
+        "pictures, and so no google.",
     ),
     "table2": (
         "The paper quotes the rows that say so from other work; nothing of them is trained or measured here. It has one row "
