@@ -28,7 +28,7 @@ from contextlib import AbstractContextManager
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from rich.console import Console
@@ -36,13 +36,14 @@ from rich.table import Table
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.resources import usable_cores
+from lpn.descriptors import Precision
 from lpn.index import DegreeBox, DescriptorKind, ExactIndex, base
-from lpn.index.scan import PRECISIONS
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
 from tools.bench.figures import Figure, below, machine, show, within
 
+PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 KIND = DescriptorKind("bench", 4, 512)
 TILES = (951, 51_355)
 # Tiles up to which a search is to take a millisecond at most.
