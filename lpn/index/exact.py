@@ -1,8 +1,8 @@
 """Exact search in process, without extras: the result equals that of scanning every float32 vector.
 
-One float32 product of each block of rows bounds the tiles' scores (`lpn.index.scan`). The rows are the vectors, or their copies in
-float16 or int8. Only tiles that may be among the k best are held. They are scored in float64, highest bound first, until no bound
-reaches the k-th best score. Ties keep the order of insertion.
+One float32 product of each block of rows bounds the scores of its tiles (`lpn.index.scan`). The rows are the vectors, or their
+copies in float16 or int8. Only tiles that may be among the k best are held. They are scored in float64, highest bound first,
+until no bound reaches the k-th best score. Ties keep the order of insertion.
 """
 
 from __future__ import annotations
@@ -42,7 +42,8 @@ class ExactIndex(FolderIndex):
         """Make an empty index, or open an existing one of the same kind.
 
         Args:
-            precision: precision of the scanned copy; float16 takes 1/2 and int8 1/4 more disk, and a scan reads as much less.
+            precision: precision of the scanned copy, which takes 1/2 (float16) or 1/4 (int8) of the vectors' size beside them.
+                It is for galleries that exceed the memory: its conversion takes longer than a scan of vectors in memory.
 
         Raises:
             StoreError: when the folder holds something else, or cannot be written.

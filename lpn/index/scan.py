@@ -1,12 +1,12 @@
 """Bounds on the scores of tiles by one float32 product, so that few vectors are scored in float64.
 
-A vector g is copied as g' = scale * (integers from -127 to 127), or in float16, with the norm r_i of the error of each part. For a
-rescaled query v, Cauchy-Schwarz for each part gives
+A vector g is copied as g' = scale * (integers from -127 to 127), or in float16, with the norm r_i of the error of each part. For
+a rescaled query v, Cauchy-Schwarz for each part gives
 
     |v . g - v . g'|  <=  sum_i |v_i| r_i
 
-A product of m numbers in float32, summed in any order after v is rounded, has an error of at most (m + 2) u / (1 - (m + 2) u) |v| |g'|
-with u = 2^-24. Float32 vectors have no copy: r_i = 0, and only rounding remains.
+A product of m numbers in float32, summed in any order after v is rounded, has an error of at most M u / (1 - M u) |v| |g'| with
+M = m + 2 and u = 2^-24. Float32 vectors have no copy: r_i = 0, and only rounding remains.
 """
 
 from __future__ import annotations

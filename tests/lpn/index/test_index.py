@@ -312,9 +312,7 @@ def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.M
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 @pytest.mark.parametrize("precision", get_args(Precision))
-def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(
-    tmp_path: Path, precision: Precision
-) -> None:
+def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(tmp_path: Path, precision: Precision) -> None:
     with ExactIndex.create(tmp_path / "index", KIND, precision) as index:
         Tiles.draw(50).add_to(index, 50)
         maps = Path("/proc/self/smaps").read_text()
