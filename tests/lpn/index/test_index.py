@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -20,6 +20,7 @@ from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
+from lpn.descriptors.store import Precision
 from lpn.index import (
     DegreeBox,
     DescriptorKind,
@@ -27,6 +28,7 @@ from lpn.index import (
     Index,
     SearchResult,
     create_index,
+    exact,
     folder,
     open_index,
     scan,
@@ -217,19 +219,9 @@ def test_every_index_refuses_what_it_cannot_keep(make: Callable[[], Index]) -> N
         assert index.count() == 2
 
 
-@pytest.fixture(params=["numkong", "numpy"])
-def products(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Scans by the library, and without it."""
-    if request.param == "numpy":
-        monkeypatch.setattr(scan, "_numkong", lambda: None)
-    else:
-        pytest.importorskip("numkong", reason="numkong is not installed (the extra search)")
-
-
-@pytest.mark.usefixtures("products")
 @pytest.mark.parametrize("precision", ["float16", "int8"])
 @pytest.mark.parametrize("spread", [1e-4, 0.02, 1.0])
-def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: scan.Precision, spread: float) -> None:
+def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: Precision, spread: float) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(1500, spread=spread, kind=kind)
     # Equal tiles tie exactly, and keep the order of insertion; others differ from them in one last bit.
@@ -249,9 +241,8 @@ def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: scan.Precisio
         assert ties == sorted(ties, key=tiles.names.index)
 
 
-@pytest.mark.usefixtures("products")
-@pytest.mark.parametrize("precision", scan.PRECISIONS)
-def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path, precision: scan.Precision) -> None:
+@pytest.mark.parametrize("precision", get_args(Precision))
+def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path, precision: Precision) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(200, kind=kind)
     with ExactIndex.create(tmp_path / "a", kind, precision) as index:
@@ -264,17 +255,18 @@ def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path, precision: s
             np.testing.assert_allclose(found.scores, once.scores * length, rtol=1e-6)
 
 
-@pytest.mark.usefixtures("products")
-@pytest.mark.parametrize("precision", scan.PRECISIONS)
-def test_no_score_is_above_its_bound_and_few_bounds_are_far_above(precision: scan.Precision) -> None:
+@pytest.mark.parametrize("precision", get_args(Precision))
+def test_no_score_is_above_its_bound_and_few_bounds_are_far_above(precision: Precision) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(2000, kind=kind)
     vectors = kind.checked(tiles.descriptors)
     rows: Any = (vectors, None, None) if precision == "float32" else scan.small_copy(vectors, kind, precision)
-    looking = scan.Scan(kind, precision, threads=2)
     for weights in (*WEIGHTS, [0, 0, 0, 1]):
         wanted = kind.rescaled(tiles.descriptors[3] * 3 - tiles.descriptors[4], weights)
-        over = looking.bounds(wanted, *rows) - vectors.astype(np.float64) @ wanted
+        lower, upper = scan.score_bounds(kind, wanted, *rows)
+        scores = vectors.astype(np.float64) @ wanted
+        assert (lower <= scores).all()
+        over = upper - scores
         assert (over >= 0).all()
         allowed = {"float32": 1e-4, "float16": 2e-3, "int8": 4e-2}[precision]
         assert over.max() < allowed * np.linalg.norm(wanted)
@@ -282,10 +274,9 @@ def test_no_score_is_above_its_bound_and_few_bounds_are_far_above(precision: sca
         wanted = kind.rescaled(tiles.descriptors[3], None)
         lost = wanted / np.abs(wanted).max() * 127 % 1
         along = np.where((lost < 0.5) & (lost > 0), 1.0, -1.0).astype(np.float32).reshape(1, 4, 64) / 16
-        exact: Any = scan.small_copy(kind.checked(along), kind, precision)
-        over = looking.bounds(wanted, *exact) - kind.checked(along).astype(np.float64) @ wanted
-        assert (over >= 0).all()
-    looking.close()
+        exact_copy: Any = scan.small_copy(kind.checked(along), kind, precision)
+        _, upper = scan.score_bounds(kind, wanted, *exact_copy)
+        assert (upper - kind.checked(along).astype(np.float64) @ wanted >= 0).all()
 
 
 def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -302,42 +293,8 @@ def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: p
     assert sum(read) < 10 * 400
 
 
-def test_a_scan_multiplies_each_row_once_and_finer_bounds_spare_vectors(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    kernel = pytest.importorskip("numkong", reason="numkong is not installed (the extra search)")
-    queries: list[int] = []
-
-    class Counting:
-        def cdist(self, some: Any, rows: Any, metric: str) -> Any:
-            queries.append(len(some))
-            return kernel.cdist(some, rows, metric=metric)
-
-    monkeypatch.setattr(scan, "_numkong", Counting)
-    read: list[int] = []
-    original = folder.scores_of
-    monkeypatch.setattr(
-        folder, "scores_of", lambda vectors, wanted: read.append(len(vectors)) or original(vectors, wanted)
-    )
-    kind = DescriptorKind("f", 4, 64)
-    tiles = Tiles.draw(20_000, kind=kind)
-    with ExactIndex.create(tmp_path / "index", kind, "int8") as index:
-        tiles.add_to(index)
-        for query in tiles.descriptors[:5]:
-            index.search(query, None, 100)
-        finely = sum(read)
-        read.clear()
-        monkeypatch.setattr(index, "_finer", lambda _, places, __: np.full(len(places), np.inf))
-        for query in tiles.descriptors[:5]:
-            index.search(query, None, 100)
-    assert set(queries) == {1}
-    assert finely < 0.9 * sum(read)
-
-
-@pytest.mark.usefixtures("products")
 def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_BLOCK", "_NUMPY_BLOCK"):
-        monkeypatch.setattr(scan, name, 1 << 14)
+    monkeypatch.setattr(exact, "_BLOCK", 1 << 14)
     tiles = Tiles.draw(100_000)
     with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
         tiles.add_to(index, 50_000)
@@ -354,10 +311,8 @@ def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-@pytest.mark.parametrize("precision", scan.PRECISIONS)
-def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(
-    tmp_path: Path, precision: scan.Precision
-) -> None:
+@pytest.mark.parametrize("precision", get_args(Precision))
+def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(tmp_path: Path, precision: Precision) -> None:
     with ExactIndex.create(tmp_path / "index", KIND, precision) as index:
         Tiles.draw(50).add_to(index, 50)
         maps = Path("/proc/self/smaps").read_text()
