@@ -49,7 +49,7 @@ class IndexCommand:
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
     precision: Literal["float32", "float16", "int8"] = "float32"
-    """Precision of the copy that exact scans: float16 and int8 take more disk and search faster, with equal results."""
+    """Precision of the copy that exact scans, with equal results: float16 and int8 are for vectors that exceed the memory."""
     structure: Literal["flat", "ivf", "hnsw"] | None = None
     """For milvus: flat (default) compares every vector; ivf and hnsw are approximate, and faster on many tiles."""
     replace: bool = False

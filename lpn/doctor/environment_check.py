@@ -23,7 +23,7 @@ Severity = Literal["OK", "note", "problem"]
 HOST, PORT = "127.0.0.1", 8080
 _USES = {
     "train": "training, export, reading .pth, .safetensors, and .mat, a UMAP of descriptors",
-    "search": "quick search of 8- and 16-bit indexes, approximate search of millions of tiles",
+    "search": "approximate search of millions of tiles",
     "models": "published models other than LPN",
     "cluster": "describing on many machines, search on a server",
     "live": "logs of autopilots, and telemetry by MAVLink",
