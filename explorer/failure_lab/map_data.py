@@ -8,9 +8,6 @@ from typing import Any
 import numpy as np
 
 from explorer.failure_lab.service import Findings, MapPoints
-from explorer.failure_lab.state import charted_columns
-from lpn.analysis import breakdown
-from lpn.analysis.cluster_labels import cluster_labels
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.tables import Column
 from lpn.datasets import geo
@@ -119,31 +116,6 @@ def proportion(points: MapPoints) -> float:
         return 1.0
     width, height = np.maximum(np.ptp(drawn, axis=0), 1e-9)
     return float(width / height)
-
-
-def labels(findings: Findings, points: MapPoints, colour: str) -> list[dict[str, Any]]:
-    """Return the labels of the clusters of a map of descriptors, in the units of `plane`; see `cluster_labels`.
-
-    Args:
-        colour: the column that colours the map, whose values they are; empty for the column that tells the clusters apart best.
-    """
-    columns = [column for column in charted_columns(findings) if colour in ("", column.name)]
-    failed = findings.failed
-    bins = {
-        column.name: [(rate.name, rate.holds(column)) for rate in breakdown.rates(failed, column) if rate.known]
-        for column in columns
-    }
-    origin, unit = scale(points)
-    return [
-        {
-            "at": ((np.array(label.middle) - origin) / unit).tolist(),
-            "text": f"{label.value} {100 * label.share:.0f} %",
-            "about": f"{label.column}: {label.value} are {100 * label.share:.0f} % of the {label.queries:,} queries here, "
-            f"{100 * label.overall:.0f} % of all",
-            "column": label.column,
-        }
-        for label in cluster_labels(points.queries, bins)
-    ]
 
 
 def degrees(points: MapPoints, origin: Position) -> list[tuple[float, float]]:

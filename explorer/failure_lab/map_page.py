@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,7 +58,6 @@ class MapPage:
         self._rows = self._chosen = np.zeros(0, np.int64)
         # Published feeds by name, each with the object that it was made of.
         self._published: dict[str, tuple[object, str]] = {}
-        self._clusters = lru_cache(maxsize=4)(map_data.labels)
 
     def page(
         self,
@@ -169,7 +168,7 @@ class MapPage:
             "lasso": any(one.kind == f"in {lab.map}" for one in lab.selections),
             "ground": None,
             "words": [words.say("query"), words.say("query", 2)],
-            "maps": [self._of_map(findings, lab, number, one) for number, one in enumerate(maps)],
+            "maps": [self._of_map(lab, number, one) for number, one in enumerate(maps)],
         }
         if points.ground is not None:
             origin, unit = map_data.scale(points)
@@ -188,14 +187,13 @@ class MapPage:
             data["query"] = [query, *(int(tiles[query]) for tiles in marked)]
         return data
 
-    def _of_map(self, findings: Findings, lab: LabState, number: int, points: MapPoints) -> dict[str, Any]:
+    def _of_map(self, lab: LabState, number: int, points: MapPoints) -> dict[str, Any]:
         """Return what one of the maps alone has."""
         return {
             "view": f"{lab.task} {lab.map} {number}",
             "plane": self._publish(f"plane {number}", points, lambda: map_data.plane(points)),
             "tiles": len(points.tiles),
             "axes": points.axes,
-            "labels": [] if points.ground is not None else self._clusters(findings, points, lab.colour),
         }
 
     def _publish(

@@ -90,17 +90,9 @@
     return made;
   };
 
-  // A label of a cluster: its place in pixels, given that of its middle.
-  const LABEL = 18;
-  const labelBox = (pen, text, [left, top]) => {
-    pen.font = "600 12px sans-serif";
-    const width = pen.measureText(text).width + 14;
-    return [left - width / 2, top - LABEL / 2, width, LABEL];
-  };
-
   // Which of the maps a box is: that of the second model stands after the first one's.
   const LabMap = (box, number) => {
-    let data = null, labels = [];
+    let data = null;
     const [ground, points, overlay] = box.querySelectorAll("canvas");
     const counted = box.querySelector(".counted"), position = box.querySelector(".read"), empty = box.querySelector(".empty");
     let plane = null, flags = null, codes = null, palette = [], picture = null, order = null, groups = null, gathered = 0;
@@ -201,25 +193,6 @@
       });
       box.dataset.pictures = String(drawn);
     };
-    // Labels that would cover another are left out; those of larger clusters come first.
-    const drawLabels = (pen) => {
-      labels = [];
-      for (const { at, text, about } of data.labels) {
-        const place = labelBox(pen, text, map.toPixels(at)), [left, top, width, height] = place;
-        if (labels.some(({ place: [x0, y0, w, h] }) => left < x0 + w && x0 < left + width && top < y0 + h && y0 < top + height)) continue;
-        labels.push({ place: place, about: about });
-        pen.beginPath();
-        pen.roundRect(left, top, width, height, height / 2);
-        pen.fillStyle = "rgba(20,20,22,.82)";
-        pen.fill();
-        pen.fillStyle = "#f2f2f2";
-        pen.textAlign = "center";
-        pen.textBaseline = "middle";
-        pen.fillText(text, left + width / 2, top + height / 2 + 0.5);
-      }
-      box.dataset.labels = String(labels.length);
-    };
-    const labelAt = ([left, top]) => labels.find(({ place: [x0, y0, width, height] }) => left >= x0 && left <= x0 + width && top >= y0 && top <= y0 + height);
     const colour = (i) => (codes[i] === UNKNOWN ? GREY : palette[codes[i]] || GREY);
 
     const draw = () => {
@@ -347,7 +320,6 @@
       for (const [query, tile] of data.lines) line(query, data.queries + tile, wrong, 1);
       for (const members of groups || []) drawPie(pen, members);
       drawPictures(pen);
-      drawLabels(pen);
       if (data.query && x(data.query[0]) === x(data.query[0])) {
         const [query, answer = -1, positive = -1] = data.query; // a doubtful judge marks no tile
         const tiles = [];
@@ -433,7 +405,6 @@
       if (pressed) return;
       const query = near(at);
       if (query !== hovered) maps.forEach((one) => one.hover(query));
-      overlay.title = labelAt(at)?.about || "";
       const several = query >= 0 && apart(query);
       overlay.style.cursor = several ? "zoom-in" : query >= 0 ? "pointer" : mode === "lasso" || event.shiftKey ? "crosshair" : "grab";
       if (query < 0 || several) return;
@@ -576,7 +547,6 @@
       if (groups?.length) entries.push(entry("currentColor", `a pie: ${data.words[1]} that lie close together`, "◕"));
       if (!data.ground) entries.push(entry(TILE, "tiles", "■"));
       if (data.axes) entries.push(data.axes);
-      if (data.labels.length) entries.push("labels: the most frequent " + data.labels[0].column + " of each cluster, with its share");
       if (data.query) entries.push("ringed: the " + data.words[0]);
       key.replaceChildren(...entries.map((one) => (typeof one === "string" ? Object.assign(document.createElement("span"), { textContent: one }) : one)));
     };
