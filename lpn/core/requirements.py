@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -68,8 +67,8 @@ def read_requirements() -> Requirements | None:
     python, base, extras = declared
     return Requirements(
         python,
-        tuple(_packages(base)),
-        {extra: tuple(_packages(lines)) for extra, lines in extras.items() if extra != "all"},
+        tuple(map(_package, base)),
+        {extra: tuple(map(_package, lines)) for extra, lines in extras.items() if extra != "all"},
     )
 
 
@@ -102,22 +101,20 @@ def _name(line: str) -> str:
     return re.split(r"[^\w.-]", line, maxsplit=1)[0].lower()
 
 
-def _packages(lines: list[str]) -> Iterator[Package]:
+def _package(line: str) -> Package:
     from packaging.requirements import Requirement
     from packaging.version import InvalidVersion
 
-    for line in lines:
-        requirement = Requirement(line)
-        wanted = str(requirement.specifier)
-        try:
-            installed = _version(requirement.name)
-            yield Package(
-                requirement.name, wanted, installed, requirement.specifier.contains(installed, prereleases=True)
-            )
-        except metadata.PackageNotFoundError:
-            yield Package(requirement.name, wanted, None, False)
-        except (InvalidVersion, TypeError):  # remains of a broken installation
-            yield Package(requirement.name, wanted, "unknown", False)
+    requirement = Requirement(line)
+    installed, fits = None, False
+    try:
+        installed = _version(requirement.name)
+        fits = requirement.specifier.contains(installed, prereleases=True)
+    except metadata.PackageNotFoundError:
+        pass
+    except (InvalidVersion, TypeError):  # remains of a broken installation
+        installed = "unknown"
+    return Package(requirement.name, str(requirement.specifier), installed, fits)
 
 
 def _version(name: str) -> str:

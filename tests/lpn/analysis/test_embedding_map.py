@@ -59,7 +59,7 @@ def test_points_inside_a_rectangle() -> None:
 
 def test_umap_is_asked_for_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "umap", None)
-    with pytest.raises(MissingPackageError, match=r"pip install 'lpn-explorer\[umap\]'"):
+    with pytest.raises(MissingPackageError, match=r"pip install 'lpn-explorer\[train\]'"):
         umap(drawn(20), drawn(20))
     with pytest.raises(InputError, match="is 15 with 10 pictures"):
         umap(drawn(5), drawn(5))

@@ -30,7 +30,7 @@ d.prepare_row = lambda *a: (time.sleep(0.15), prepare_row(*a))[1]
 """
 # It ignores the first signal, as a callback of a library may, and then writes.
 STUBBORN = """
-import sys, time, lpn.cli.verify as v
+import time, lpn.cli.doctor as v
 from lpn.core.shutdown import uninterrupted
 def run(self):
     try:
@@ -40,7 +40,7 @@ def run(self):
         with uninterrupted():
             print("going on", flush=True)
             time.sleep(600)
-v.VerifyCommand.run = run
+v.DoctorCommand.run = run
 """
 SLOW_INDEX = """
 import time, lpn.index.folder as f
@@ -139,7 +139,7 @@ def test_an_index_is_as_it_was_before_the_add(model_file: Path, data: Path, tmp_
 
 
 def test_a_second_signal_ends_at_once_whatever_is_being_written(tmp_path: Path) -> None:
-    with Process(["verify"], tmp_path / "cache", STUBBORN) as process:
+    with Process(["doctor"], tmp_path / "cache", STUBBORN) as process:
         process.until(lambda: "computing" in process.out)
         process.terminate()
         process.until(lambda: "going on" in process.out)
