@@ -181,7 +181,9 @@ class QueryAnalyser:
             raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
         picture = task.queries[index or 0]
         source_key = own or (picture.path, picture.box)
-        source = self._source.get(source_key, lambda: own.picture if own else self._load_cropped(picture))
+        source = self._source.get(
+            source_key, lambda: own.picture if own else images.crop(self._load(picture), picture.box, picture.name)
+        )
         zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
         query_key = source_key, task.key, index, request.change
         change = request.change.for_picture(picture, zoom)
@@ -214,9 +216,6 @@ class QueryAnalyser:
             else None,
             seconds=time.perf_counter() - started,
         )
-
-    def _load_cropped(self, picture: Picture) -> UInt8Array:
-        return images.crop(self._load(picture), picture.box, picture.name)
 
     def _own_zoom(self, task: Task, own: OwnPicture) -> float:
         """Return the zoom that the task's calibration chooses for the user's own picture; 1 without one."""

@@ -239,9 +239,9 @@ def leaderboard(
                 change = Change(rotate=float(degrees))
                 turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(model, task, Protocol(change))
                 report()
-    of_weathers = {}
+    of_weathers, flown = {}, [task for task in tasks if set(views_of(task)) != {"satellite"}]
     for name, model in models.items() if weathers else ():
-        of_weathers[name] = evaluate_weathers(model, dataset, [task for task in tasks if not _of_tiles(task)])
+        of_weathers[name] = evaluate_weathers(model, dataset, flown)
         report()
     return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
 
@@ -279,10 +279,6 @@ def task_leaderboard(
             }
     facts = {model: ModelFacts.of(network, sizes.get(model)) for model, network in models.items()}
     return Leaderboard(name, facts, [table], {table.task: parts} if parts else {}, {}, {})
-
-
-def _of_tiles(task: str) -> bool:
-    return set(views_of(task)) == {"satellite"}
 
 
 def _changed(title: str, of_models: Mapping[str, Mapping[Any, RecallAndAP]]) -> TableSection:

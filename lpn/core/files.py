@@ -316,7 +316,8 @@ def printable(text: str, keep: str = "", instead: str = "?") -> str:
     """
     if text.isprintable():
         return text
-    hidden = {ord(c): instead for c in set(text) if not (c in keep or _shows(c))}
+    misleading = {c for c in set(text) if c in _MISLEADING or unicodedata.category(c) in _HIDDEN}
+    hidden = {ord(c): instead for c in misleading if c not in keep}
     return text.translate(hidden) if hidden else text
 
 
@@ -324,10 +325,6 @@ def first_few(texts: Sequence[str], most: int) -> str:
     """Join the first texts by commas, and say how many more there are."""
     more = f", and {len(texts) - most} more" if len(texts) > most else ""
     return ", ".join(texts[:most]) + more
-
-
-def _shows(character: str) -> bool:
-    return character not in _MISLEADING and unicodedata.category(character) not in _HIDDEN
 
 
 def _temporary(path: Path) -> Path:

@@ -8,16 +8,13 @@ from __future__ import annotations
 import logging
 import os
 import re
+import sys
 import traceback as tracebacks
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final, Literal, get_args
 from urllib.parse import quote, quote_plus
 
-from rich.console import ConsoleRenderable
-from rich.logging import RichHandler
-
-from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
@@ -78,13 +75,7 @@ def conceal(secret: str | None) -> None:
             handler.secrets |= {secret, quote(secret, safe=""), quote_plus(secret)}
 
 
-class _Console(Console):
-    def on_broken_pipe(self) -> None:
-        """Leave a closed terminal to the handler; rich would end the process."""
-        raise
-
-
-class StderrHandler(RichHandler):
+class StderrHandler(logging.Handler):
     """Writes one line a record; tracebacks follow, indented: of our own loggers, or of all with `whole_tracebacks`.
 
     Attributes:
@@ -92,12 +83,17 @@ class StderrHandler(RichHandler):
     """
 
     def __init__(self, whole_tracebacks: bool = False) -> None:
-        super().__init__(console=_Console(stderr=True, soft_wrap=True))
+        super().__init__()
         self.setFormatter(
             logging.Formatter("%(asctime)s.%(msecs)03d %(levelname)-7s %(name)s: %(message)s", "%Y-%m-%d %H:%M:%S")
         )
         self.secrets: set[str] = set()
         self._whole_tracebacks = whole_tracebacks
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Write a record; drop one that cannot be written, which logging would print with its secrets."""
+        with suppress(Exception):
+            sys.stderr.write(f"{self.format(record)}\n")
 
     def format(self, record: logging.LogRecord) -> str:
         """Return the record's line, and those of its traceback."""
@@ -114,14 +110,6 @@ class StderrHandler(RichHandler):
             lines = "".join(tracebacks.format_exception(error)).splitlines()
             return "\n".join([text, *(f"    {self._clean(line)}" for line in lines)])
         return f"{text} ({type(error).__name__}: {self._clean(str(error), 200)})"
-
-    def render(self, *, message_renderable: ConsoleRenderable, **_: object) -> ConsoleRenderable:
-        """Return the line alone; rich would add columns and wrap them."""
-        return message_renderable
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: ARG002, N802
-        """Drop a line that cannot be written: logging would print the record with its secrets, and rich would keep it."""
-        self.console = _Console(stderr=True, soft_wrap=True)
 
     def _clean(self, text: str, length: int = _MAX_LENGTH) -> str:
         """Hide secrets before cutting: half a token would not be recognised."""

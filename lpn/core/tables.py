@@ -249,7 +249,14 @@ def _satisfied(column: Column, sign: str, value: str) -> BoolArray:
     if wanted.casefold() == "none" and not quoted and sign in ("=", "!="):
         return column.known if sign == "!=" else ~column.known
     if column.kind == "text":
-        return _text_satisfied(column, sign, wanted.casefold())
+        if sign in ("=", "!="):
+            return np.asarray((column.folded == wanted.casefold()) == (sign == "="), bool)
+        if sign in ("~", "!~"):
+            return np.array([(wanted.casefold() in text) == (sign == "~") for text in column.folded], bool)
+        raise InputError(
+            f"{column.name} holds texts, which {sign} does not compare; expected = or != for the whole text, ~ or !~ for a "
+            "part."
+        )
     try:
         number = float(wanted.replace("−", "-"))
     except ValueError:
@@ -261,13 +268,3 @@ def _satisfied(column: Column, sign: str, value: str) -> BoolArray:
         )
     fulfilled: BoolArray = _COMPARISONS[sign](column.values, number) & column.known
     return fulfilled
-
-
-def _text_satisfied(column: Column, sign: str, wanted: str) -> BoolArray:
-    if sign in ("=", "!="):
-        return np.asarray((column.folded == wanted) == (sign == "="), bool)
-    if sign in ("~", "!~"):
-        return np.array([(wanted in text) == (sign == "~") for text in column.folded], bool)
-    raise InputError(
-        f"{column.name} holds texts, which {sign} does not compare; expected = or != for the whole text, ~ or !~ for a part."
-    )

@@ -235,23 +235,12 @@ def profile_charts(
             (" ".join(f"{x(n)},{y}" for n, y in zip(numbers, ys, strict=True)), series)
             for ys, series in zip(heights, panel.series, strict=True)
         ]
-        ticks = zip(_heights(panel, [tick for tick, _ in panel.ticks], top), panel.ticks, strict=True)
-        panels.append(
-            {
-                "title": panel.title,
-                "top": top,
-                "bottom": top + panel.height,
-                "ticks": [(y, label) for y, (_, label) in ticks],
-                "lines": lines,
-                "spots": spots if attributes else [],
-                "best": spots[best][:2] if panel.title == "rank" else None,
-                "dots": [],
-            }
-        )
+        marked = spots[best][:2] if panel.title == "rank" else None
+        panels.append(_drawn(panel, top, lines) | {"spots": spots if attributes else [], "best": marked})
         top += panel.height
     if recalls and numbers[0] == -180:
         panels.append(_recall_panel(recalls, top, x))
-        top += panels[-1]["bottom"] - panels[-1]["top"]
+        top = panels[-1]["bottom"]
     line = x(current) if current is not None and numbers[0] <= current <= numbers[-1] else None
     labels = [(x(number), swept_label(over, number)) for number in (numbers if over == "weather" else _spread(numbers))]
     return _draw("profile", width, top, _LEFT, width - _RIGHT, panels, labels, line, attributes)
@@ -297,16 +286,17 @@ def _recall_panel(recalls: Sequence[TaskRecall], top: int, x: Callable[[float], 
     heights = _heights(panel, series.values, top)
     places = [(x(degrees), height) for (degrees, _), height in zip(signed, heights, strict=True)]
     titles = [f"{one.degrees:g}°: R@1 {one.recall:.1f} %, AP {one.ap:.1f} %" for _, one in signed]
-    tick_heights = _heights(panel, [tick for tick, _ in panel.ticks], top)
+    dots = [(*place, title) for place, title in zip(places, titles, strict=True)]
+    line = " ".join(f"{place},{height}" for place, height in places)
+    return _drawn(panel, top, [(line, series)]) | {"dots": dots}
+
+
+def _drawn(panel: _Panel, top: int, lines: list[tuple[str, _Series]]) -> dict[str, Any]:
+    """Return what the template draws of a panel that begins at `top`; its points are added."""
+    ticks = [(_heights(panel, [value], top)[0], label) for value, label in panel.ticks]
     return {
-        "title": panel.title,
-        "top": top,
-        "bottom": top + panel.height,
-        "ticks": [(height, label) for height, (_, label) in zip(tick_heights, panel.ticks, strict=True)],
-        "lines": [(" ".join(f"{place},{height}" for place, height in places), series)],
-        "spots": [],
-        "best": None,
-        "dots": [(*place, title) for place, title in zip(places, titles, strict=True)],
+        **{"title": panel.title, "top": top, "bottom": top + panel.height, "ticks": ticks, "lines": lines},
+        **{"spots": [], "best": None, "dots": []},
     }
 
 

@@ -50,15 +50,12 @@ def heat_scale(width: int, height: int) -> UInt8Array:
     return with_heat(np.full((height, width, 3), 90, np.uint8), ramp, None, 1.0)
 
 
-def evidence_alpha(values: FloatingArray, limit: float) -> Float32Array:
-    """Return the opacity of each cell of evidence: 0 at zero, 1 at the limit; a gamma of 0.7 keeps small values visible."""
-    return cast(Float32Array, np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7)
-
-
 def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opacity: float = 0.85) -> UInt8Array:
     """Paint each cell (h, w) over a greyed picture in the colour for or against, as opaque as its value is large."""
     values = images.enlarge(cells, *picture.shape[:2])
-    return _painted(picture, 0.5, values, opacity * evidence_alpha(values, limit), (FOR, AGAINST))
+    # A gamma of 0.7 keeps small values visible.
+    alpha = opacity * np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7
+    return _painted(picture, 0.5, values, alpha, (FOR, AGAINST))
 
 
 def with_lead(picture: UInt8Array, cells: FloatingArray, colours: tuple[Colour, Colour]) -> UInt8Array:

@@ -57,16 +57,12 @@ def weighted(task: Task, weights: Sequence[float] | None) -> Task:
     return replace(task, weights=weights)
 
 
-def open_first_task(source: TaskSource, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> Task:
-    """Open the first task of a source, with a bar on the terminal for work that takes long.
-
-    Args:
-        names, weights: see `TaskSource.open`.
-    """
+def open_first_task(source: TaskSource) -> Task:
+    """Open the first task of a source, with a bar on the terminal for work that takes long."""
     from lpn.core.consoles import stage_bars
 
     with stage_bars() as on_progress:
-        return source.open(names, weights, on_progress).task
+        return source.open(on_progress=on_progress).task
 
 
 def open_with_notes(
@@ -76,6 +72,7 @@ def open_with_notes(
 
     Args:
         file: of the notes, read first; None takes notes.csv in the folder of the queries.
+        names, weights: see `TaskSource.open`.
 
     Raises:
         DataError: also if the file is damaged.

@@ -342,7 +342,12 @@ class Indexed(TaskSource):
         from lpn.maps import open_map
         from lpn.retrieval import scoring
 
-        self._check_queries()
+        flown = self.flight is not None
+        of_data = self.data is not None or self.pictures is not None
+        if flown == of_data or (flown and self.map is None):
+            raise InputError(
+                "An index has tiles and no queries; give one kind of queries: --data, --pictures, or --flight with --map."
+            )
         model = self.model.load()
         scoring.part_weights(model.n_parts, weights)
         index = SharedIndex(open_index(self.index))
@@ -364,14 +369,6 @@ class Indexed(TaskSource):
         query_positions(names, queries.pictures, queries.data_name)
         task = index_task(model, self.model.name, index, queries, self.depth, ground)
         return OpenedSource([weighted(task, weights)], model, model, map=ground)
-
-    def _check_queries(self) -> None:
-        flown = self.flight is not None
-        of_data = self.data is not None or self.pictures is not None
-        if flown == of_data or (flown and self.map is None):
-            raise InputError(
-                "An index has tiles and no queries; give one kind of queries: --data, --pictures, or --flight with --map."
-            )
 
 
 @dataclass(frozen=True, kw_only=True)

