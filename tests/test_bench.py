@@ -46,8 +46,7 @@ assert np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > 5
 CUT = """
 import numpy as np, tempfile
 from pathlib import Path
-from tools.bench.cut_maps import cut_maps
-from tools.bench.wrong_maps import RENDERED, open_pair
+from tools.bench.wrong_maps import RENDERED, cut_maps, open_pair
 flight, own = open_pair(RENDERED, Path())
 with tempfile.TemporaryDirectory() as folder:
     for name, part in cut_maps(flight, own, [0.5], ["north"], Path(folder)):

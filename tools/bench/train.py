@@ -46,6 +46,8 @@ PLACES = 40
 ROUNDS = 5
 STEPS = 4
 TARGET = 1.3
+# Pixels of the edge of a picture before it is cropped, as released.
+PAD = 10
 
 
 class PlainLoop:
@@ -89,14 +91,14 @@ class PlainLoop:
         return found
 
 
-def augmented(path: Path, satellite: bool, size: int, rng: np.random.Generator, pad: int = 10) -> torch.Tensor:
+def augmented(path: Path, satellite: bool, size: int, rng: np.random.Generator) -> torch.Tensor:
     """Read, turn, crop, and mirror a picture, (3, S, S)."""
     with Image.open(path) as file:
         picture = file.convert("RGB").resize((size, size), Image.Resampling.BICUBIC)
     if satellite:
         picture = picture.rotate(float(rng.uniform(-90, 90)))
-    padded = np.pad(np.asarray(picture), ((pad, pad), (pad, pad), (0, 0)), mode="edge")
-    top, left = (int(v) for v in rng.integers(0, 2 * pad + 1, 2))
+    padded = np.pad(np.asarray(picture), ((PAD, PAD), (PAD, PAD), (0, 0)), mode="edge")
+    top, left = (int(v) for v in rng.integers(0, 2 * PAD + 1, 2))
     crop = padded[top : top + size, left : left + size]
     return torch.from_numpy(images.normalise(crop[:, ::-1] if rng.random() < 0.5 else crop))
 
