@@ -46,8 +46,7 @@ assert np.linalg.norm(after.mean(axis=0) - before.mean(axis=0)) > 5
 CUT = """
 import numpy as np, tempfile
 from pathlib import Path
-from tools.bench.cut_maps import cut_maps
-from tools.bench.wrong_maps import RENDERED, open_pair
+from tools.bench.wrong_maps import RENDERED, cut_maps, open_pair
 flight, own = open_pair(RENDERED, Path())
 with tempfile.TemporaryDirectory() as folder:
     for name, part in cut_maps(flight, own, [0.5], ["north"], Path(folder)):
@@ -60,7 +59,7 @@ with tempfile.TemporaryDirectory() as folder:
 TINY = """
 import sys
 from tools.bench import gpu
-sys.argv = ["gpu", "--device", "cpu", "--tiny", "--pictures", "8"]
+sys.argv = ["gpu", "--device", "cpu", "--tiny"]
 gpu.main()
 """
 
@@ -82,9 +81,8 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *arguments], capture_output=True, text=True, env=environment, cwd=folder)
 
 
-@pytest.mark.parametrize("program", ["gpu", "train", "describe"])
-def test_without_a_gpu_a_bench_says_so_in_one_sentence(program: str) -> None:
-    done = run("-m", f"tools.bench.{program}", "--device", "cuda")
+def test_without_a_gpu_the_bench_says_so_in_one_sentence() -> None:
+    done = run("-m", "tools.bench.gpu")
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert line.endswith(
@@ -103,18 +101,12 @@ def test_the_table_tells_agreement_from_difference_and_from_nothing() -> None:
     assert "2.0e-02" in lines["good"]
 
 
-def test_parity_and_speed_at_tiny_size() -> None:
+def test_parity_at_tiny_size() -> None:
     done = run("-c", TINY)
     assert done.returncode == 0, done.stderr
     found = [line for line in done.stdout.splitlines() if " met " in line]
     assert len(found) == 2  # a checkpoint, and one that is exported
-    for word in (
-        "vgg16_bn, 3 views, n = 1",
-        "ONNX Runtime, cpu",
-        "cpu, eager",
-        "ours, float32",
-        "images/s",
-    ):
+    for word in ("vgg16_bn, 3 views, n = 1", "ONNX Runtime, cpu"):
         assert word in done.stdout
 
 

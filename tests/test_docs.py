@@ -28,7 +28,7 @@ PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "R
 # Words of a page that stand for one of an option's words or numbers.
 STAND_INS = {"TASK": "drone-to-satellite", "K": "3", "N": "1"}
 # Options of every command, of a benchmark, and of the scripts that the authors released.
-FURTHER_OPTIONS = {"--help", "--version", log.FLAG, "--own-seeds", "--hide-headings"}
+FURTHER_OPTIONS = {"--help", "--version", log.FLAG, "--own-seeds"}
 FURTHER_OPTIONS |= {"--extra", "--extra-Google", "--multi-loss"} | set(by_source.options(Rendering))
 # The program beside `lpn` whose commands are parsed, too.
 WORLD = "tools.world"

@@ -1,14 +1,10 @@
-"""Pictures per second into descriptors: `python -m tools.bench.describe [--pictures N] [--device cuda] [FOLDER]`.
+"""Pictures per second into descriptors: `python -m tools.bench.describe [--pictures N] [FOLDER]`.
 
 The peer is the published test loop: a DataLoader with worker processes decodes with Pillow, resizes bicubically, and
 normalises; PyTorch in eager mode passes each batch of 32 and then its mirror, and the parts of the sum are normalised. Ours is
 `lpn.descriptors.describe`, which checks the pictures and writes a store on disk, with the same network exported to ONNX, and with
-the same network quantized. They take turns in one process, after a warm-up round; the table gives medians. With the extra
-`ray`, Ray then runs the quantized network, one worker a core, into shards; its rate excludes the start of the workers. The lower
-bound is ONNX Runtime's bare forward passes, two for each picture, on as many threads as there are cores.
-
-With --device, the peer and ours are the same network in PyTorch on that device: ours also, on a GPU, by ONNX
-Runtime's providers. The lower bound is the bare forward passes of pictures that are on the device already.
+the same network quantized. They take turns in one process, after a warm-up round; the table gives medians. The limit is ONNX
+Runtime's bare forward passes, two for each picture, on as many threads as there are cores.
 
 FOLDER holds pictures with folders below it; without it, synthetic JPEG files of 512 x 512 pixels are made. Weights are random,
 which changes no time.
@@ -18,13 +14,11 @@ from __future__ import annotations
 
 import argparse
 import io
-import shutil
 import statistics
 import tempfile
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import redirect_stdout
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -35,26 +29,22 @@ from torch.utils.data import DataLoader, Dataset
 from lpn import descriptors
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.errors import LPNError
 from lpn.core.resources import usable_cores
 from lpn.datasets import open_dataset
 from lpn.models.base import Model
-from lpn.models.checkpoints import TorchModel, exact_inference, load_torch, save
+from lpn.models.checkpoints import TorchModel, load_torch, save
 from lpn.models.export import export
 from lpn.models.network import LPN
 from lpn.models.onnx_engine import Engine
-from lpn.models.providers import available
 from lpn.models.quantize import quantize
 from lpn.models.spec import ModelSpec
-from tools.bench.figures import Figure, against_peer, check_device, show, take_turns
+from tools.bench.figures import Figure, against_peer, show, take_turns
 from tools.bench.pictures import make_folder, make_train_split
 
 PICTURES = 96
 ROUNDS = 3
 # The batch size of the published test script.
 BATCH = 32
-# Pictures of a shard: few, so that workers end at about the same time.
-SHARD = 4
 SPEC = ModelSpec("resnet50", views=("satellite", "drone"), classes=701)
 
 
@@ -76,15 +66,13 @@ class Files(Dataset[torch.Tensor]):
 def published(network: TorchModel, files: Sequence[Path], workers: int) -> Float32Array:
     """Descriptors by the published loop, (N, n D)."""
     rows, spec = [], network.spec
-    device = next(network.network.parameters()).device
-    with torch.inference_mode(), torch.backends.cudnn.flags(enabled=True, benchmark=True):
+    with torch.inference_mode():
         for pictures in DataLoader(Files(files, spec.input_size), BATCH, num_workers=workers):
-            batch = pictures.to(device)
-            raw = torch.zeros(len(batch), spec.n_parts, spec.embedding, device=device)
+            raw = torch.zeros(len(pictures), spec.n_parts, spec.embedding)
             for mirrored in (False, True):
-                raw += network.network.embed(batch.flip(3) if mirrored else batch, "drone")[0]
+                raw += network.network.embed(pictures.flip(3) if mirrored else pictures, "drone")[0]
             norms = raw.norm(dim=2, keepdim=True) * spec.n_parts**0.5
-            rows.append((raw / norms).flatten(1).cpu())
+            rows.append((raw / norms).flatten(1))
     return torch.cat(rows).numpy()
 
 
@@ -100,30 +88,6 @@ def bare(engine: Engine, passes: int) -> None:
     single = np.zeros((1, 3, *engine.input_size), np.float32)
     with ThreadPoolExecutor(usable_cores()) as pool:
         list(pool.map(lambda _: engine.run(single, "drone"), range(passes)))
-
-
-def with_ray(model: Path, files: Sequence[Path], root: Path, folder: Path) -> list[Figure]:
-    """Measure Ray's pictures per second; empty without the extra, or when the times are too close."""
-    few = min(len(files) // 2, 2 * SHARD * usable_cores())
-    if find_spec("ray") is None or not few:
-        return []
-    from lpn.cluster.driver import describe_shards
-    from lpn.cluster.session import ray_session
-
-    def run(pictures: Path) -> None:
-        with tempfile.TemporaryDirectory() as out:
-            describe_shards(model, pictures, "drone", out, workers=usable_cores(), shard=SHARD, say=lambda _: None)
-
-    for name, some in (("all", files), ("few", files[:few])):
-        for file in some:
-            copy = folder / name / file.relative_to(root)
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, copy)
-    with ray_session(None, usable_cores(), 1):
-        times = take_turns({name: lambda name=name: run(folder / name) for name in ("all", "few")}, ROUNDS)  # type: ignore[misc]
-    more = statistics.median(times["all"]) - statistics.median(times["few"])
-    what = f"the same to shards, int8, Ray, {usable_cores()} workers"
-    return [Figure(what, (len(files) - few) / more, "pictures/s", more=True)] if more > 0 else []
 
 
 def agreement(a: Float32Array, b: Float32Array) -> float:
@@ -150,68 +114,18 @@ def figures(count: int = PICTURES, given: Path | None = None) -> list[Figure]:
             tasks[f"{kind} bare"] = lambda single=single: bare(single, 2 * len(files))  # type: ignore[misc]
         apart = 1 - agreement(published(network, files, workers), ours(Engine(folder / "model.onnx"), files, root))
         speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, ROUNDS).items()}
-        # After the others: even an idle Ray is at work.
-        ray = with_ray(folder / "int8.onnx", files, root, folder / "ray")
     what = f"ResNet-50, {len(files)} pictures of a folder to a store"
     peer = speed["peer"]
     return [
         against_peer(f"{what}, int8", speed["int8"], peer, 6, "pictures/s", limit=speed["int8 bare"], more=True),
         Figure(f"{what}, float32", speed["float32"], "pictures/s", peer, speed["float32 bare"], more=True),
-        *ray,
         Figure("1 - mean cosine of the published descriptors and ours in float32", apart, ""),
     ]
-
-
-def on_device(
-    device: str, count: int = PICTURES, given: Path | None = None, spec: ModelSpec = SPEC, rounds: int = ROUNDS
-) -> list[Figure]:
-    """Measure PyTorch on a device, and ONNX Runtime's providers of GPUs, on at most `count` pictures."""
-    torch.manual_seed(0)
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        root = given or make_folder(folder / "pictures", count)
-        files = descriptors.pictures_below(root)[:count]
-        save(LPN(spec), folder / "model.safetensors")
-        network = load_torch(folder / "model.safetensors", device)
-        workers = usable_cores() if device != "cpu" else max(1, usable_cores() // 2)
-        models: dict[str, Model] = {"eager": network}
-        if device != "cpu":
-            export(folder / "model.safetensors", folder / "model.onnx")
-            for provider in set(available()) - {"cpu"}:
-                try:
-                    models[f"ONNX Runtime, {provider}"] = Engine(folder / "model.onnx", provider=provider)
-                except LPNError as error:
-                    print(f"Not measured: {error}")
-        tasks: dict[str, Callable[[], object]] = {
-            "peer": lambda: published(network, files, workers),
-            "bare": lambda: bare_on_device(network, len(files)),
-        }
-        tasks |= {kind: lambda model=model: ours(model, files, root) for kind, model in models.items()}  # type: ignore[misc]
-        speed = {name: len(files) / statistics.median(values) for name, values in take_turns(tasks, rounds).items()}
-    what = f"{spec.describe()}, {len(files)} pictures of a folder to a store, {device}"
-    return [
-        Figure(f"{what}, {kind}", speed[kind], "pictures/s", speed["peer"], speed["bare"], more=True) for kind in models
-    ]
-
-
-def bare_on_device(model: TorchModel, pictures: int) -> None:
-    """Run the forward passes alone, two for each picture, and wait for the last."""
-    device = next(model.network.parameters()).device
-    batch = torch.randn(min(model.batch, pictures), 3, *model.input_size, device=device)
-    with exact_inference():
-        for _ in range(2 * -(-pictures // len(batch))):
-            parts = model.network.embed(batch, "drone")[0]
-        parts.cpu()
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--pictures", type=int, default=PICTURES, help="how many are described in each turn, at most")
-    parser.add_argument("--device", help="cpu or cuda: measure PyTorch on it")
     parser.add_argument("folder", nargs="?", type=Path, help="a folder of pictures")
     options = parser.parse_args()
-    if options.device:
-        check_device(options.device)
-        show("A folder of pictures", on_device(options.device, options.pictures, options.folder))
-    else:
-        show("A folder of pictures", figures(options.pictures, options.folder))
+    show("A folder of pictures", figures(options.pictures, options.folder))

@@ -122,17 +122,6 @@ def show(title: str, figures: Iterable[Figure]) -> None:
     Console(width=150).print(table)
 
 
-def check_device(device: str) -> None:
-    """End the program with a sentence if torch finds no such GPU."""
-    import torch
-
-    if device != "cpu" and not torch.cuda.is_available():
-        raise SystemExit(
-            f"torch {torch.__version__} finds no GPU here, so nothing was measured; run this on a machine with one, or give "
-            "--device cpu."
-        )
-
-
 def machine() -> str:
     """The machine, such as "2 cores, AMD EPYC", with its GPU if torch is in use and finds one."""
     name = platform.processor() or platform.machine()

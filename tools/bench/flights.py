@@ -1,8 +1,8 @@
 """Real flights over their own maps, stage by stage: `python -m tools.bench.flights FOLDER [NAME ...] [--json FILE]`.
 
 FOLDER holds one folder a flight, each with `photos/` and `map.tif` or `map.jpg`; LPN_FLIGHTS is its default. Registration
-searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence;
-`--hide-headings` takes the flight's headings away, and `--no-register` leaves registration out. Errors are against the tags.
+searches the whole map, or with `--prior` that many metres around each tag. `--model` adds retrieval and sequence. Errors are
+against the tags.
 Shares of registrations within 1, 2, and 3 sigmas are told for tags as they are and without their lag, see `radius_rows`.
 Nothing is taken from the user's cache, so figures and times are of the code that runs.
 """
@@ -35,16 +35,10 @@ from lpn.maps import open_map
 _SWAY = float(np.tan(np.radians(5.0)))
 
 
-def measured(
-    folder: Path, options: LocateOptions, model: Path | None, limit: int | None, hide_headings: bool
-) -> dict[str, Any]:
+def measured(folder: Path, options: LocateOptions, model: Path | None) -> dict[str, Any]:
     """Locate one flight, print its table, and return its figures."""
     town = open_map(next(path for path in (folder / "map.tif", folder / "map.jpg") if path.is_file()))
-    flight = open_flight(folder / "photos")
-    flight = replace(flight, name=folder.name, frames=flight.frames[:limit])
-    if hide_headings:
-        hidden = (replace(frame, heading=None, heading_source=None) for frame in flight.frames)
-        flight = replace(flight, frames=tuple(hidden))
+    flight = replace(open_flight(folder / "photos"), name=folder.name)
     begun = time.process_time()
     located = locate(town, flight, None if model is None else lpn.load(model), options)
     seconds = time.process_time() - begun
@@ -53,10 +47,6 @@ def measured(
     radii = radius_rows(located)
     for row in radii:
         print(row.sentence)
-    frames = [
-        {"frame": found.frame.name, "stages": {stage: asdict_of(found, stage) for stage in found.stages}}
-        for found in located.frames
-    ]
     return {
         "flight": folder.name,
         "frames": len(flight.frames),
@@ -66,7 +56,6 @@ def measured(
         "radii": [asdict(row) for row in radii],
         "audit": None if located.audit is None else {**asdict(located.audit), "sentence": located.audit.sentence},
         "notes": located.notes,
-        "each": frames,
     }
 
 
@@ -128,20 +117,6 @@ def radius_rows(located: LocatedFlight) -> list[RadiusRow]:
     return rows
 
 
-def asdict_of(found: Any, stage: str) -> dict[str, Any]:
-    """Return what the table is made of: one stage's answer for one frame."""
-    answer = found.stages[stage]
-    return {
-        "state": answer.state,
-        "error": found.error(stage),
-        "radius": answer.radius,
-        "turn": answer.turn,
-        "width": answer.width,
-        "inliers": answer.inliers,
-        "sentence": answer.sentence,
-    }
-
-
 def main() -> None:
     """Measure the flights that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -149,20 +124,16 @@ def main() -> None:
     parser.add_argument("names", nargs="*", default=["brighton", "caliterra", "seneca"])
     parser.add_argument("--prior", type=float)
     parser.add_argument("--model", type=Path)
-    parser.add_argument("--matcher", default="auto", choices=("auto", "xfeat", "sift"))
-    parser.add_argument("--limit", type=int)
-    parser.add_argument("--hide-headings", action="store_true")
-    parser.add_argument("--no-register", action="store_true")
     parser.add_argument("--json", type=Path)
     given = parser.parse_args()
     if given.folder is None:
         raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
-    options = LocateOptions(prior=given.prior, matcher=given.matcher, register=not given.no_register)
+    options = LocateOptions(prior=given.prior)
     found = []
     with tempfile.TemporaryDirectory() as cache:
         os.environ["LPN_CACHE"] = cache
         for name in given.names:
-            found.append(measured(Path(given.folder) / name, options, given.model, given.limit, given.hide_headings))
+            found.append(measured(Path(given.folder) / name, options, given.model))
             if given.json is not None:
                 write_atomic(given.json, (json.dumps(found, indent=1, default=str) + "\n").encode())
 

@@ -1,12 +1,10 @@
-"""Parity and speed on a GPU, in two tables: `python -m tools.bench.gpu`.
+"""Parity on a GPU: `python -m tools.bench.gpu`.
 
-The first table has the 13 checkpoints of `tools.fixtures.parity`, in the published format and with seeded weights. Two of them
+The table has the 13 checkpoints of `tools.fixtures.parity`, in the published format and with seeded weights. Two of them
 are compared with arrays of the published implementation, eleven with `tools.fixtures.published_network`, our second one. The
 figure is the largest difference of the head outputs relative to the largest value: in float32, which must stay below 1e-4, and
 in mixed precision, which need not. Below them is the
-exported model by each of ONNX Runtime's providers. The second table has pictures per second of describing
-(`tools.bench.describe`) and of training (`tools.bench.train`) beside the released loops on the same GPU. Without a GPU the
-program says so in a sentence.
+exported model by each of ONNX Runtime's providers. Without a GPU the program says so in a sentence.
 """
 
 from __future__ import annotations
@@ -14,7 +12,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
@@ -22,24 +20,19 @@ from rich.console import Console
 from rich.table import Table
 
 from lpn.core.errors import LPNError
-from lpn.core.resources import ProviderName
 from lpn.models.checkpoints import load_torch
 from lpn.models.export import export
 from lpn.models.onnx_engine import Engine
 from lpn.models.providers import available
-from lpn.models.spec import ModelSpec
-from lpn.training.recipes import RECIPES
-from tools.bench import describe, train
-from tools.bench.figures import Figure, check_device, machine, show
-from tools.bench.pictures import make_train_split
-from tools.fixtures.parity import CASES, TOLERANCE, ParityCase, difference
+from tools.bench.figures import machine
+from tools.fixtures.parity import CASES, TOLERANCE, ParityCase
+from tools.fixtures.seeded import relative
 
 MIXED = {"float16": torch.float16, "bfloat16": torch.bfloat16}
 # The case that is exported, a ResNet-50 of three views with four parts.
 EXPORTED = CASES[3]
-# To try the program: a checkpoint of few layers and small pictures, which is exported, too, and a small network.
+# To try the program: a checkpoint of few layers and small pictures, which is exported, too.
 TINY_CASE = ParityCase("vgg16_bn", 3, 1, ("drone",), size=64, options=True)
-TINY = ModelSpec("resnet18", "layer3", views=("satellite", "drone"), input_size=(64, 64))
 
 
 @dataclass(frozen=True)
@@ -75,26 +68,23 @@ def parity(device: torch.device, cases: Sequence[ParityCase]) -> Iterator[Parity
                 with torch.inference_mode(), torch.autocast(device.type, dtype):
                     outputs[name] = model.network.embed(case.pictures().to(device), view)[0].float().cpu().numpy()
             for name, array in outputs.items():
-                found[name] = max(found[name], difference(array, expected))
+                found[name] = max(found[name], relative(array, expected))
         yield ParityRow(str(case), found)
 
 
 def provider_parity(case: ParityCase) -> Iterator[ParityRow]:
     """Compare the exported case by each provider that ONNX Runtime was built with."""
+    view = case.compared[0]
     with tempfile.TemporaryDirectory() as folder:
         export(case.write(Path(folder)), file := Path(folder, "model.onnx"))
         for provider in available():
-            yield compare_exported(case, file, provider)
-
-
-def compare_exported(case: ParityCase, file: Path, provider: ProviderName) -> ParityRow:
-    """Compare an exported case by one provider."""
-    view, what = case.compared[0], f"exported, ONNX Runtime, {provider}"
-    try:
-        found = Engine(file, provider=provider).part_embeddings(case.pictures(), view)
-    except LPNError as error:
-        return ParityRow(what, failure=str(error))
-    return ParityRow(what, {"float32": difference(found, case.expected(view))})
+            what = f"exported, ONNX Runtime, {provider}"
+            try:
+                found = Engine(file, provider=provider).part_embeddings(case.pictures(), view)
+            except LPNError as error:
+                yield ParityRow(what, failure=str(error))
+            else:
+                yield ParityRow(what, {"float32": relative(found, case.expected(view))})
 
 
 def parity_table(rows: Sequence[ParityRow]) -> Table:
@@ -112,29 +102,17 @@ def parity_table(rows: Sequence[ParityRow]) -> Table:
     return table
 
 
-def speed(device: str, pictures: int, tiny: bool) -> list[Figure]:
-    """Measure describing and training."""
-    if not tiny:
-        return describe.on_device(device, pictures) + train.figures(resnet50=True, device=device)
-    with tempfile.TemporaryDirectory() as folder:
-        data = make_train_split(Path(folder, "data"), 4)
-        recipe = replace(RECIPES["released"], backbone="resnet18", last_layer="layer3", size=64, batch=2)
-        found = train.measure(data, recipe, Path(folder, "run"), torch.device(device), steps=1, rounds=1)
-    return describe.on_device(device, pictures, spec=TINY, rounds=1) + [
-        Figure(f"training, {loop}", value, "images/s", found["plain loop"][0], more=True)
-        for loop, (value, _) in found.items()
-        if loop != "plain loop"
-    ]
-
-
 def main() -> None:
-    """Check parity, measure, and print both tables; ends with status 1 if float32 does not agree."""
+    """Check parity, and print the table; ends with status 1 if float32 does not agree."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--device", default="cuda", help="cuda, or cpu to try the program")
-    parser.add_argument("--pictures", type=int, default=1024, help="how many are described in each turn")
-    parser.add_argument("--tiny", action="store_true", help="one checkpoint and a tiny network, to try the program")
+    parser.add_argument("--tiny", action="store_true", help="one small checkpoint, to try the program")
     options = parser.parse_args()
-    check_device(options.device)
+    if options.device != "cpu" and not torch.cuda.is_available():
+        raise SystemExit(
+            f"torch {torch.__version__} finds no GPU here, so nothing was measured; run this on a machine with one, or give "
+            "--device cpu."
+        )
     rows = list(parity(torch.device(options.device), [TINY_CASE] if options.tiny else CASES))
     rows += provider_parity(TINY_CASE if options.tiny else EXPORTED)
     console = Console(width=150)
@@ -142,7 +120,6 @@ def main() -> None:
     for row in rows:
         if row.failure:
             console.print(f"{row.what} was not run: {row.failure}")
-    show("Speed", speed(options.device, options.pictures, options.tiny))
     if not all(row.agrees for row in rows if not row.failure):
         raise SystemExit("The float32 outputs of a checkpoint above are not those expected; report this table.")
 

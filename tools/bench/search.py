@@ -6,33 +6,22 @@ and the vectors of the top 100, as the peers do. The limit is reading the vector
 read them; float16 and int8 have no target. All take turns in one process, and the tables give medians.
 
 Descriptors are drawn about centres, as those of places are, and positions uniformly over a rectangle, of which a box holds a
-hundredth; there, NumPy picks out the tiles within and scores these. `--growth` makes the table of larger galleries, up to a
-million tiles, of which one index at a time lies on disk (8 kB a tile, at most 12, and as much again while segments are
-gathered); `--recall` that of faiss's inverted lists, for each of `--codes`; both leave out the other figures.
+hundredth; there, NumPy picks out the tiles within and scores these.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-import json
-import resource
-import subprocess
-import sys
 import tempfile
-import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-from rich.console import Console
-from rich.table import Table
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.resources import usable_cores
@@ -41,7 +30,7 @@ from lpn.index import DegreeBox, DescriptorKind, ExactIndex, base
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
-from tools.bench.figures import Figure, below, machine, show, within
+from tools.bench.figures import Figure, below, show, within
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 KIND = DescriptorKind("bench", 4, 512)
@@ -189,148 +178,6 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     return made
 
 
-def grow(counts: list[int], folder: Path, rounds: int, console: Console) -> None:
-    """Print time, disk, and memory by size of the gallery, with a process for each row and one index on disk at a time."""
-    table = Table(title=f"growth, top {TOP} with vectors, {machine()}, medians of {rounds}")
-    for column in (
-        "tiles",
-        "index",
-        "add, s",
-        "first search, ms",
-        "search, ms",
-        "in a box of 1 %, ms",
-        "disk, MB",
-        "peak of anonymous memory in searches, MB",
-        "with maps, MB",
-    ):
-        table.add_column(column, justify="right")
-    for count in counts:
-        for name in PRECISIONS:
-            command = [sys.executable, "-m", "tools.bench.search", "--row", name, "--tiles", str(count)]
-            command += ["--rounds", str(rounds), "--folder", str(folder)]
-            done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-            table.add_row(f"{count:,}", name, *json.loads(done.stdout))
-    console.print(table)
-
-
-def row(count: int, name: Any, folder: Path, rounds: int) -> list[str]:
-    """Measure one row of that table in this process."""
-    with tempfile.TemporaryDirectory(dir=folder) as place:
-        with ProcessPoolExecutor(1) as another:  # whose memory is not counted
-            added = another.submit(added_seconds, count, name, Path(place) / "index").result()
-        asked = queries(next(drawn(count))[1])
-        before = anonymous()
-        index = ExactIndex(Path(place) / "index")
-        started = time.perf_counter()
-        index.search(asked[0], None, TOP)
-        first = time.perf_counter() - started
-        tasks: dict[str, Task] = {"all": lambda i: index.search(asked[i], None, TOP)}
-        tasks["box"] = lambda i: index.search(asked[i], None, TOP, BOX)
-        took = medians(tasks, rounds)
-        # By searches of their own: looking takes the processor's time from what is measured.
-        with Peak() as peak:
-            for task in tasks.values():
-                for number in range(QUERIES):
-                    task(number)
-        disk = sum(file.stat().st_size for file in Path(place).rglob("*") if file.is_file())
-        index.close()
-    maps = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    figures = [f"{added:.1f}", f"{1000 * first:.1f}", f"{took['all']:.2f}", f"{took['box']:.2f}"]
-    return [*figures, f"{disk / 1e6:,.0f}", f"{peak.most - before:,.0f}", f"{maps:,.0f}"]
-
-
-def added_seconds(count: int, name: Any, folder: Path) -> float:
-    """Make an index of a drawn gallery, and return the seconds without drawing."""
-    index, seconds = ExactIndex.create(folder, KIND, name), 0.0
-    for start, block in drawn(count):
-        names = [f"{start + i:07d}" for i in range(len(block))]
-        began = time.perf_counter()
-        index.add(names, block, places(start, len(block)))
-        seconds += time.perf_counter() - began
-    index.close()
-    return seconds
-
-
-def resident(process: int | str = "self") -> dict[str, float]:
-    """Resident memory of a process in MB: its own (`anonymous`), and that of files (`mapped`)."""
-    lines = [line.split() for line in Path(f"/proc/{process}/status").read_text().splitlines()]
-    values = {line[0]: int(line[1]) / 1000 for line in lines if line and line[0].startswith("Rss")}
-    return {"anonymous": values["RssAnon:"], "mapped": values["RssFile:"]}
-
-
-def anonymous() -> float:
-    """Resident memory of this process without mapped files, in MB."""
-    return resident()["anonymous"]
-
-
-class Peak(AbstractContextManager["Peak"]):
-    """Records the peak of `anonymous`, sampled about every half millisecond."""
-
-    def __init__(self) -> None:
-        self.most = anonymous()
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._look)
-
-    def __enter__(self) -> Peak:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        while not self._ended.wait(0.0005):
-            self.most = max(self.most, anonymous())
-
-
-def nearest(count: int, asked: Float32Array, k: int, among: Any = None) -> list[set[str]]:
-    """True k nearest tiles of each query, from the gallery drawn again; `among`, (count,) bool, selects tiles."""
-    vectors = np.stack([KIND.rescaled(query, None).astype(np.float32) for query in asked])
-    best = np.full((len(asked), k), -np.inf, np.float32)
-    names = np.zeros((len(asked), k), np.int64)
-    for start, block in drawn(count):
-        found = vectors @ block.reshape(len(block), KIND.numbers).T
-        if among is not None:
-            found = np.where(among[start : start + len(block)], found, -np.inf)
-        scores = np.concatenate([best, found], axis=1)
-        of = np.concatenate([names, np.broadcast_to(start + np.arange(len(block)), (len(asked), len(block)))], axis=1)
-        order = np.argsort(-scores, axis=1)[:, :k]
-        best, names = np.take_along_axis(scores, order, 1), np.take_along_axis(of, order, 1)
-    return [{f"{name:07d}" for name in row} for row in names.tolist()]
-
-
-def recall(count: int, folder: Path, rounds: int, every: Sequence[Any], console: Console) -> None:
-    """Print recall at 10 and time of faiss's inverted lists by number of probed lists, a table per code."""
-    asked = queries(next(drawn(count))[1])
-    truth = nearest(count, asked, 10)
-    for codes in every:
-        recall_of(codes, count, asked, truth, folder, rounds, console)
-
-
-def recall_of(
-    codes: Any, count: int, asked: Float32Array, truth: list[set[str]], folder: Path, rounds: int, console: Console
-) -> None:
-    """Print one of these tables."""
-    from lpn.index.faiss import FaissIndex
-
-    table = Table(title=f"faiss {codes} on {count} tiles x {KIND.numbers}, top 10, {machine()}, medians of {rounds}")
-    for column in ("nprobe", "depth", "recall@10, %", "ms"):
-        table.add_column(column, justify="right")
-    with tempfile.TemporaryDirectory(dir=folder) as place:
-        index = FaissIndex.create(Path(place) / "index", KIND, codes)
-        started = time.perf_counter()
-        filled(index, count)
-        added = time.perf_counter() - started
-        for nprobe, depth in ((1, 4), (4, 4), (16, 8), (32, 8), (64, 16), (128, 32)):
-            index.nprobe, index.depth = nprobe, depth
-            hits = sum(len(truth[i] & set(index.search(query, None, 10).ids)) for i, query in enumerate(asked))
-            took = medians({"": lambda i: index.search(asked[i], None, 10)}, rounds)[""]
-            table.add_row(str(nprobe), str(depth), f"{100 * hits / (10 * len(asked)):.1f}", f"{took:.2f}")
-        index.close()
-    console.print(table, f"Added in {added:.0f} s, lists and codes learnt.")
-
-
 def figures(counts: Sequence[int] = TILES, folder: Path | None = None, rounds: int = 20) -> list[Figure]:
     """Measure some galleries."""
     with tempfile.TemporaryDirectory(dir=folder) as place:
@@ -341,29 +188,10 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--tiles", type=int, nargs="+", default=TILES, help="sizes of the galleries compared")
-    parser.add_argument(
-        "--growth", type=int, nargs="*", help="sizes of the growth table; 10^3 to 10^6 when none is given"
-    )
-    parser.add_argument(
-        "--recall", type=int, default=0, help="tiles for the table of recall against time, such as 1000000"
-    )
-    parser.add_argument(
-        "--codes", choices=("sq8", "pq"), nargs="+", default=("pq",), help="codes of faiss in such tables"
-    )
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where indexes are made")
-    parser.add_argument("--row", choices=PRECISIONS, help=argparse.SUPPRESS)
     given = parser.parse_args()
-    if given.row:
-        print(json.dumps(row(given.tiles[0], given.row, given.folder, given.rounds)))
-        return
-    console = Console(width=120)
-    if given.growth is None and not given.recall:
-        show("One query against a gallery", figures(given.tiles, given.folder, given.rounds))
-    if given.growth is not None:
-        grow(given.growth or [10**3, 10**4, 10**5, 10**6], given.folder, given.rounds, console)
-    if given.recall:
-        recall(given.recall, given.folder, given.rounds, given.codes, console)
+    show("One query against a gallery", figures(given.tiles, given.folder, given.rounds))
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""Images per second in training: `python -m tools.bench.train [DATA] [--resnet50] [--device cuda]`.
+"""Images per second in training: `python -m tools.bench.train [DATA] [--resnet50]`.
 
 The peer is the plain loop of the published recipe: each step takes one batch per view, its pictures decoded by Pillow one
 after the other, resized, padded, cropped, mirrored, and satellites turned; a float32 pass for each view, the cross-entropy
-of all parts and views summed, SGD with momentum. On a GPU the peer is `ReleasedLoop`.
+of all parts and views summed, SGD with momentum.
 
 Ours is `lpn.training.trainer` with the same network, batch, and recipe, whose pictures are prepared by threads: `ours, first
 pass` decodes every picture, as the plain loop does, `ours` finds it kept, and `ours, float32` is that without mixed precision.
@@ -17,8 +17,8 @@ from __future__ import annotations
 import argparse
 import statistics
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, closing, nullcontext
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -28,7 +28,6 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from PIL import Image
-from torch.utils.data import DataLoader, Dataset
 
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
@@ -39,7 +38,7 @@ from lpn.models.network import LPN
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import TrainingSet
-from tools.bench.figures import Figure, check_device, show, take_turns
+from tools.bench.figures import Figure, show, take_turns
 from tools.bench.pictures import make_train_split
 
 # More than a batch has, which takes each place once.
@@ -47,6 +46,8 @@ PLACES = 40
 ROUNDS = 5
 STEPS = 4
 TARGET = 1.3
+# Pixels of the edge of a picture before it is cropped, as released.
+PAD = 10
 
 
 class PlainLoop:
@@ -61,8 +62,6 @@ class PlainLoop:
         ]
         self.optimizer = torch.optim.SGD(groups, momentum=0.9, nesterov=True, weight_decay=recipe.weight_decay)
         self.rng = np.random.default_rng(0)
-        self.device = next(network.parameters()).device
-        self.scaler = torch.amp.GradScaler(self.device.type, enabled=False)
 
     def steps(self, count: int) -> None:
         """Some steps."""
@@ -71,16 +70,13 @@ class PlainLoop:
 
     def step(self) -> None:
         """One step over a random batch."""
-        with self.autocast():
-            loss = torch.zeros((), device=self.device)
-            for view, (pictures, places) in self.batches().items():
-                _, scores = self.network(pictures.to(self.device), view)
-                labels = places.to(self.device)
-                loss = loss + sum(F.cross_entropy(scores[:, part], labels) for part in range(scores.shape[1]))
+        loss = torch.zeros(())
+        for view, (pictures, labels) in self.batches().items():
+            _, scores = self.network(pictures, view)
+            loss = loss + sum(F.cross_entropy(scores[:, part], labels) for part in range(scores.shape[1]))
         self.optimizer.zero_grad()
-        self.scaler.scale(loss).backward()  # type: ignore[no-untyped-call]
-        self.scaler.step(self.optimizer)
-        self.scaler.update()
+        loss.backward()  # type: ignore[no-untyped-call]
+        self.optimizer.step()
         loss.item()
 
     def batches(self) -> dict[View, tuple[torch.Tensor, torch.Tensor]]:
@@ -94,77 +90,15 @@ class PlainLoop:
             found[view] = torch.stack(pictures), torch.from_numpy(chosen)
         return found
 
-    def autocast(self) -> AbstractContextManager[object]:
-        """Context of the forward pass: float32."""
-        return nullcontext()
 
-
-class ReleasedLoop(PlainLoop):
-    """The released loop with `--fp16`: a DataLoader of four processes for each view, shuffled independently (wtyhub/LPN
-    train.py:149), cuDNN's benchmark (train.py:86), and float16 with a scaled loss (train.py:285).
-
-    Autocast stands for apex's O1, which is no longer kept up.
-    """
-
-    def __init__(self, network: LPN, places: TrainingSet, recipe: Recipe, workers: int = 4) -> None:
-        super().__init__(network, places, recipe)
-        self.scaler = torch.amp.GradScaler(self.device.type)
-        self.streams = {
-            view: _forever(
-                DataLoader(
-                    ViewPictures(places.files[view], view == "satellite", recipe.size),
-                    recipe.batch,
-                    shuffle=True,
-                    drop_last=True,
-                    num_workers=workers,
-                    persistent_workers=workers > 0,
-                )
-            )
-            for view in network.spec.views
-        }
-
-    def step(self) -> None:
-        """One step over the next batch of each view."""
-        with torch.backends.cudnn.flags(enabled=True, benchmark=True):
-            super().step()
-
-    def batches(self) -> dict[View, tuple[torch.Tensor, torch.Tensor]]:
-        """Return the next batch of each loader."""
-        return {view: next(stream) for view, stream in self.streams.items()}
-
-    def autocast(self) -> AbstractContextManager[object]:
-        """Context of the forward pass: float16."""
-        return torch.autocast(self.device.type, torch.float16)
-
-
-class ViewPictures(Dataset[tuple[torch.Tensor, int]]):
-    """All pictures of a view with the number of their place, augmented as released."""
-
-    def __init__(self, files: Sequence[Sequence[Path]], satellite: bool, size: int) -> None:
-        self.items = [(path, place) for place, paths in enumerate(files) for path in paths]
-        self.satellite, self.size = satellite, size
-
-    def __len__(self) -> int:
-        return len(self.items)
-
-    def __getitem__(self, index: int) -> tuple[torch.Tensor, int]:
-        path, place = self.items[index]
-        return augmented(path, self.satellite, self.size, np.random.default_rng()), place
-
-
-def _forever(loader: DataLoader[Any]) -> Iterator[Any]:
-    while True:
-        yield from loader
-
-
-def augmented(path: Path, satellite: bool, size: int, rng: np.random.Generator, pad: int = 10) -> torch.Tensor:
+def augmented(path: Path, satellite: bool, size: int, rng: np.random.Generator) -> torch.Tensor:
     """Read, turn, crop, and mirror a picture, (3, S, S)."""
     with Image.open(path) as file:
         picture = file.convert("RGB").resize((size, size), Image.Resampling.BICUBIC)
     if satellite:
         picture = picture.rotate(float(rng.uniform(-90, 90)))
-    padded = np.pad(np.asarray(picture), ((pad, pad), (pad, pad), (0, 0)), mode="edge")
-    top, left = (int(v) for v in rng.integers(0, 2 * pad + 1, 2))
+    padded = np.pad(np.asarray(picture), ((PAD, PAD), (PAD, PAD), (0, 0)), mode="edge")
+    top, left = (int(v) for v in rng.integers(0, 2 * PAD + 1, 2))
     crop = padded[top : top + size, left : left + size]
     return torch.from_numpy(images.normalise(crop[:, ::-1] if rng.random() < 0.5 else crop))
 
@@ -176,22 +110,20 @@ class Unkept(TrainingSet):
         return images.load_picture(path)
 
 
-def ours(trainer: Trainer, count: int = STEPS) -> Callable[[], None]:
+def ours(trainer: Trainer) -> Callable[[], None]:
     """Steps of our trainer; the time includes all work of its threads."""
     trainer.network.train()
 
     def steps() -> None:
         with closing(cast(Any, trainer.loader.stream(0, 1_000_000))) as stream:
-            for batch in islice(stream, count):
+            for batch in islice(stream, STEPS):
                 loss, _ = trainer.learner.step(batch, 0, trainer.steps)
             loss.item()
 
     return steps
 
 
-def measure(
-    data: Path, recipe: Recipe, folder: Path, device: torch.device, steps: int = STEPS, rounds: int = ROUNDS
-) -> dict[str, tuple[float, float]]:
+def measure(data: Path, recipe: Recipe, folder: Path) -> dict[str, tuple[float, float]]:
     """Median images per second of each loop, and their ratio to the plain loop."""
     quiet = Console(quiet=True)
 
@@ -201,24 +133,24 @@ def measure(
             folder / name,
             replace(recipe, **changes),  # type: ignore[arg-type]
             console=quiet,
-            device=device,
+            device=torch.device("cpu"),
             from_scratch=True,
         )
 
     first = trainer("plain")
     places = first.places
     assert isinstance(places, TrainingSet)
-    peer = (ReleasedLoop if device.type == "cuda" else PlainLoop)(LPN(first.network.spec).to(device), places, recipe)
+    peer = PlainLoop(LPN(first.network.spec), places, recipe)
     cold = trainer("cold")
     cold.loader.places = Unkept(open_dataset(data), quiet)
     tasks: dict[str, Callable[[], object]] = {
-        "plain loop": lambda: peer.steps(steps),
-        "ours, first pass": ours(cold, steps),
-        "ours": ours(trainer("kept"), steps),
-        "ours, float32": ours(trainer("float32", precision="float32"), steps),
+        "plain loop": lambda: peer.steps(STEPS),
+        "ours, first pass": ours(cold),
+        "ours": ours(trainer("kept")),
+        "ours, float32": ours(trainer("float32", precision="float32")),
     }
-    times = take_turns(tasks, rounds)
-    pictures = steps * recipe.batch * len(places.views)
+    times = take_turns(tasks, ROUNDS)
+    pictures = STEPS * recipe.batch * len(places.views)
     plainly = times["plain loop"]
     return {
         name: (
@@ -229,7 +161,7 @@ def measure(
     }
 
 
-def figures(root: Path | None = None, resnet50: bool = False, device: str = "cpu") -> list[Figure]:
+def figures(root: Path | None = None, resnet50: bool = False) -> list[Figure]:
     """Measure each network; only our loop with cached pictures has a target."""
     networks = {"ResNet-18 to layer3": {"backbone": "resnet18", "last_layer": "layer3"}}
     if resnet50:
@@ -240,7 +172,7 @@ def figures(root: Path | None = None, resnet50: bool = False, device: str = "cpu
         data = root or make_train_split(Path(folder) / "data", PLACES)
         for name, network in networks.items():
             recipe = replace(RECIPES["released"], batch=32, **network)  # type: ignore[arg-type]
-            result = measure(data, recipe, Path(folder) / name, torch.device(device))
+            result = measure(data, recipe, Path(folder) / name)
             plain, _ = result.pop("plain loop")
             for loop, (speed, ratio) in result.items():
                 what = f"training {name}, {recipe.batch} per view, {loop}"
@@ -253,7 +185,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("data", nargs="?", type=Path, help="a data set with a train split")
     parser.add_argument("--resnet50", action="store_true", help="measure ResNet-50, too")
-    parser.add_argument("--device", default="cpu", help="cpu or cuda")
     options = parser.parse_args()
-    check_device(options.device)
-    show("Training", figures(options.data, options.resnet50, options.device))
+    show("Training", figures(options.data, options.resnet50))

@@ -6,6 +6,9 @@ the maps of the other flights, and over the mirror image of its own map, which h
 adds it at 1 and 2 m a pixel and with its channels swapped, so that vegetation is red as in near infrared. Descriptors and
 registrations are kept in the user's cache, so a run that was killed goes on.
 
+`--cut SHARES` cuts the flight's own map instead, so that it ends within the flight: along a line across which these shares of
+the tags stay, on each of `--sides`. A photo whose tag lies beyond has no place on what is left.
+
 `--prior METRES --draws N` lays each map N times under the tags, which keep their distances and are turned and moved at random,
 and searches about them alone.
 """
@@ -16,7 +19,7 @@ import argparse
 import json
 import os
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -27,13 +30,17 @@ from lpn.core.arrays import BoolArray, UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.files import write_atomic
 from lpn.flights import Flight, open_flight
+from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.maps import Map, Window, open_map
-from lpn.models.base import Model
 
 RENDERED = "rendered"
 _ASSETS = Path(__file__).parents[2] / "assets" / "demo-flight"
+# Sides of the map that stay: the axis, and the sign of its direction.
+_SIDES = {"west": (0, -1), "east": (0, 1), "south": (1, -1), "north": (1, 1)}
+# Metres from its tag beyond which an answer is false.
+_FALSE = 50.0
 # Metres per pixel below which a map is read no finer.
 _FINEST = 0.1
 
@@ -144,20 +151,52 @@ def forged(flight: Flight, own: Map, basemap: Map, seed: int) -> Flight:
     return replace(flight, frames=tuple(frames))
 
 
-def measured(
-    flight: Flight, name: str, map_name: str, basemap: Map, model: Model | None, options: LocateOptions
-) -> WrongMapRow:
-    """Locate a flight over a map, and count the accepted answers."""
-    located = locate(basemap, flight, model, options)
+def cut_maps(
+    flight: Flight, own: Map, shares: Sequence[float], sides: Sequence[str], folder: Path
+) -> Iterator[tuple[str, Map]]:
+    """Yield parts of a map on which these shares of the flight's tags lie, on each of these sides, with their names."""
+    picture, valid, metres = cut(own, np.inf)
+    west, south, east, north = own.bounds
+    middle = np.array([west + east, south + north]) / 2
+    west, south, east, north = np.array(own.bounds) - np.tile(middle, 2)
+    half = len(picture) * metres / 2
+    tags = own.frame.xy(*flight.degrees.T) - middle
+    for share in shares:
+        for side in sides:
+            axis, sign = _SIDES[side]
+            edge = float(np.nanquantile(sign * tags[:, axis], 1 - share)) * sign
+            box = [west, south, east, north]
+            box[axis if sign > 0 else axis + 2] = edge
+            columns = slice(*(round((x + half) / metres) for x in (box[0], box[2])))
+            rows = slice(*(round((half - y) / metres) for y in (box[3], box[1])))
+            place = middle + np.array([box[0] + box[2], box[1] + box[3]]) / 2
+            latitude, longitude = own.frame.degrees([place])[0].tolist()
+            name = f"{side} {share:.2f}"
+            file = folder / f"{side}-{share:.2f}.tif"
+            yield name, write_map(file, picture[rows, columns], valid[rows, columns], metres, (latitude, longitude))
+
+
+def row_of(located: LocatedFlight, name: str, map_name: str, frames: Sequence[LocatedFrame]) -> WrongMapRow:
+    """Count the accepted answers for some frames of a flight."""
     stages = [stage for stage in located.stages if stage != "retrieval"]
-    answers = {stage: [one for one in located.frames if one.stages[stage].accepted] for stage in stages}
+    answers = {stage: [one for one in frames if one.stages[stage].accepted] for stage in stages}
     beyond = {
-        stage: sum(one.tag is None or (one.error(stage) or 0.0) > 50 for one in accepted)
+        stage: sum(one.tag is None or (one.error(stage) or 0.0) > _FALSE for one in accepted)
         for stage, accepted in answers.items()
     }
-    return WrongMapRow(
-        name, map_name, len(flight.frames), {stage: len(accepted) for stage, accepted in answers.items()}, beyond
-    )
+    return WrongMapRow(name, map_name, len(frames), {stage: len(one) for stage, one in answers.items()}, beyond)
+
+
+def by_side(located: LocatedFlight, map_name: str) -> dict[str, list[LocatedFrame]]:
+    """Return the frames whose tags lie on the map, and those beyond its edge."""
+    west, south, east, north = located.basemap.bounds
+    sides: dict[str, list[LocatedFrame]] = {f"{map_name}, on it": [], f"{map_name}, beyond": []}
+    on, off = sides.values()
+    for frame in located.frames:
+        if frame.tag is not None:
+            x, y = frame.tag
+            (on if west <= x <= east and south <= y <= north else off).append(frame)
+    return sides
 
 
 def sentence(row: WrongMapRow) -> str:
@@ -166,12 +205,35 @@ def sentence(row: WrongMapRow) -> str:
     return f"{row.flight:10s} over {row.map:24s} {row.photos:3d} photos, accepted: {', '.join(cells)}"
 
 
+def tried_maps(
+    name: str, flight: Flight, pairs: dict[str, tuple[Flight, Map]], given: argparse.Namespace, folder: Path
+) -> Iterator[tuple[Flight, str, Map]]:
+    """Yield what a flight is located over, with its name; the flight is forged with a prior."""
+    own = pairs[name][1]
+    tried: list[tuple[str, Map]] = [("its own", own)] if given.own else []
+    if given.cut:
+        tried += cut_maps(flight, own, given.cut, given.sides, folder)
+    else:
+        below = {other: pairs[other][1] for other in given.over or pairs}
+        tried = [*foreign_maps(name, below, given.side, folder), *tried]
+    if given.changed:
+        tried += changed_maps(own, given.side, folder)
+    if given.prior is None:
+        yield from ((flight, *one) for one in tried)
+        return
+    for seed in range(given.draws):
+        for map_name, basemap in tried:
+            yield forged(flight, own, basemap, seed), f"{map_name}, draw {seed}", basemap
+
+
 def main() -> None:
     """Measure the flights that the command line names."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", nargs="?", type=Path, default=os.environ.get("LPN_FLIGHTS"))
     parser.add_argument("names", nargs="*", default=["brighton", "caliterra", "seneca", RENDERED])
     parser.add_argument("--over", nargs="*", help="maps to lay below, by their flights; all by default")
+    parser.add_argument("--cut", nargs="*", type=float, help="shares of the tags that parts of the own map keep")
+    parser.add_argument("--sides", nargs="*", choices=tuple(_SIDES), default=tuple(_SIDES), help="that parts keep")
     parser.add_argument("--model", type=Path)
     parser.add_argument("--side", type=float, default=360.0)
     parser.add_argument("--every", type=int, default=1)
@@ -186,35 +248,24 @@ def main() -> None:
         raise SystemExit("There is no folder of flights; give one, or set LPN_FLIGHTS.")
     options = LocateOptions(register=not given.no_register, prior=given.prior)
     model = None if given.model is None else lpn.load(given.model)
-    names = dict.fromkeys([*given.names, *(given.over or ["brighton", "caliterra", "seneca", RENDERED])])
-    pairs = {name: open_pair(name, Path(given.folder)) for name in names}
+    others = [] if given.cut else given.over or ["brighton", "caliterra", "seneca", RENDERED]
+    pairs = {name: open_pair(name, Path(given.folder)) for name in dict.fromkeys([*given.names, *others])}
     rows: list[WrongMapRow] = []
     with tempfile.TemporaryDirectory() as temporary:
         for name in given.names:
-            flight, own = pairs[name]
+            flight = pairs[name][0]
             flight = replace(flight, name=name, frames=flight.frames[:: given.every])
             folder = Path(temporary) / name
             folder.mkdir()
-            below = {other: pairs[other][1] for other in given.over or pairs}
-            tried = [*foreign_maps(name, below, given.side, folder)]
-            if given.own:
-                tried.append(("its own", own))
-            if given.changed:
-                tried += changed_maps(own, given.side, folder)
-            flights = [(flight, map_name, basemap) for map_name, basemap in tried]
-            if given.prior is not None:
-                flights = [
-                    (forged(flight, own, basemap, seed), f"{map_name}, draw {seed}", basemap)
-                    for seed in range(given.draws)
-                    for map_name, basemap in tried
-                ]
-            for drawn, map_name, basemap in flights:
+            for drawn, map_name, basemap in tried_maps(name, flight, pairs, given, folder):
                 try:
-                    rows.append(measured(drawn, name, map_name, basemap, model, options))
+                    located = locate(basemap, drawn, model, options)
                 except LPNError as error:  # a map smaller than a window
                     print(f"{name:10s} over {map_name:24s} {error}", flush=True)
                     continue
-                print(sentence(rows[-1]), flush=True)
+                sides = by_side(located, map_name) if given.cut else {map_name: located.frames}
+                rows += (row_of(located, name, where, frames) for where, frames in sides.items())
+                print(*map(sentence, rows[-len(sides) :]), sep="\n", flush=True)
                 if given.json is not None:
                     write_atomic(given.json, (json.dumps([asdict(row) for row in rows], indent=1) + "\n").encode())
 

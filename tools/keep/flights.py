@@ -152,10 +152,11 @@ def wrong_maps(name: str) -> Figures:
 
 
 def _located_over(flight: Flight, name: str, map_name: str, basemap: Map) -> dict[str, Any]:
-    from lpn.locate.options import LocateOptions
-    from tools.bench.wrong_maps import measured
+    from lpn.locate.pipeline import locate
+    from tools.bench.wrong_maps import row_of
 
-    return asdict(measured(flight, name, map_name, basemap, None, LocateOptions()))
+    located = locate(basemap, flight)
+    return asdict(row_of(located, name, map_name, located.frames))
 
 
 def wrong_map_figures(rows: Sequence[Mapping[str, Any]]) -> Figures:

@@ -6,13 +6,12 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
-from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
+from tools.fixtures.packages import needed
 from tools.keep.measures import Figures, Measure, Value, equal, reported
 
 # Packages that none of these installs may bring.
@@ -72,7 +71,7 @@ def imports() -> Figures:
     """
     figures: dict[str, Value] = {}
     for name, (extras, code) in INSTALLS.items():
-        own = required("lpn-explorer", extras)
+        own = needed([f"lpn-explorer[{','.join(extras)}]"])
         figures[f"{name} heavy packages"] = ", ".join(sorted(own.intersection(HEAVY))) or "none"
         figures[f"{name} packages"] = len(own)
         with tempfile.TemporaryDirectory() as folder:
@@ -104,27 +103,6 @@ def _link_packages(names: set[str], site: Path) -> None:
             for first in {file.parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
                 if not first.endswith(".pth") and not (site / first).is_symlink():
                     (site / first).symlink_to(str(distribution.locate_file(first)))
-
-
-def required(name: str, extras: Sequence[str] = ()) -> set[str]:
-    """The distributions that one requires with some of its extras, and what they require, itself included."""
-    found, ahead = dict[str, set[str]](), [(canonicalize_name(name), set(extras) | {""})]
-    while ahead:
-        current, wanted = ahead.pop()
-        new = wanted - found.get(current, set())
-        if not new:
-            continue
-        found[current] = found.get(current, set()) | new
-        try:
-            requirements = metadata.requires(current) or []
-        except metadata.PackageNotFoundError:  # not of this system
-            continue
-        ahead += [
-            (canonicalize_name(one.name), set(one.extras) | {""})
-            for one in map(Requirement, requirements)
-            if any(one.marker is None or one.marker.evaluate({"extra": extra}) for extra in found[current])
-        ]
-    return set(found)
 
 
 MEASURES = (

@@ -37,12 +37,12 @@ def lpn_configurations() -> Figures:
 
 def _of_case(case: ParityCase) -> float:
     import lpn
-    from tools.fixtures.parity import difference
+    from tools.fixtures.seeded import relative
 
     with tempfile.TemporaryDirectory() as folder:
         model = lpn.load(case.write(Path(folder)), "cpu")
         return _rounded(
-            *(difference(model.part_embeddings(case.pictures(), view), case.expected(view)) for view in case.compared)
+            *(relative(model.part_embeddings(case.pictures(), view), case.expected(view)) for view in case.compared)
         )
 
 

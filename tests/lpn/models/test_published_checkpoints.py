@@ -27,11 +27,11 @@ from tools.fixtures.parity import (
     ParityCase,
     backbone,
     descriptor,
-    difference,
     picture,
     state_dict,
 )
 from tools.fixtures.published_network import State
+from tools.fixtures.seeded import relative
 
 # A stride of 2, and panoramas; the others run with the slow tests. Those with published arrays are in test_checkpoints.py.
 QUICK = CASES[7], CASES[11]
@@ -48,12 +48,12 @@ def golden_maps() -> tuple[Tensor, Tensor]:
 
 
 def agree(found: np.ndarray, expected: Tensor) -> None:
-    assert difference(found, expected) <= TOLERANCE
+    assert relative(found, expected) <= TOLERANCE
 
 
 @pytest.mark.parametrize("case", ["n4", "n1_baseline"])
 def test_the_reference_answers_as_the_published_implementation(case: str) -> None:
-    golden, state = np.load(seeded.DATA / f"parity_{case}.npz"), seeded.state_dict(case)
+    golden, state = seeded.arrays(f"parity_{case}"), seeded.state_dict(case)
     of_image, of_mirror = (published_network.embeddings(state, "drone", features) for features in golden_maps())
     # The published arrays are (B, D, n), parts last.
     agree(golden["raw"].reshape(2, 512, -1).transpose(0, 2, 1), of_image)
@@ -78,10 +78,10 @@ def test_a_difference_of_the_head_outputs_would_be_seen(tmp_path: Path) -> None:
     case = CASES[4]
     model, expected = lpn.load(case.write(tmp_path), "cpu"), case.expected("satellite")
     found = model.part_embeddings(case.pictures(), "satellite")
-    assert difference(found[:, ::-1], expected) > 100 * TOLERANCE
-    assert difference(found.astype(np.float16), expected) > TOLERANCE
+    assert relative(found[:, ::-1], expected) > 100 * TOLERANCE
+    assert relative(found.astype(np.float16), expected) > TOLERANCE
     with pytest.raises(ValueError, match="The shapes are"):
-        difference(found[:, :1], expected)
+        relative(found[:, :1], expected)
 
 
 def test_three_view_baseline_and_descriptors(tmp_path: Path) -> None:

@@ -21,7 +21,8 @@ from lpn.models.trace import Trace
 from lpn.training.optimizer import build_optimizer
 from lpn.training.recipes import RECIPES
 from tools.fixtures import seeded
-from tools.fixtures.published_models import State, relative, vit_shapes, vit_tokens
+from tools.fixtures.published_models import State, vit_shapes, vit_tokens
+from tools.fixtures.seeded import relative
 
 SPEC = ModelSpec("timm:test_vit", views=("satellite", "drone"), n_parts=2, embedding=8, input_size=(64, 96))
 

@@ -24,7 +24,6 @@ from tools.fixtures import seeded
 from tools.fixtures.published_models import (
     State,
     distinct,
-    relative,
     relative_by_part,
     small_denseuav,
     small_fsra,
@@ -32,6 +31,7 @@ from tools.fixtures.published_models import (
     small_vector,
     small_vit,
 )
+from tools.fixtures.seeded import relative
 
 
 def exported(state: State, options: str, folder: Path, names: list[str]) -> tuple[Model, Model]:

@@ -19,8 +19,9 @@ from lpn.models.adapters.network import MeanVector
 from lpn.models.adapters.sdpl import Sdpl
 from lpn.models.base import normalise
 from lpn.models.trace import Trace
-from tools.fixtures import published_models
-from tools.fixtures.published_models import Golden, relative, relative_by_part
+from tools.fixtures import published_models, seeded
+from tools.fixtures.published_models import Golden, relative_by_part
+from tools.fixtures.seeded import relative
 
 TOLERANCE = 2e-5
 CLOSURE = 1e-5
@@ -156,7 +157,7 @@ def test_game4loc(folder: Path) -> None:
 
 @pytest.mark.parametrize("case", range(4))
 def test_resizes_are_those_of_the_released_code_bit_for_bit(case: int) -> None:
-    with np.load(published_models.DATA / "preprocess.npz") as file:
+    with np.load(seeded.DATA / "published" / "preprocess.npz") as file:
         linear, bicubic = file[f"cv2_linear_exact_{case}"], file[f"pillow_bicubic_{case}"]
     size = ((64, 64), (64, 64), (37, 53), (30, 40))[case]
     picture = np.random.default_rng(7 + case).integers(0, 256, (*size, 3), np.uint8)

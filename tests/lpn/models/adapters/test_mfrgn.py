@@ -16,7 +16,8 @@ from lpn.models.export import export
 from lpn.models.onnx_engine import open_session
 from lpn.models.quantize import quantize
 from lpn.models.trace import Trace
-from tools.fixtures.published_models import golden, relative
+from tools.fixtures.published_models import golden
+from tools.fixtures.seeded import relative
 
 TOLERANCE = 2e-5
 

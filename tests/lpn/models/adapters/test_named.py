@@ -25,7 +25,7 @@ from lpn.models.backbones import Bottleneck, ResNet
 from lpn.models.base import normalise
 from lpn.models.contract_metadata import from_metadata, to_metadata
 from lpn.models.trace import Trace
-from tools.fixtures import published_models, seeded
+from tools.fixtures import published_models, published_network, seeded
 from tools.fixtures.published_models import State, relative_by_part, small_denseuav
 from tools.fixtures.published_network import head_shapes
 
@@ -67,7 +67,7 @@ def check(model: PublishedModel, pictures: np.ndarray, raw: Tensor, view: Any = 
 
 def head(state: State, name: str, values: Tensor) -> Tensor:
     """A head's Linear and BatchNorm, of (B, C)."""
-    return published_models.head({key: value.double() for key, value in state.items()}, f"head.head.{name}", values)
+    return published_network.head({key: value.double() for key, value in state.items()}, f"head.head.{name}", values)
 
 
 def ring_means(features: Tensor, n: int, published: bool) -> list[Tensor]:

@@ -15,7 +15,7 @@ import lpn
 from lpn.core.errors import ModelFileError
 from lpn.models.export import export
 from lpn.models.trace import Trace
-from tools.fixtures import published_models, seeded
+from tools.fixtures import published_models, published_network, seeded
 from tools.fixtures.published_models import State, relative_by_part
 from tools.fixtures.published_network import head_shapes
 from tools.fixtures.small_vits import HEADS, PATCH, SIDE, SMALL_VITS, WIDTH
@@ -71,7 +71,9 @@ def trunk(state: State, pictures: Tensor) -> tuple[Tensor, Tensor]:
     patches = F.conv2d(pictures, own["patch.weight"], own["patch.bias"], stride=PATCH)
     grid = patches.shape[2:]
     square = own["positions"][:, 1:].transpose(1, 2).reshape(1, WIDTH, SIDE, SIDE)
-    cells = (patches + vit.resampled(square, (grid[0], grid[1]))).flatten(2).transpose(1, 2)
+    scale = [(side + 0.1) / SIDE for side in grid]  # as DINOv2's code on torch.hub
+    positions = F.interpolate(square, scale_factor=scale, mode="bicubic", align_corners=False)
+    cells = (patches + positions).flatten(2).transpose(1, 2)
     first = (own["class"] + own["positions"][:, :1]).expand(len(pictures), -1, -1)
     tokens = torch.cat([first, cells], 1)
     for block in range(2):
@@ -141,7 +143,7 @@ def one_pass(state: State, pictures: np.ndarray) -> Tensor:
     gem = F.normalize(fine.clamp(min=1e-7).pow(power).mean((2, 3)).pow(1 / power))
     pooled = {"classifier0": remapped[..., 0], "classifier1": remapped[..., 1], "token_classifier": token}
     pooled["gem_feature_classifier"] = gem
-    return torch.stack([published_models.head(double, f"components.{name}", one) for name, one in pooled.items()], 1)
+    return torch.stack([published_network.head(double, f"components.{name}", one) for name, one in pooled.items()], 1)
 
 
 def opened(folder: Path, height: int, width: int) -> lpn.Model:
