@@ -390,4 +390,7 @@ def _unconfirmed(flight: LocatedFlight) -> str:
     if summary is None or not summary.calibration or summary.calibration[3] >= CONFIRMED_SHARE:
         return ""
     near = "that near" if plain() else "within 3 radii"
-    return f"only {summary.calibration[3]:.0f} % of the GPS tags lie {near}, where {RIGHT_CALIBRATION[3]:.0f} % should"
+    return (
+        f"only {summary.calibration[3]:.0f} % of the GPS tags lie {near}, where {RIGHT_CALIBRATION[3]:.0f} % should "
+        "(tags or radii fail; this does not tell which)"
+    )

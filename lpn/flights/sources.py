@@ -38,6 +38,12 @@ _OWN_TRACKS = {
     ".geojson": re.compile(rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":', re.DOTALL),
     ".gpx": re.compile(rb'.*creator="lpn locate"', re.DOTALL),
 }
+# What to give in place of kinds that are not read.
+_INSTEAD = {
+    **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"),
+    **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),
+    **dict.fromkeys((".ass", ".vtt"), "SRT"),
+}
 _NAMED = 5
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
@@ -110,7 +116,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     """
     options = options or FlightOptions()
     check_folder(out)
-    _refuse_own_tracks(files)
+    _refuse(files)
     camera = None if options.camera is None else read_camera(options.camera)
     inputs = _sorted_files(files)
     read, texts, unread = _read_logs(inputs.logs)
@@ -145,7 +151,7 @@ def read_any_log(file: Path) -> Log:
     Raises:
         DataError: if it is damaged, of no kind that is read, or a track that lpn locate wrote.
     """
-    _refuse_own_tracks([file])
+    _refuse([file])
     suffix = file.suffix.lower()
     if suffix in vehicle_logs.SUFFIXES:
         return vehicle_logs.read_vehicle_log(file)
@@ -172,10 +178,15 @@ def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str
     return read, others, notes
 
 
-def _refuse_own_tracks(files: Sequence[Path]) -> None:
-    """Raise DataError if a file is a track that lpn locate wrote."""
+def _refuse(files: Sequence[Path]) -> None:
+    """Raise DataError if a file is a track or a log of a kind that is not read, or a track that lpn locate wrote."""
     for file in files:
-        begin = _OWN_TRACKS.get(file.suffix.lower())
+        suffix = file.suffix.lower()
+        if suffix in _INSTEAD:
+            raise DataError(
+                f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
+            )
+        begin = _OWN_TRACKS.get(suffix)
         if begin is None or not file.is_file():
             continue
         try:

@@ -168,13 +168,17 @@ def read_subtitles(file: Path, gps_order: GpsOrder | None = None) -> Subtitles:
 
 
 def blocks_of(data: bytes) -> list[SubtitleBlock]:
-    """Split a file of subtitles at the lines that hold an index only."""
+    """Split a file of subtitles at the lines that hold an index only, or, without any, at its time codes."""
     try:
         text = values.decoded(data, "").replace("\r\n", "\n").replace("\r", "\n")
     except DataError:  # without any text there is no subtitle
         return []
+    parts = _INDEX_LINE.split(text)[1:]
+    if not parts:
+        starts = [match.start() for match in _CODES.finditer(text)]
+        parts = [text[start:end] for start, end in zip(starts, [*starts[1:], len(text)], strict=False)]
     blocks = []
-    for part in _INDEX_LINE.split(text)[1:]:
+    for part in parts:
         codes = _CODES.search(part)
         start, end = (None, None) if codes is None else (_seconds(codes.groups()[:4]), _seconds(codes.groups()[4:]))
         blocks.append(SubtitleBlock(part, start, end))

@@ -317,14 +317,18 @@ def test_accuracy_is_said_source_by_source(flight: LocatedFlight) -> None:
     summary, of = lines(map_error=0.8)
     assert summary == (
         "99 of 100 photos like the typical one should lie within 3.0 m on this map; on earth as good as the map’s georeference, "
-        "which nothing here checks. Not confirmed: only 50 % of the GPS tags lie that near, where 99 % should."
+        "which nothing here checks. Not confirmed: only 50 % of the GPS tags lie that near, where 99 % should "
+        "(tags or radii fail; this does not tell which)."
     )
     with speaking(Vocabulary()):
         summary, _ = lines(map_error=0.8)
     assert summary.startswith(
         "± 1.0 m on this map (1 sigma along each axis); on earth as good as the map’s georeference"
     )
-    assert summary.endswith("Not confirmed: only 50 % of the GPS tags lie within 3 radii, where 99 % should.")
+    assert summary.endswith(
+        "Not confirmed: only 50 % of the GPS tags lie within 3 radii, where 99 % should "
+        "(tags or radii fail; this does not tell which)."
+    )
     assert "the tilt that the photos tell give ± 0.6 m, and ± 0.8 m are assumed" in of["On this map"]
     assert of["GPS tags"].startswith("5.0 m Median of 3 photos and 45.0 m at most, between the GPS tag and the place")
     assert "error of both together" in of["GPS tags"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from pathlib import Path
 
 import pytest
@@ -118,7 +119,7 @@ def test_focal_lengths_are_in_millimetres_or_in_tenths_of_them() -> None:
         assert one(text).fov == pytest.approx(fov, abs=0.1)
 
 
-@pytest.mark.parametrize("spoil", ["crlf", "bom", "no blank lines", "no final line"])
+@pytest.mark.parametrize("spoil", ["crlf", "bom", "no blank lines", "no final line", "no index lines"])
 def test_bytes_of_every_kind_are_read(spoil: str) -> None:
     data = srt(DIALECTS["mavic pro"][0], DIALECTS["mavic pro"][0], DIALECTS["mavic pro"][0])
     changed = {
@@ -126,6 +127,7 @@ def test_bytes_of_every_kind_are_read(spoil: str) -> None:
         "bom": b"\xef\xbb\xbf" + data,
         "no blank lines": data.replace(b"\n\n", b"\n"),
         "no final line": data.rstrip(),
+        "no index lines": re.sub(rb"(?m)^\d+\n", b"", data),
     }[spoil]
     assert parse_subtitles(blocks_of(changed), "a") == parse_subtitles(blocks_of(data), "a")
 
@@ -361,13 +363,6 @@ def test_a_dialect_that_is_not_known_is_named_by_a_line_of_it(text: str, line: s
 def test_subtitles_in_utf_16_are_read() -> None:
     data = srt(DIALECTS["mavic pro"][0]).decode().encode("utf-16")
     assert parse_subtitles(blocks_of(data), "a").entries[0].latitude == -20.2533
-
-
-@pytest.mark.parametrize("name", ["A.ASS", "A.VTT"])
-def test_subtitles_of_other_formats_are_left_out_and_named(tmp_path: Path, name: str) -> None:
-    (tmp_path / name).write_text("[Script Info]\n", "utf-8")
-    flight = make_flight([write_video(tmp_path / "A.MP4", 2), tmp_path / name], tmp_path / "flight")
-    assert f"Left out, because their kind is not supported: {name}." in flight.notes
 
 
 SAMPLES = Path(os.environ["LPN_FLIGHTS"]).parent / "srt" if "LPN_FLIGHTS" in os.environ else None

@@ -10,6 +10,7 @@ from PIL import ExifTags
 
 from lpn.core.errors import DataError
 from lpn.flights import make_flight
+from lpn.flights.sources import read_any_log
 from lpn.flights.track_files import parse_track, read_track
 from tools.fixtures.photos import exif, write_photo
 from tools.fixtures.videos import write_video
@@ -221,12 +222,25 @@ def test_decimal_commas_are_read() -> None:
     assert "1 points of a.gpx are outside of the Earth's degrees, and were left out." in track.notes
 
 
-def test_tracks_of_google_earth_are_not_read(tmp_path: Path) -> None:
-    (tmp_path / "track.kml").write_text('<kml xmlns="http://www.opengis.net/kml/2.2"/>', "utf-8")
+@pytest.mark.parametrize(
+    ("name", "instead"),
+    [
+        ("track.kml", "GPX or CSV"),
+        ("flight.bag", "CSV, .ulg, .tlog, or .bin"),
+        ("clip.vtt", "SRT"),
+        ("CLIP.ASS", "SRT"),
+    ],
+)
+def test_a_file_of_a_kind_that_is_not_read_is_refused_wherever_it_is_named(
+    tmp_path: Path, name: str, instead: str
+) -> None:
+    (file := tmp_path / name).write_text('<kml xmlns="http://www.opengis.net/kml/2.2"/>', "utf-8")
     photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
-    flight = make_flight([photo, tmp_path / "track.kml"], tmp_path / "flight")
-    assert "Left out, because their kind is not supported: track.kml." in flight.notes
-    with pytest.raises(DataError, match=r"There is no photo and no video \(track\.kml is neither\)"):
-        make_flight([tmp_path / "track.kml"], tmp_path / "alone")
-    with pytest.raises(DataError, match=r"track\.kml is no GPX; expected a track with <gpx> in it"):
-        parse_track((tmp_path / "track.kml").read_bytes(), "track.kml")
+    told = rf"{re.escape(name)} is {file.suffix.upper()}, which is not read; give the flight as {re.escape(instead)}\.$"
+    for given in ([photo, file], [file]):
+        with pytest.raises(DataError, match=told):
+            make_flight(given, tmp_path / "flight")
+    with pytest.raises(DataError, match=told):
+        read_any_log(file)
+    with pytest.raises(DataError, match=r"is no GPX; expected a track with <gpx> in it"):
+        parse_track(file.read_bytes(), name)
