@@ -345,18 +345,24 @@ def _of_beside(
 
 @dataclass(kw_only=True)
 class StoryCommand:
-    """List the stories that lie beside a data set; lpn explore tells them."""
+    """List the stories that lie beside a data set or flight; lpn explore tells them."""
 
-    data: Path = DEMO
-    """Data set in any layout of docs/data.md; by default the demo."""
+    data: Path | None = None
+    """Data set in any layout of docs/data.md, or the photos of a flight; by default those that lpn explore opens."""
 
     def run(self) -> None:
         from explorer.stories.library import read_all
 
-        if not self.data.is_dir():
+        if self.data is not None and not self.data.is_dir():
             raise InputError(f"There is no folder {printable(str(self.data))!r}; give that of a data set with --data.")
-        stories = read_all(self.data)
-        for problem in stories.errors:
+        shipped = {DATA: DEMO, "place": DEMO_PLACE[1], "flight": DEMO_FLIGHT[1]}
+        opened = {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.data is None else {"": self.data}
+        stories = {of: read_all(root) for of, root in opened.items()}
+        problems = dict.fromkeys(problem for read in stories.values() for problem in read.errors)
+        for problem in problems:
             print(f"lpn: {problem}", file=sys.stderr)
-        for story in stories.by_name.values():
-            print(f"{printable(story.name)}  ({len(story.steps)} steps)")
+        for of, read in stories.items():
+            for story in read.by_name.values():
+                print(f"{printable(story.name)}  ({len(story.steps)} steps{of})")
+        if not problems and not any(read.by_name for read in stories.values()):
+            print("There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.")

@@ -69,12 +69,13 @@ def stories_of(workspace: Workspace) -> Stories:
     return read_all(workspace.root, [tour.story(workspace)], shipped=not calibrated)
 
 
-def keep(root: Path, step: Step, name: str | None, taken: Collection[str] = ()) -> Story:
+def keep(root: Path, step: Step, name: str | None, taken: Collection[str] = (), begun: Sequence[Step] = ()) -> Story:
     """Append a step to a story beside the data, and return the story; captions and order are edited in the file itself.
 
     Args:
         name: of the story, which begins with this step where the file lacks it; None begins one under a free name.
         taken: names of other stories, which the free one is not.
+        begun: steps that the story had. If the file lacks its name, and one story begins by showing the same, it was renamed.
 
     Raises:
         InputError: when the story has the most steps, or the file would be too large.
@@ -85,6 +86,10 @@ def keep(root: Path, step: Step, name: str | None, taken: Collection[str] = ()) 
     def change(stories: list[Story]) -> list[Story]:
         names = [stored.name for stored in stories]
         chosen = new_name([*names, *taken]) if name is None else name
+        shown = [former.shows for former in begun]
+        renamed = [told.name for told in stories if [former.shows for former in told.steps[: len(shown)]] == shown]
+        if name not in (None, *names) and shown and len(renamed) == 1:
+            chosen = renamed[0]
         at = names.index(chosen) if chosen in names else len(stories)
         kept.append(add(stories[at] if at < len(stories) else Story(chosen), step))
         return [*stories[:at], kept[-1], *stories[at + 1 :]]

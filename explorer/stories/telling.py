@@ -62,9 +62,9 @@ class StoryTeller:
         self._lock = threading.RLock()
         self._analysis: StateAnalysis | None = None
         self.tour = tour.story(workspace)
-        # The story to which S adds a step, and the one that was told or kept last, which is exported.
-        self._kept: str | None = None
-        self._last: Story | None = None
+        # The story to which S adds a step, and the name of the one that was told or kept last, which is exported.
+        self._kept: Story | None = None
+        self._last: str | None = None
         self._read()
 
     def commands(self) -> list[tuple[str, str | None, Callable[[], None]]]:
@@ -126,25 +126,32 @@ class StoryTeller:
             caption = f"{analysis.name}. {headline}."
         address = self._url_state.write(state)
         try:
-            kept = library.keep(self._workspace.root, story.step_of(address, caption), self._kept, self.names)
+            name, begun = (None, ()) if self._kept is None else (self._kept.name, self._kept.steps)
+            kept = library.keep(self._workspace.root, story.step_of(address, caption), name, self.names, begun)
         except LPNError as error:
             self._call("say", f"Not saved. {error}", 12)
             return
-        self._kept, self._last = kept.name, kept
+        self._kept, self._last = kept, kept.name
         self._read()
         place = library.place(self._workspace.root)
         said = f"Step {len(kept.steps)} of {kept.name!r} is kept in {place}. Captions and notes are edited there."
         whole = not state.lab or self._url_state.read(address, state)[0].laboratory == state.laboratory
         self._call("say", said if whole else f"{said} {_LOST}", 6 if whole else 12)
 
-    def _tell(self, name: str) -> None:
+    def _found(self, name: str) -> Story | None:
+        """Return a story as its file has it now, or say that it is gone or empty."""
         self._read()
         chosen = self._stories.by_name.get(name)
         if chosen is None or not chosen.steps:
             missing = f"There is no story {name!r} any more." if chosen is None else f"The story {name!r} has no step."
             self._call("say", " ".join((missing, *self._stories.errors)))
+            return None
+        return chosen
+
+    def _tell(self, name: str) -> None:
+        if (chosen := self._found(name)) is None:
             return
-        self._last = chosen
+        self._last = name
         self._client.gui.main_panel.expand()  # its content, by which the page sends messages, is removed while it is folded
         self._call("tell", msgspec.to_builtins(chosen))
 
@@ -158,9 +165,11 @@ class StoryTeller:
     def _export(self) -> None:
         """Export the story that was told or kept last."""
         with self._lock:
-            chosen = self._last
+            if self._last is None:
+                self._call("say", "Tell a story first, or keep a step by S: that story is exported.")
+                return
+            chosen = self._found(self._last)
         if chosen is None:
-            self._call("say", "Tell a story first, or keep a step by S: that story is exported.")
             return
         workspace, dark = self._workspace, self._analysis is None or self._analysis.state.dark
         self._reporter.make(

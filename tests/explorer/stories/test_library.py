@@ -9,11 +9,12 @@ import pytest
 from explorer.cli import StoryCommand
 from explorer.stories import library
 from explorer.stories.story import MOST_STEPS, Step, Story
-from lpn.core.demo import DEMO
+from lpn.core.demo import DEMO, DEMO_FLIGHT, DEMO_PLACE
 from lpn.core.errors import DataError, InputError, OutputError
 
 ONE = Story("Ünë <b>", (Step("query=a", 'Say "hi"\nto all', "noted"),))
 OTHER = Story("Other", (Step("query=b"),))
+_SHIPPED = {story.name: len(story.steps) for story in library.read_stories(DEMO / "stories.json")}
 
 
 def write(folder: Path, *stories: Story) -> None:
@@ -37,6 +38,24 @@ def test_a_step_is_added_to_its_story_as_the_file_has_it_now(tmp_path: Path) -> 
     write(tmp_path, edited, ONE)
     assert library.keep(tmp_path, Step("query=c"), "Story 1").steps == (*edited.steps, Step("query=c"))
     assert list(library.read_all(tmp_path).by_name) == ["Story 1", ONE.name]
+
+
+def test_a_step_follows_its_story_to_the_name_that_a_person_gave_it(tmp_path: Path) -> None:
+    begun = library.keep(tmp_path, Step("query=b"), None).steps
+    renamed = Story("Mine", (Step("query=b", "An edited caption"), Step("query=d")))
+    write(tmp_path, ONE, renamed)
+    kept = library.keep(tmp_path, Step("query=c"), "Story 1", begun=begun)
+    assert kept == Story("Mine", (*renamed.steps, Step("query=c")))
+    assert list(library.read_all(tmp_path).by_name) == [ONE.name, "Mine"]
+    assert library.keep(tmp_path, Step("query=c"), None, begun=kept.steps).name == "Story 1", "another one is begun"
+
+
+@pytest.mark.parametrize("stories", [(OTHER, Story("Twin", OTHER.steps)), (ONE,), (Story("Empty"),)])
+def test_a_story_that_no_other_or_several_may_be_is_begun_again(tmp_path: Path, stories: tuple[Story, ...]) -> None:
+    write(tmp_path, *stories)
+    kept = library.keep(tmp_path, Step("query=c"), "Story 1", begun=OTHER.steps)
+    assert library.read_stories(tmp_path / "stories.json") == [*stories, kept]
+    assert kept == Story("Story 1", (Step("query=c"),))
 
 
 def test_a_new_story_takes_no_name_of_another(tmp_path: Path) -> None:
@@ -115,3 +134,33 @@ def test_the_command_lists_the_stories(tmp_path: Path, capsys: pytest.CaptureFix
     assert "is not a file of stories" in capsys.readouterr().err
     with pytest.raises(InputError, match=r"There is no folder .*missing'; give that of a data set with --data"):
         StoryCommand(data=tmp_path / "missing").run()
+
+
+def test_the_command_lists_the_stories_of_all_that_ships(capsys: pytest.CaptureFixture[str]) -> None:
+    library.keep(DEMO_PLACE[1], ONE.steps[0], None)
+    library.keep(DEMO_FLIGHT[1], ONE.steps[0], None)
+    StoryCommand().run()
+    *city, place, flight = capsys.readouterr().out.splitlines()
+    assert city == [f"{name}  ({n} steps, a computer-generated city)" for name, n in _SHIPPED.items()]
+    assert place == "Story 1  (1 steps, a real flight)"
+    assert flight == "Story 1  (1 steps, a computer-generated flight)"
+
+
+def test_the_command_says_in_one_line_that_there_is_no_story(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    StoryCommand(data=tmp_path).run()
+    said = capsys.readouterr().out
+    assert said == "There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.\n"
+
+
+def test_the_command_says_once_what_hinders_all(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def homeless(*_: object) -> Path:
+        raise OutputError("There is no home.")
+
+    monkeypatch.setattr(library, "own_file", homeless)
+    StoryCommand().run()
+    said = capsys.readouterr()
+    assert (said.err, len(said.out.splitlines())) == ("lpn: There is no home.\n", len(_SHIPPED))

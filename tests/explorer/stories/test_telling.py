@@ -163,6 +163,17 @@ def test_another_story_is_begun_and_a_second_page_keeps_its_own(page: Page) -> N
     assert {name: len(story.steps) for name, story in kept.items()} == {"Story 1": 2, "Story 2": 1, "Story 3": 1}
 
 
+def test_steps_are_kept_in_a_story_that_was_renamed_in_its_file(page: Page) -> None:
+    page.send("record")
+    write(page, Story("Mine", page.steps))
+    page.state = replace(page.state, query=2)
+    page.send("record")
+    write(page, Story("Ours", page.steps))
+    page.send("record")
+    assert len(page.steps) == 3
+    assert "Step 3 of 'Ours' is kept" in str(page.calls[-1])
+
+
 def test_a_kept_story_is_told_as_its_file_has_it(page: Page) -> None:
     page.send("record")
     edited = Story("Mine", (Step("query=a", "<b>first</b>", "say it"), Step("query=b")))
@@ -228,6 +239,21 @@ def test_the_story_that_was_told_or_kept_last_is_exported(page: Page, monkeypatc
     for call in page.reporter.make.call_args_list:
         call.args[0](None, None)
     assert [story.name for story in told] == ["Mine", "Story 1"]
+
+
+def test_a_story_is_exported_as_its_file_has_it(page: Page, monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[Story] = []
+    monkeypatch.setattr(exported, "export", lambda _, __, story, *___: told.append(story))
+    page.send("record")
+    edited = Story("Story 1", (Step(page.steps[0].shows, "An edited caption"),))
+    write(page, edited)
+    page.command("Export the story as one HTML file")
+    page.reporter.make.call_args.args[0](None, None)
+    assert told == [edited]
+    write(page, Story("Another", edited.steps))
+    page.command("Export the story as one HTML file")
+    assert page.calls[-1] == ("say", "There is no story 'Story 1' any more.")
+    assert page.reporter.make.call_count == 1
 
 
 def _plain(step: Step) -> dict[str, str]:
