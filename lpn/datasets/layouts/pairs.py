@@ -11,6 +11,7 @@ picture (without satellites: the same picture of the first view) show the same p
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -19,8 +20,8 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
 from lpn.datasets import geo
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, read_rows, warn_left_out
-from lpn.datasets.listed_paths import FilesBelow, listed_path
+from lpn.datasets.base import Dataset, PictureRow, read_rows
+from lpn.datasets.listed_paths import listed_path
 
 NAME = "pairs.csv"
 _MOST = 2**62
@@ -34,48 +35,48 @@ class _PairLine:
     place: int | None
 
 
-class PairsCSV(ListedDataset):
-    """A folder with a pairs.csv. Missing pictures are left out and logged once.
+class PairsCSV(Dataset):
+    """A folder with a pairs.csv.
 
     Raises:
         DataError: if pairs.csv is malformed; the message names the line.
     """
 
     kind = "pairs"
+    title = f"pairs listed in {NAME}"
+    known_by = NAME
+    priority = 1
+    unusable = f"files named in {NAME}"
+    expected = f"lines of {NAME} with the split test and such a picture"
 
-    def __init__(self, root: Path) -> None:
-        views, rows = _read(root / NAME)
-        there = FilesBelow(root).resolve(file for row in rows for file in row.files.values())
+    @staticmethod
+    def marks(root: Path) -> bool:
+        return (root / NAME).is_file()
+
+    def rows(self) -> Iterator[PictureRow]:
+        self.none_whole = f"has none of the files that {NAME} names; expected paths relative to {self.root.name}"
+        views, lines = _read(self.root / NAME)
         # One picture may be listed in two spellings, and is one place all the same.
-        rows = [replace(row, files={view: there.get(file, file) for view, file in row.files.items()}) for row in rows]
-        files = set(there.values())
-        places = _places(rows, "satellite" if "satellite" in views else views[0])
-        left_out: dict[str, LeftOut] = {}
-        pictures: dict[str, dict[str, dict[str, Picture]]] = {
-            split: {view: {} for view in views} for split in ("train", "test")
-        }
-        for row, place in zip(rows, places, strict=True):
-            for view, file in row.files.items():
-                listed = pictures[row.split][view].get(file)
-                if listed is not None and listed.label != place:
+        lines = [
+            replace(line, files={view: self.files.find(file) or file for view, file in line.files.items()})
+            for line in lines
+        ]
+        listed: dict[tuple[str, str], int] = {}
+        # The lists stand in the order of the columns, whichever view the first lines have.
+        rows: dict[str, list[PictureRow]] = {f"{split}/{view}": [] for split in ("train", "test") for view in views}
+        for line, place in zip(lines, _places(lines, "satellite" if "satellite" in views else views[0]), strict=True):
+            for view, file in line.files.items():
+                of = f"{line.split}/{view}"
+                if (before := listed.setdefault((of, file), place)) != place:
                     raise DataError(
-                        f"Line {row.line} of {NAME} gives {printable(file)} the place {place}, after {listed.label}; keep one."
+                        f"Line {line.line} of {NAME} gives {printable(file)} the place {place}, after {before}; keep one."
                     )
-                if file in files:
-                    name = Path(file).with_suffix("").as_posix()
-                    pictures[row.split][view][file] = Picture(root / file, place, printable(name))
-                else:
-                    left_out[file] = LeftOut(file, "is not there")
-        train, test = (
-            {view: list(of_view.values()) for view, of_view in pictures[split].items()} for split in ("train", "test")
-        )
-        if not any([*train.values(), *test.values()]):
-            raise DataError(
-                f"{root.name} has none of the files that {NAME} names; expected paths relative to {root.name}."
-            )
-        super().__init__(root, train, test, test, f"lines of {NAME} with the split test and such a picture")
-        self.left_out = list(left_out.values())
-        warn_left_out(self.root.name, self.left_out, f"files named in {NAME} cannot be used", "they are left out")
+                rows[of].append(PictureRow(of, file, place, Path(file).with_suffix("").as_posix()))
+        for of_list in rows.values():
+            yield from dict.fromkeys(of_list)
+
+
+LAYOUT = PairsCSV
 
 
 def _read(path: Path) -> tuple[list[str], list[_PairLine]]:

@@ -15,8 +15,8 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import linked_folder, printable
 from lpn.core.images import SUFFIXES
-from lpn.datasets.base import Dataset, LeftOut, Picture, Size, hidden_name, tasks_between, unread_below
-from lpn.datasets.rendered import is_rendered
+from lpn.datasets.base import Dataset, Picture, Size, hidden_name
+from lpn.datasets.rendered import PLAN, is_rendered
 
 # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
 FULL = {
@@ -31,40 +31,70 @@ FULL = {
     "test/gallery_satellite": Size(951, 951),
     "test/gallery_street": Size(2_921, 793),
 }
-_TRAIN = ("satellite", "drone", "street", "google")
-_VIEWS = ("drone", "satellite", "street")
+# The lists in the order in which they are shown.
+LISTS = (
+    *(f"train/{name}" for name in ("satellite", "drone", "street", "google")),
+    *(f"test/{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite", "street")),
+)
 
 
 class University(Dataset):
     """A folder in University-1652's layout; `kind` is "world" if it was rendered.
 
-    Pictures are listed on request, in order of place and file name.
+    The pictures of a list are read from its folder when they are asked for, in order of place and file name.
     """
 
     kind = "University-1652"
+    known_by = "train and test as in University-1652"
+    parts = ("train", "test")
+    priority = -1
+    folders = ("train", "test")
+    recipes: tuple[str, ...] = ("paper", "released", "small", "world")
+    paper: tuple[tuple[str, ...], str, str] | None = (
+        ("drone-to-satellite", "satellite-to-drone"),
+        "Tables I, III, IV, V and Figure 5",
+        "Tables IV and V",
+    )
+    published_sizes = FULL
 
-    def __init__(self, root: Path) -> None:
-        super().__init__(root)
+    def __init__(self, root: Path, split: str | None = None) -> None:
+        super().__init__(root, split)
+        self._read: dict[str, list[Picture]] = {}
         if is_rendered(root):
-            self.kind = "world"
-        else:
-            self.published_sizes = FULL
+            self.kind, self.title, self.published_sizes = "world", "a rendered world", {}
+            self.recipes = ("world", "small", "paper", "released")
 
-    def train(self, folder: str) -> list[Picture]:
-        return self.pictures_in(f"train/{folder}")
+    @staticmethod
+    def marks(root: Path) -> bool:
+        if (root / PLAN).is_file() or any((root / name).is_dir() for name in LISTS if name.startswith("test/")):
+            return True
+        numbered = [any((root / name).glob("[0-9]*/")) for name in LISTS if name.startswith("train/")]
+        return sum(numbered) > 1
 
-    def queries(self, view: str) -> list[Picture]:
-        return self._test("query", view)
+    def pictures(self, name: str) -> list[Picture]:
+        if name in LISTS and name not in self._read:
+            self._read[name] = self.pictures_in(name)
+        return list(self._read.get(name, ()))
 
-    def gallery(self, view: str) -> list[Picture]:
-        return self._test("gallery", view)
+    def pictures_in(self, name: str) -> list[Picture]:
+        """Read the pictures of one of the lists."""
+        return place_pictures(self.folder_of(name))
 
-    def tasks(self) -> list[str]:
-        there = {
-            role: [view for view in _VIEWS if linked_folder(self.root / "test" / f"{role}_{view}").is_dir()]
-            for role in ("query", "gallery")
-        }
-        return tasks_between(there["query"], there["gallery"])
+    def folder_of(self, name: str) -> Path:
+        """Return the folder of one of the lists; it may be named by a text file in its place."""
+        return linked_folder(self.root / name)
+
+    def lists(self) -> dict[str, list[Picture]]:
+        return {name: pictures for name in LISTS if (pictures := self.pictures(name))}
+
+    def has(self, role: str, view: str) -> bool:
+        name = f"test/{role}_{view}"
+        return name in LISTS and self.folder_of(name).is_dir()
+
+    def lacking(self, role: str, view: str) -> str:
+        name, like = f"test/{role}_{view}", "University-1652" if self.kind == "world" else self.kind
+        lack = "no pictures in it" if self.folder_of(name).is_dir() else "no such folder"
+        return f"has {lack} at {name}; expected {name}/<number>/*.jpg, as in {like}"
 
     def why_no_task(self) -> str:
         test = self.root / "test"
@@ -75,29 +105,8 @@ class University(Dataset):
             "test/gallery_satellite/<number>/*"
         )
 
-    def lists(self) -> dict[str, list[Picture]]:
-        names = [f"train/{name}" for name in _TRAIN]
-        names += [f"test/{role}_{view}" for role in ("query", "gallery") for view in _VIEWS]
-        lists = {name: self.pictures_in(name) for name in names}
-        return {name: pictures for name, pictures in lists.items() if pictures}
 
-    def pictures_in(self, folder: str) -> list[Picture]:
-        """Return the pictures of a folder below the root, such as "test/query_drone"."""
-        return place_pictures(linked_folder(self.root / folder))
-
-    def unread(self) -> list[LeftOut]:
-        return unread_below(self.root, ("train", "test"))
-
-    def _test(self, role: str, view: str) -> list[Picture]:
-        folder = self.root / "test" / f"{role}_{view}"
-        pictures = self.pictures_in(f"test/{role}_{view}")
-        if not pictures:
-            lack = "no pictures in it" if folder.is_dir() else "no such folder"
-            raise DataError(
-                f"{self.root.name} has {lack} at test/{role}_{view}; expected test/{role}_{view}/<number>/*.jpg, "
-                f"as in {'University-1652' if self.kind == 'world' else self.kind}."
-            )
-        return pictures
+LAYOUT = University
 
 
 def place_pictures(folder: Path) -> list[Picture]:

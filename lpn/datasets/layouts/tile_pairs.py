@@ -12,24 +12,21 @@ gallery is every tile of the folder, all zooms together.
 
 from __future__ import annotations
 
-import json
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array, Int64Array
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.areas import AREAS, Area, choose_split
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, warn_left_out
-from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
+from lpn.datasets.base import Dataset, Picture, PictureRow, PositionProtocol, Size, Truth, files_below, read_json
+from lpn.datasets.listed_paths import fold, listed_path, name_of
 
 # Side of GTA-UAV's map in pixels, and metres of a pixel.
 _MAP_PIXELS, _METRES = 24_576, 0.45
@@ -49,9 +46,10 @@ _MAPS = {
     "10": (40.355093, 115.776356, 40.341475, 115.794041, 5077, 6593),
     "11": (38.852301, 101.013109, 38.807825, 101.092483, 16582, 29592),
 }
+_LIST = "{}-drone2sate-{}.json"
 _TILES = "pair_{}_sate_img_list"
 _WEIGHTS = "pair_{}_sate_weight_list"
-_LOCATIONS = {"drone_loc_x_y": "GTA-UAV", "drone_loc_lat_lon": "UAV-VisLoc"}
+_LOCATIONS: dict[str, PositionProtocol] = {"drone_loc_x_y": "GTA-UAV", "drone_loc_lat_lon": "UAV-VisLoc"}
 
 
 @dataclass(frozen=True)
@@ -65,171 +63,150 @@ class _Pair:
     tiles: str
 
 
-class TilePairs(ListedDataset):
+class TilePairs(Dataset):
     """A folder of GTA-UAV, or of UAV-VisLoc as GTA-UAV's programs prepare it, in one of its areas.
 
-    A tile's label is its number. A drone picture's label is that of the tile it overlaps most; `truth` holds the true matches.
-
-    Args:
-        area: "same" or "cross"; by default the one whose test list is there, the same area first.
+    A tile's label is its number. A drone picture's label is that of the tile it overlaps most.
 
     Raises:
         DataError: if a list is missing or malformed, or names a test picture twice, or two tiles have one name.
     """
 
     kind = "GTA-UAV"
+    known_by = "*-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc)"
+    parts = ("drone", "satellite")
+    splits = ("same-area", "cross-area")
+    split_list = _LIST.format("same-area", "test")
+    unusable = "files named in its lists"
+    trapezoid = False
 
-    def __init__(self, root: Path, area: Area | None = None) -> None:
-        area = choose_split(
-            root, [one for one in AREAS if _list(root, one, "test").is_file()], area, _list(root, "same", "test").name
-        )
-        test, form = _read(_list(root, area, "test"))
-        train = _read(_list(root, area, "train"))[0] if _list(root, area, "train").is_file() else []
-        self.kind, self.measured_by = form, form
-        there = FilesBelow(root)
-        test = _here(there, test)
-        train = _here(there, train)
-        folders = {pair.tiles for pair in test}
-        if len(folders) != 1:
-            raise DataError(
-                f"The test list of {printable(root.name)} names {len(folders)} folders of tiles; expected one."
-            )
-        listed = Counter(pair.file for pair in test)
-        if repeated := next((file for file, times in listed.items() if times > 1), None):
-            raise DataError(
-                f"{_list(root, area, 'test').name} has {listed[repeated]} objects of {printable(repeated)}; expected one "
-                "for each drone picture."
-            )
-        folder = folders.pop()
-        below = [] if there.find(folder) is None else files_below(root / folder)
-        files = [file.relative_to(root).as_posix() for file in below]
-        if not files:
-            raise DataError(
-                f"{printable(root.name)} has no tiles in {folder}, which its lists name; unpack them there."
-            )
-        numbers: dict[str, int] = {}
-        for number, file in enumerate(files):
-            if (other := numbers.setdefault(fold(Path(file).name), number)) != number:
-                raise DataError(
-                    f"{printable(root.name)} has the tiles {printable(files[other])} and {printable(file)}, and its lists name "
-                    "tiles by their file names alone; leave one of them out."
-                )
-        gallery = [Picture(root / file, number, Path(file).stem) for number, file in enumerate(files)]
-        left_out: dict[str, LeftOut] = {}
-        self._pairs: list[_Pair] = []
-        lists: dict[str, list[Picture]] = {}
-        for split, pairs in (("train", train), ("test", test)):
-            lists[split] = []
-            for pair in pairs:
-                true = [name for name in pair.true if name in numbers]
-                for name in pair.listed:
-                    if name not in numbers:
-                        left_out[name] = LeftOut(f"{folder}/{name}", "is not there")
-                if there.find(pair.file) is None:
-                    left_out[pair.file] = LeftOut(pair.file, "is not there")
-                elif pair.true and not true:
-                    left_out[pair.file] = LeftOut(pair.file, "has none of its true tiles")
-                elif true:
-                    best = max(true, key=lambda name: pair.true[name])
-                    lists[split].append(Picture(root / pair.file, numbers[best], Path(pair.file).stem))
-                    if split == "test":
-                        self._pairs.append(pair)
-        used = {picture.label for picture in lists["train"]}
-        super().__init__(
-            root,
-            {"drone": lists["train"], "satellite": [tile for tile in gallery if tile.label in used]},
-            {"drone": lists["test"]},
-            {"satellite": gallery},
-            f"{_list(root, area, 'test').name} with true tiles",
-        )
+    @classmethod
+    def marks(cls, root: Path) -> bool:
+        return any((root / _LIST.format(area, split)).is_file() for area in cls.splits for split in ("train", "test"))
+
+    def splits_there(self) -> list[str]:
+        return [area for area in self.splits if (self.root / _LIST.format(area, "test")).is_file()]
+
+    def rows(self) -> Iterator[PictureRow]:
+        listed = _LIST.format(self.split, "test")
+        pairs, form = self._pairs(listed)
+        self.kind, self.measured_by, self.expected = form, form, f"{listed} with true tiles"
         if form == "GTA-UAV":
             self.published_sizes = {"test/gallery_satellite": Size(14_640)}
-        self._numbers, self._area = numbers, area
-        self.left_out = list(left_out.values())
-        warn_left_out(self.root.name, self.left_out, "files named in its lists cannot be used", "they are left out")
+        else:
+            self.title, self.positions_from = "UAV-VisLoc in GTA-UAV's layout", f"{listed} and the tiles' names"
+        folders = {pair.tiles for pair in pairs}
+        if len(folders) != 1:
+            raise DataError(
+                f"The test list of {printable(self.root.name)} names {len(folders)} folders of tiles; expected one."
+            )
+        repeated, times = Counter(pair.file for pair in pairs).most_common(1)[0]
+        if times > 1:
+            raise DataError(
+                f"{listed} has {times} objects of {printable(repeated)}; expected one for each drone picture."
+            )
+        folder = folders.pop()
+        tiles = self._tiles(folder)
+        numbers = {name: number for number, name in enumerate(tiles)}
+        self._spots = {self.root / pair.file: pair.place for pair in pairs}
+        trained = _LIST.format(self.split, "train")
+        used: set[int] = set()
+        train = self._pairs(trained)[0] if (self.root / trained).is_file() else []
+        for of, of_split in (("train/drone", train), ("test/query_drone", pairs)):
+            for pair in of_split:
+                for name in pair.listed:
+                    if name not in tiles:
+                        self.leave_out(f"{folder}/{name}")
+                overlaps: dict[str | Path, float] = {
+                    tiles[name]: weight for name, weight in (pair.listed | pair.true).items() if name in tiles
+                }
+                true = [name for name in pair.true if name in tiles]
+                if self.files.find(pair.file) is None:
+                    self.leave_out(pair.file)
+                elif pair.true and not true:
+                    self.leave_out(pair.file, "has none of its true tiles")
+                elif true:
+                    label = numbers[max(true, key=lambda name: pair.true[name])]
+                    used |= {label} if of == "train/drone" else set()
+                    good = [tiles[name] for name in true]
+                    semi = [file for file in overlaps if file not in good]
+                    name = Path(pair.file).stem
+                    yield PictureRow(of, pair.file, label, name, true=good, semi=semi, overlaps=overlaps)
+        for name, file in tiles.items():
+            if numbers[name] in used:
+                yield PictureRow("train/satellite", file, numbers[name], Path(file).stem)
+            yield PictureRow("test/gallery_satellite", file, numbers[name], Path(file).stem)
 
     def tasks(self) -> list[str]:
-        return ["drone-to-satellite", "satellite-to-drone"] if self._pairs else []
+        return ["drone-to-satellite", "satellite-to-drone"] if self.pictures("test/query_drone") else []
 
     def queries(self, view: str) -> list[Picture]:
         if view != "satellite":
             return super().queries(view)
         tiles = super().gallery("satellite")
-        return [tiles[tile] for tile in self._drones]
+        return [tiles[tile] for tile in self._drones()]
 
     def gallery(self, view: str) -> list[Picture]:
         return super().queries("drone") if view == "drone" else super().gallery(view)
 
-    def truth(self, task: str) -> list[Truth]:
-        if task == "satellite-to-drone":
-            none = np.zeros(0, np.int64)
-            return [Truth(np.array(drones, np.int64), none, trapezoid=False) for drones in self._drones.values()]
-        return [self._truth(pair) for pair in self._pairs]
+    def truth(self, task: str) -> list[Truth] | None:
+        if task != "satellite-to-drone":
+            return super().truth(task)
+        none = np.zeros(0, np.int64)
+        return [Truth(np.array(drones, np.int64), none, trapezoid=False) for drones in self._drones().values()]
 
     def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
         """Return metres of the map (GTA-UAV), or latitude and longitude in degrees (UAV-VisLoc), (N, 2)."""
-        place = _metres_of_tile if self.measured_by == "GTA-UAV" else _degrees_of_tile
-        of_drone = {self.root / pair.file: pair.place for pair in self._pairs}
-        degrees = [of_drone[picture.path] if picture.path in of_drone else place(picture.path) for picture in pictures]
-        return np.array(degrees, np.float64).reshape(-1, 2)
+        return np.array([self._spot(picture) for picture in pictures], np.float64).reshape(-1, 2)
 
-    def positions(self) -> geo.Positions | None:
-        """Return the positions of UAV-VisLoc's pictures; None for GTA-UAV, whose map is not of the Earth."""
-        if self.measured_by == "GTA-UAV":
-            return super().positions()
-        pictures = [*super().queries("drone"), *super().gallery("satellite")]
-        degrees = self.coordinates(pictures).tolist()
-        places = [geo.Position(latitude, longitude) for latitude, longitude in degrees]
-        return geo.Positions(
-            self.root,
-            dict(zip(geo.names_below(self.root, pictures), places, strict=True)),
-            f"{_list(self.root, self._area, 'test').name} and the tiles' names",
-        )
+    def place(self, picture: Picture) -> geo.Position:
+        return geo.Position(*self._spot(picture))
 
-    def _truth(self, pair: _Pair) -> Truth:
-        good = {self._numbers[name]: weight for name, weight in pair.true.items() if name in self._numbers}
-        semi = {
-            self._numbers[name]: weight
-            for name, weight in pair.listed.items()
-            if name in self._numbers and self._numbers[name] not in good
-        }
-        overlaps = [of[tile] for of in (good, semi) for tile in sorted(of)]
-        return Truth(_sorted(good), np.zeros(0, np.int64), True, False, _sorted(semi), np.array(overlaps, np.float64))
+    def _spot(self, picture: Picture) -> tuple[float, float]:
+        if picture.path in self._spots:
+            return self._spots[picture.path]
+        return _metres_of_tile(picture.path) if self.measured_by == "GTA-UAV" else _degrees_of_tile(picture.path)
 
-    @cached_property
     def _drones(self) -> dict[int, list[int]]:
         """For each tile that is true for a test picture, the positions of these pictures, in the order of the tiles."""
         drones: dict[int, list[int]] = {}
-        for position, pair in enumerate(self._pairs):
-            for name in pair.true:
-                if name in self._numbers:
-                    drones.setdefault(self._numbers[name], []).append(position)
+        for position, truth in enumerate(super().truth("drone-to-satellite") or ()):
+            for tile in truth.good.tolist():
+                drones.setdefault(tile, []).append(position)
         return dict(sorted(drones.items()))
 
-
-def is_tile_pairs(root: Path) -> bool:
-    """Return whether a folder has one of GTA-UAV's lists."""
-    return any(_list(root, area, split).is_file() for area in AREAS for split in ("train", "test"))
-
-
-def _list(root: Path, area: Area, split: str) -> Path:
-    return root / f"{area}-area-drone2sate-{split}.json"
-
-
-def _read(file: Path) -> tuple[list[_Pair], Any]:
-    """Return the pairs of a list, and whether they are GTA-UAV's or UAV-VisLoc's."""
-    try:
-        if file.stat().st_size > _LARGEST_LIST:
+    def _tiles(self, folder: str) -> dict[str, str]:
+        """Return the path of each tile below the root by its folded name."""
+        below = [] if self.files.find(folder) is None else files_below(self.root / folder)
+        if not below:
             raise DataError(
-                f"{file.name} has more than {_LARGEST_LIST // 1_000_000} MB; expected a list of drone pictures."
+                f"{printable(self.root.name)} has no tiles in {folder}, which its lists name; unpack them there."
             )
-        entries = json.loads(file.read_bytes())
-    except OSError as error:
-        raise DataError(
-            f"{file.name} cannot be read ({error.strerror or error}); check that it is readable."
-        ) from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(f"{file.name} is not JSON; save it again, or unpack it again.") from error
+        tiles: dict[str, str] = {}
+        for path in below:
+            file = path.relative_to(self.root).as_posix()
+            if (other := tiles.setdefault(fold(path.name), file)) != file:
+                raise DataError(
+                    f"{printable(self.root.name)} has the tiles {printable(other)} and {printable(file)}, and its lists name "
+                    "tiles by their file names alone; leave one of them out."
+                )
+        return tiles
+
+    def _pairs(self, name: str) -> tuple[list[_Pair], PositionProtocol]:
+        """Read a list, with paths as they are on this machine."""
+        pairs, form = _read(self.root / name)
+        return [
+            replace(pair, file=self.files.find(pair.file) or pair.file, tiles=self.files.find(pair.tiles) or pair.tiles)
+            for pair in pairs
+        ], form
+
+
+LAYOUT = TilePairs
+
+
+def _read(file: Path) -> tuple[list[_Pair], PositionProtocol]:
+    """Return the pairs of a list, and whether they are GTA-UAV's or UAV-VisLoc's."""
+    entries = read_json(file, file.name, _LARGEST_LIST)
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise DataError(f"{file.name} is not a list of objects; expected one for each drone picture, as in GTA-UAV.")
     key = next((key for key in _LOCATIONS if key in entries[0]), None)
@@ -263,15 +240,6 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
         raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
     file = listed_path(f"{entry['drone_img_dir']}/{entry['drone_img_name']}", where)
     return _Pair(file, (first, second), true, listed, listed_path(str(entry["sate_img_dir"]), where))
-
-
-def _here(there: FilesBelow, pairs: list[_Pair]) -> list[_Pair]:
-    """Resolve the paths of the pairs to files and folders on this machine."""
-    resolved = there.resolve(path for pair in pairs for path in (pair.file, pair.tiles))
-    return [
-        replace(pair, file=resolved.get(pair.file, pair.file), tiles=resolved.get(pair.tiles, pair.tiles))
-        for pair in pairs
-    ]
 
 
 def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:
@@ -319,7 +287,3 @@ def _numbers_in(file: Path, zoom: int, example: str) -> tuple[int, ...]:
             f"The tile {printable(file.name)} has no position in its name; expected four numbers, such as {example}."
         )
     return tuple(map(int, parts))
-
-
-def _sorted(tiles: dict[int, float]) -> Int64Array:
-    return np.array(sorted(tiles), np.int64)

@@ -1,0 +1,97 @@
+"""CVUSA (Workman et al. 2015, split of Zhai et al. 2017): pairs of a panorama and the tile centred on its camera.
+
+    splits/train-19zl.csv, splits/val-19zl.csv    bingmap/19/0000001.jpg,streetview/panos/0000001.jpg,<annotation>
+
+The third column is optional. The label of a pair is the number in both file names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.datasets.base import Dataset, PictureRow, Size, read_rows
+from lpn.datasets.listed_paths import listed_path
+
+FULL = {
+    "train/satellite": Size(35_532, 35_532),
+    "train/street": Size(35_532, 35_532),
+    "test/satellite": Size(8_884, 8_884),
+    "test/street": Size(8_884, 8_884),
+}
+_SPLITS = {"train": "splits/train-19zl.csv", "test": "splits/val-19zl.csv"}
+_NUMBER = re.compile(r"\d{1,15}$")
+
+
+class CVUSA(Dataset):
+    """A folder in CVUSA's layout. Incomplete pairs are left out.
+
+    Raises:
+        DataError: if a line of the splits is not a pair of paths below the folder, or no pair is complete.
+    """
+
+    kind = "CVUSA"
+    known_by = "splits/*-19zl.csv (CVUSA)"
+    parts = ("bingmap", "streetview", "splits")
+    unusable, effect = "files named in splits", "their pairs are left out"
+    expected = "a split of CVUSA, splits/val-19zl.csv"
+    recipes = ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released")
+    paper = (("street-to-satellite",), "Table II", "Table II")
+    panoramas = True
+    published_sizes = FULL
+
+    @staticmethod
+    def marks(root: Path) -> bool:
+        return any((root / name).is_file() for name in _SPLITS.values()) or all(
+            (root / name).is_dir() for name in ("bingmap", "streetview")
+        )
+
+    def rows(self) -> Iterator[PictureRow]:
+        listed = {split: _read(self.root / name, name) for split, name in _SPLITS.items()}
+        pairs = [pair for of_split in listed.values() for pair in of_split]
+        if not any((self.root / name).is_file() for name in _SPLITS.values()):
+            raise DataError(
+                f"{printable(str(self.root))} has CVUSA's pictures and no {' or '.join(_SPLITS.values())}; its authors give such "
+                "a list with the pictures, so put it there."
+            )
+        self.none_whole = (
+            f"lists {len(pairs)} pairs in splits, but has none of them whole; expected their files in bingmap/19 and "
+            "streetview/panos"
+        )
+        labels = _labels(pairs)
+        for split, of_split in listed.items():
+            for pair in of_split:
+                tile, panorama = (
+                    PictureRow(f"{split}/{view}", file, labels[pair], Path(file).stem)
+                    for view, file in zip(("satellite", "street"), pair, strict=True)
+                )
+                yield from self.together(tile, panorama)
+
+
+LAYOUT = CVUSA
+
+
+def _read(file: Path, name: str) -> list[tuple[str, str]]:
+    """Return the pairs of a split; none, if it is not there."""
+    pairs: list[tuple[str, str]] = []
+    for line, values in read_rows(file, name) if file.is_file() else ():
+        where = f"Line {line} of {name}"
+        if len(values) not in (2, 3):
+            raise DataError(
+                f"{where} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
+            )
+        pairs.append((listed_path(values[0], where), listed_path(values[1], where)))
+    if len(set(pairs)) < len(pairs):
+        raise DataError(f"{name} lists a pair twice; keep one line of each.")
+    return pairs
+
+
+def _labels(pairs: list[tuple[str, str]]) -> dict[tuple[str, str], int]:
+    """Return each pair's number in its file names, or its position if these numbers are not unique."""
+    numbers = [[_NUMBER.search(Path(file).stem) for file in pair] for pair in pairs]
+    named = [int(a[0]) for a, b in numbers if a and b and int(a[0]) == int(b[0])]
+    ordered = named if len(set(named)) == len(pairs) else range(len(pairs))
+    return dict(zip(pairs, ordered, strict=True))
