@@ -86,8 +86,11 @@ def known_layouts() -> tuple[type[Dataset], ...]:
 
     One that cannot be loaded is left out with a warning.
     """
-    names = (f"{layouts.__name__}.{module.name}" for module in iter_modules(layouts.__path__))
-    found = [import_module(name).LAYOUT for name in names]
+    modules = [import_module(f"{layouts.__name__}.{module.name}") for module in iter_modules(layouts.__path__)]
+    classes = [
+        (module.__name__, value) for module in modules for value in vars(module).values() if isinstance(value, type)
+    ]
+    found = [value for name, value in classes if issubclass(value, Dataset) and value.__module__ == name]
     for point in entry_points(group=GROUP):
         try:
             layout = point.load()
@@ -102,7 +105,7 @@ def known_layouts() -> tuple[type[Dataset], ...]:
 
 def _marked(root: Path) -> type[Dataset] | None:
     """Recognise the layout by files or folders near the root."""
-    return next((layout for layout in known_layouts() if not layout.deep and layout.marks(root)), None)
+    return next((layout for layout in known_layouts() if not layout.deep and layout.recognises(root)), None)
 
 
 def _unmarked(root: Path) -> Dataset:
@@ -116,12 +119,12 @@ def _unmarked(root: Path) -> Dataset:
     if (error := levels.below(root, _marked)) is not None:
         raise error
     for layout in known_layouts():
-        if layout.deep and layout.marks(root):
+        if layout.deep and layout.recognises(root):
             return layout(root)
     folder = Folder(root, whole)
     if folder.pictures("pictures"):
         return folder
     inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"
-    known = sorted(reversed(known_layouts()), key=lambda layout: layout.deep)
+    known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
     expected = ", ".join(layout.known_by for layout in known if layout.known_by)
     raise DataError(f"{printable(str(root))} holds {inside}; expected {expected}, or pictures.")

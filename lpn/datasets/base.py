@@ -146,6 +146,12 @@ class Size:
     places: int | None = None
 
 
+def sizes(**lists: Mapping[str, tuple[int | None, int | None]]) -> dict[str, Size]:
+    """Return the sizes of lists by name, given as (pictures, places) by view for `train`, `query`, `gallery`, or `test`."""
+    prefixes = {"train": "train/", "query": "test/query_", "gallery": "test/gallery_", "test": "test/"}
+    return {prefixes[role] + view: Size(*size) for role, of in lists.items() for view, size in of.items()}
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """A file that a data set lists or contains, but that cannot be used.
@@ -188,7 +194,7 @@ class PictureRow:
 
 
 class Dataset:
-    """A data set's folder; a subclass is a layout: what marks it, and its `rows`.
+    """A data set's folder; a subclass is a layout: what marks it, its `rows`, and what is special.
 
     Args:
         split: one of `splits`; by default the first that is there.
@@ -201,10 +207,12 @@ class Dataset:
         split: the split that is read, such as "cross-area"; None for a layout with one.
         kind: the recognised layout, such as "University-1652".
         title: what `lpn doctor` calls the folder.
+        marks: patterns of paths below the root, of folders with a slash at the end; a folder with all paths of one of the tuples
+            is of this layout.
         known_by: what a folder of this layout holds, for the error about a folder of none.
         parts: patterns of the names of folders right below the root, in lower case.
         priority: layouts of a higher one are tried first.
-        deep: `marks` looks through the whole folder, so that it is asked last, and of no folder above or below.
+        deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
         splits: the last part of a path that names a split.
         split_list: the list that a split needs.
         folders: folders below the root whose pictures are all read.
@@ -226,6 +234,7 @@ class Dataset:
 
     kind: str
     title: str = ""
+    marks: tuple[tuple[str, ...], ...] = ()
     known_by: str = ""
     parts: tuple[str, ...] = ()
     priority: int = 0
@@ -267,11 +276,10 @@ class Dataset:
             raise DataError(f"{root.name} {self.none_whole}.")
         warn_left_out(root.name, self.left_out, f"{self.unusable} cannot be used", self.effect)
 
-    @staticmethod
-    def marks(root: Path) -> bool:
-        """Return whether a folder is of this layout, by files or folders near the root."""
-        del root
-        return False
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
+        """Return whether a folder is of this layout: by `marks`, unless it is hard to tell."""
+        return any(all(any(root.glob(path)) for path in paths) for paths in cls.marks)
 
     def rows(self) -> Iterable[PictureRow]:
         """List the pictures; those that are not there are left out. It is called once, when the data set is opened."""

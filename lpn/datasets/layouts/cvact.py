@@ -18,15 +18,13 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import matlab
-from lpn.datasets.base import Dataset, PictureRow, Size
+from lpn.datasets.base import Dataset, PictureRow, sizes
 
 NAME = "ACT_data.mat"
-FULL = {
-    "train/satellite": Size(35_532, 35_532),
-    "train/street": Size(35_532, 35_532),
-    "test/satellite": Size(8_884, 8_884),
-    "test/street": Size(8_884, 8_884),
-}
+FULL = sizes(
+    train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
+    test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
+)
 _FOLDERS = ("", "ANU_data_small/", "ANU_data_test/")
 _FILES = {"satellite": "satview_polish/{}_satView_polish", "street": "streetview/{}_grdView"}
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -41,6 +39,7 @@ class CVACT(Dataset):
     """
 
     kind = "CVACT"
+    marks = ((NAME,), ("satview_polish/", "streetview/"))
     known_by = f"{NAME} (CVACT)"
     parts = ("satview_polish", "streetview", "anu_data_small", "anu_data_test")
     unusable, effect = f"files named in {NAME}", "their pairs are left out"
@@ -53,10 +52,9 @@ class CVACT(Dataset):
     panoramas = True
     published_sizes = FULL
 
-    @staticmethod
-    def marks(root: Path) -> bool:
-        pictures = all((root / name).is_dir() for name in ("satview_polish", "streetview"))
-        return (root / NAME).is_file() or (pictures and f"{root.resolve().name}/" not in _FOLDERS)
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
+        return super().recognises(root) and f"{root.resolve().name}/" not in _FOLDERS
 
     def rows(self) -> Iterator[PictureRow]:
         if not (self.root / NAME).is_file():
@@ -78,9 +76,6 @@ class CVACT(Dataset):
         """Return the path of a picture in any of the published folders; one without a folder, if it is not there."""
         files = (f"{folder}{file}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
         return next((path for path in map(self.files.find, files) if path is not None), f"{file}.jpg")
-
-
-LAYOUT = CVACT
 
 
 def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:

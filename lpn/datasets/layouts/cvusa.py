@@ -13,27 +13,22 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, PictureRow, Size, read_rows
+from lpn.datasets.base import Dataset, PictureRow, read_rows, sizes
 from lpn.datasets.listed_paths import listed_path
 
-FULL = {
-    "train/satellite": Size(35_532, 35_532),
-    "train/street": Size(35_532, 35_532),
-    "test/satellite": Size(8_884, 8_884),
-    "test/street": Size(8_884, 8_884),
-}
+FULL = sizes(
+    train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
+    test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
+)
 _SPLITS = {"train": "splits/train-19zl.csv", "test": "splits/val-19zl.csv"}
 _NUMBER = re.compile(r"\d{1,15}$")
 
 
 class CVUSA(Dataset):
-    """A folder in CVUSA's layout. Incomplete pairs are left out.
-
-    Raises:
-        DataError: if a line of the splits is not a pair of paths below the folder, or no pair is complete.
-    """
+    """A folder in CVUSA's layout. Incomplete pairs are left out."""
 
     kind = "CVUSA"
+    marks = (*((name,) for name in _SPLITS.values()), ("bingmap/", "streetview/"))
     known_by = "splits/*-19zl.csv (CVUSA)"
     parts = ("bingmap", "streetview", "splits")
     unusable, effect = "files named in splits", "their pairs are left out"
@@ -42,12 +37,6 @@ class CVUSA(Dataset):
     paper = (("street-to-satellite",), "Table II", "Table II")
     panoramas = True
     published_sizes = FULL
-
-    @staticmethod
-    def marks(root: Path) -> bool:
-        return any((root / name).is_file() for name in _SPLITS.values()) or all(
-            (root / name).is_dir() for name in ("bingmap", "streetview")
-        )
 
     def rows(self) -> Iterator[PictureRow]:
         listed = {split: _read(self.root / name, name) for split, name in _SPLITS.items()}
@@ -69,9 +58,6 @@ class CVUSA(Dataset):
                     for view, file in zip(("satellite", "street"), pair, strict=True)
                 )
                 yield from self.together(tile, panorama)
-
-
-LAYOUT = CVUSA
 
 
 def _read(file: Path, name: str) -> list[tuple[str, str]]:

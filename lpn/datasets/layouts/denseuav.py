@@ -18,19 +18,16 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Dataset, Picture, PositionProtocol, Size, read_lines
+from lpn.datasets.base import Dataset, Picture, PositionProtocol, read_lines, sizes
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
-_FULL = {
-    "train/drone": Size(6_768, 2_256),
-    "train/satellite": Size(13_536, 2_256),
-    "test/query_drone": Size(2_331, 777),
-    "test/query_satellite": Size(4_662, 777),
-    "test/gallery_drone": Size(9_099, 3_033),
-    "test/gallery_satellite": Size(18_198, 3_033),
-}
+_FULL = sizes(
+    train={"drone": (6_768, 2_256), "satellite": (13_536, 2_256)},
+    query={"drone": (2_331, 777), "satellite": (4_662, 777)},
+    gallery={"drone": (9_099, 3_033), "satellite": (18_198, 3_033)},
+)
 _HEIGHT = re.compile(r"H(\d+)(_old)?\.\w+", re.IGNORECASE)
 _POINT = re.compile(r"([EW])(\d+(?:\.\d+)?)\s+([NS])(\d+(?:\.\d+)?)")
 
@@ -39,9 +36,6 @@ class DenseUAV(University):
     """A folder of DenseUAV; true matches are tiles of the same folder.
 
     Queries are grouped by the height in their names.
-
-    Raises:
-        DataError: if the positions are missing or malformed; the message names the file and the line.
     """
 
     kind = "DenseUAV"
@@ -58,8 +52,8 @@ class DenseUAV(University):
         super().__init__(root, split)
         self.positions_from, self._places = _places(root)
 
-    @staticmethod
-    def marks(root: Path) -> bool:
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
         """Return whether there is a list of positions, or a picture of the first place has a name such as H80.JPG."""
         if any((root / name).is_file() for name in LISTS):
             return True
@@ -78,9 +72,6 @@ class DenseUAV(University):
 
     def place(self, picture: Picture) -> geo.Position | None:
         return self._places.get(picture.path.parent.name)
-
-
-LAYOUT = DenseUAV
 
 
 def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, PictureRow, Size, read_json
+from lpn.datasets.base import Dataset, PictureRow, read_json, sizes
 from lpn.datasets.layouts.university import place_pictures
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 
@@ -25,36 +25,23 @@ _LISTS = ("test_951_version.json", "test_24G_version.json")
 _QUERY, _DISTRACTORS = "test/query(701)", "test/gallery_no_train(250)"
 _VIEWS = ("drone", "satellite", "street")
 _DRONE = re.compile(r"image-\d+")
-_FULL = {
-    "train/drone": Size(37_854, 701),
-    "train/satellite": Size(701, 701),
-    "train/street": Size(11_663, 701),
-    "test/query_drone": Size(None, 701),
-    "test/query_satellite": Size(701, 701),
-    "test/gallery_drone": Size(51_355, 951),
-    "test/gallery_satellite": Size(951, 951),
-    "test/gallery_street": Size(2_921, 793),
-}
+_FULL = sizes(
+    train={"drone": (37_854, 701), "satellite": (701, 701), "street": (11_663, 701)},
+    query={"drone": (None, 701), "satellite": (701, 701)},
+    gallery={"drone": (51_355, 951), "satellite": (951, 951), "street": (2_921, 793)},
+)
 
 
 class GeoText(Dataset):
-    """A folder of GeoText-1652; a picture's label is its place's number.
-
-    Raises:
-        DataError: if pictures or lists are missing or malformed, or a place is both a query's and a distractor.
-    """
+    """A folder of GeoText-1652; a picture's label is its place's number."""
 
     kind = "GeoText-1652"
+    marks = (*((name,) for name in _LISTS), (f"images/{_QUERY}/",), (f"{_QUERY}/",))
     known_by = f"{_LISTS[0]} (GeoText-1652)"
     parts = ("images", "train", "test")
     expected = f"{_QUERY}/<place>/* of two views"
     unusable = "pictures of its lists"
     published_sizes = _FULL
-
-    @staticmethod
-    def marks(root: Path) -> bool:
-        """Return whether there are lists of the test split, or its folder of queries."""
-        return any((root / name).is_file() for name in _LISTS) or (_top(root) / _QUERY).is_dir()
 
     def rows(self) -> Iterator[PictureRow]:
         top, name = _top(self.root), printable(self.root.name)
@@ -79,9 +66,6 @@ class GeoText(Dataset):
         for path in _listed(self.root):
             if there.find(path) is None:
                 self.leave_out(path)
-
-
-LAYOUT = GeoText
 
 
 def _top(root: Path) -> Path:

@@ -46,9 +46,6 @@ class Landmarks(Dataset):
 
     The label of a true match is its landmark's number; every other picture has a label of its own. Labels are for display.
     Unreadable pictures are left out.
-
-    Raises:
-        DataError: if a ground-truth file is missing or malformed, or two pictures have the same name.
     """
 
     kind = "landmarks"
@@ -59,8 +56,8 @@ class Landmarks(Dataset):
     unusable = "pictures"
     expected = "pictures named as in the ground truth"
 
-    @staticmethod
-    def marks(root: Path) -> bool:
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
         return bool(_query_files(root))
 
     def rows(self) -> Iterator[PictureRow]:
@@ -95,9 +92,6 @@ class Landmarks(Dataset):
 
     def tasks(self) -> list[str]:
         return [TASK]
-
-
-LAYOUT = Landmarks
 
 
 class _Query:

@@ -36,22 +36,15 @@ class _PairLine:
 
 
 class PairsCSV(Dataset):
-    """A folder with a pairs.csv.
-
-    Raises:
-        DataError: if pairs.csv is malformed; the message names the line.
-    """
+    """A folder with a pairs.csv."""
 
     kind = "pairs"
     title = f"pairs listed in {NAME}"
+    marks = ((NAME,),)
     known_by = NAME
     priority = 1
     unusable = f"files named in {NAME}"
     expected = f"lines of {NAME} with the split test and such a picture"
-
-    @staticmethod
-    def marks(root: Path) -> bool:
-        return (root / NAME).is_file()
 
     def rows(self) -> Iterator[PictureRow]:
         self.none_whole = f"has none of the files that {NAME} names; expected paths relative to {self.root.name}"
@@ -74,9 +67,6 @@ class PairsCSV(Dataset):
                 rows[of].append(PictureRow(of, file, place, Path(file).with_suffix("").as_posix()))
         for of_list in rows.values():
             yield from dict.fromkeys(of_list)
-
-
-LAYOUT = PairsCSV
 
 
 def _read(path: Path) -> tuple[list[str], list[_PairLine]]:

@@ -19,31 +19,30 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, Picture, PictureRow, Size, hidden_name, read_lines
+from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, read_lines, sizes
 from lpn.datasets.layouts.university import place_pictures
 
 HEIGHTS = ("150", "200", "250", "300")
 INDEX = "indexs.yaml"
 _TILES = "satellite-view"
 _SPLITS = {"train": ("Training", "train"), "test": ("Testing", "test")}
-_FULL = {
-    "train/drone": Size(24_000, 120),
-    "train/satellite": Size(120, 120),
-    "test/query_drone": Size(16_000, 80),
-    "test/query_satellite": Size(80, 80),
-    "test/gallery_drone": Size(40_000, 200),
-    "test/gallery_satellite": Size(200, 200),
-}
+_FULL = sizes(
+    train={"drone": (24_000, 120), "satellite": (120, 120)},
+    query={"drone": (16_000, 80), "satellite": (80, 80)},
+    gallery={"drone": (40_000, 200), "satellite": (200, 200)},
+)
 
 
 class SUES200(Dataset):
-    """A folder of SUES-200, raw or split.
-
-    Raises:
-        DataError: if a part of the layout is missing; the message names it.
-    """
+    """A folder of SUES-200, raw or split."""
 
     kind = "SUES-200"
+    marks = (
+        *((f"{folder}/{height}/",) for folders in _SPLITS.values() for folder in folders for height in HEIGHTS),
+        *((f"{folders[0]}/",) for folders in _SPLITS.values()),
+        (f"{_TILES}/", INDEX),
+        (f"{_TILES}/", "*[dD][rR][oO][nN][eE]*/"),
+    )
     known_by = "Testing/150 or satellite-view (SUES-200)"
     parts = ("training", "testing", "train", "test", _TILES, "*drone*")
     group_name = "height"
@@ -52,13 +51,6 @@ class SUES200(Dataset):
     expected = "Testing/<height>/{query,gallery}_{drone,satellite}/<place>"
     published_sizes = _FULL
 
-    @staticmethod
-    def marks(root: Path) -> bool:
-        split = any(
-            (root / name / height).is_dir() for names in _SPLITS.values() for name in names for height in HEIGHTS
-        )
-        return split or _is_raw(root) or any((root / names[0]).is_dir() for names in _SPLITS.values())
-
     def rows(self) -> Iterator[PictureRow]:
         if _is_raw(self.root):
             yield from _raw(self.root)
@@ -66,9 +58,6 @@ class SUES200(Dataset):
             yield from _split(self.root, "train", {"train/drone": "drone", "train/satellite": "satellite"})
             test = [f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite")]
             yield from _split(self.root, "test", {f"test/{name}": name for name in test})
-
-
-LAYOUT = SUES200
 
 
 def _drone_folder(root: Path) -> Path | None:

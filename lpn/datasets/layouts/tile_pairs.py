@@ -67,22 +67,16 @@ class TilePairs(Dataset):
     """A folder of GTA-UAV, or of UAV-VisLoc as GTA-UAV's programs prepare it, in one of its areas.
 
     A tile's label is its number. A drone picture's label is that of the tile it overlaps most.
-
-    Raises:
-        DataError: if a list is missing or malformed, or names a test picture twice, or two tiles have one name.
     """
 
     kind = "GTA-UAV"
+    marks = ((_LIST.format("*-area", "*"),),)
     known_by = "*-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc)"
     parts = ("drone", "satellite")
     splits = ("same-area", "cross-area")
     split_list = _LIST.format("same-area", "test")
     unusable = "files named in its lists"
     trapezoid = False
-
-    @classmethod
-    def marks(cls, root: Path) -> bool:
-        return any((root / _LIST.format(area, split)).is_file() for area in cls.splits for split in ("train", "test"))
 
     def splits_there(self) -> list[str]:
         return [area for area in self.splits if (self.root / _LIST.format(area, "test")).is_file()]
@@ -199,9 +193,6 @@ class TilePairs(Dataset):
             replace(pair, file=self.files.find(pair.file) or pair.file, tiles=self.files.find(pair.tiles) or pair.tiles)
             for pair in pairs
         ], form
-
-
-LAYOUT = TilePairs
 
 
 def _read(file: Path) -> tuple[list[_Pair], PositionProtocol]:

@@ -18,24 +18,18 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, linked_folder, printable
-from lpn.datasets.base import Dataset, Picture, Size
+from lpn.datasets.base import Dataset, Picture, sizes
 from lpn.datasets.layouts.university import University
 
 log = logging.getLogger(__name__)
 
 _ANGLES = ("45", "30")
 _RATE = re.compile(r"(2|5|10)(fps)?")
-_FULL = {
-    "train/satellite": Size(701, 701),
-    "train/drone": Size(None, 701),
-    "train/street": Size(11_663, 701),
-    "test/query_drone": Size(None, 701),
-    "test/query_satellite": Size(701, 701),
-    "test/query_street": Size(2_579, 701),
-    "test/gallery_drone": Size(None, 951),
-    "test/gallery_satellite": Size(951, 951),
-    "test/gallery_street": Size(2_921, 793),
-}
+_FULL = sizes(
+    train={"satellite": (701, 701), "drone": (None, 701), "street": (11_663, 701)},
+    query={"drone": (None, 701), "satellite": (701, 701), "street": (2_579, 701)},
+    gallery={"drone": (None, 951), "satellite": (951, 951), "street": (2_921, 793)},
+)
 
 
 class UniV(University):
@@ -44,9 +38,6 @@ class UniV(University):
     Args:
         root: the folder of the data set, or that of some videos, such as ROOT/45/2fps.
         split: such as "45/2fps"; by default the first of 45 degrees, and of those the lowest rate.
-
-    Raises:
-        DataError: if these videos are not there.
     """
 
     kind = "UniV"
@@ -65,8 +56,8 @@ class UniV(University):
         self._shared = next((one for one in _videos(root) if one.startswith("45/2")), self.videos)
         self.folders = (f"{self.videos}/train", f"{self.videos}/test")
 
-    @staticmethod
-    def marks(root: Path) -> bool:
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
         """Return whether there are folders of an angle and a rate, or the folder is one."""
         return bool(_videos(root)) or (root.resolve().parent.name in _ANGLES and _is_rate(root.resolve()))
 
@@ -102,9 +93,6 @@ class UniV(University):
             text = "%s has %d lists of videos; this is %s, and others are %s."
             log.warning(text, printable(self.root.name), len(there), there[0], others)
         return wanted or there[0]
-
-
-LAYOUT = UniV
 
 
 def _videos(root: Path) -> list[str]:

@@ -10,27 +10,21 @@ The label of a picture is its folder's integer name.
 from __future__ import annotations
 
 import os
+from itertools import combinations
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import linked_folder, printable
 from lpn.core.images import SUFFIXES
-from lpn.datasets.base import Dataset, Picture, Size, hidden_name
+from lpn.datasets.base import Dataset, Picture, hidden_name, sizes
 from lpn.datasets.rendered import PLAN, is_rendered
 
 # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
-FULL = {
-    "train/satellite": Size(701, 701),
-    "train/drone": Size(37_854, 701),
-    "train/street": Size(None, 701),
-    "train/google": Size(21_099),
-    "test/query_drone": Size(37_855, 701),
-    "test/query_satellite": Size(701, 701),
-    "test/query_street": Size(2_579, 701),
-    "test/gallery_drone": Size(51_355, 951),
-    "test/gallery_satellite": Size(951, 951),
-    "test/gallery_street": Size(2_921, 793),
-}
+FULL = sizes(
+    train={"satellite": (701, 701), "drone": (37_854, 701), "street": (None, 701), "google": (21_099, None)},
+    query={"drone": (37_855, 701), "satellite": (701, 701), "street": (2_579, 701)},
+    gallery={"drone": (51_355, 951), "satellite": (951, 951), "street": (2_921, 793)},
+)
 # The lists in the order in which they are shown.
 LISTS = (
     *(f"train/{name}" for name in ("satellite", "drone", "street", "google")),
@@ -45,6 +39,11 @@ class University(Dataset):
     """
 
     kind = "University-1652"
+    marks = (
+        (PLAN,),
+        *((f"{name}/",) for name in LISTS if name.startswith("test/")),
+        *combinations((f"{name}/[0-9]*/" for name in LISTS if name.startswith("train/")), 2),
+    )
     known_by = "train and test as in University-1652"
     parts = ("train", "test")
     priority = -1
@@ -63,13 +62,6 @@ class University(Dataset):
         if is_rendered(root):
             self.kind, self.title, self.published_sizes = "world", "a rendered world", {}
             self.recipes = ("world", "small", "paper", "released")
-
-    @staticmethod
-    def marks(root: Path) -> bool:
-        if (root / PLAN).is_file() or any((root / name).is_dir() for name in LISTS if name.startswith("test/")):
-            return True
-        numbered = [any((root / name).glob("[0-9]*/")) for name in LISTS if name.startswith("train/")]
-        return sum(numbered) > 1
 
     def pictures(self, name: str) -> list[Picture]:
         if name in LISTS and name not in self._read:
@@ -104,9 +96,6 @@ class University(Dataset):
             f"has {lacks}; expected queries of one view and a gallery of another, such as test/query_drone/<number>/* and "
             "test/gallery_satellite/<number>/*"
         )
-
-
-LAYOUT = University
 
 
 def place_pictures(folder: Path) -> list[Picture]:

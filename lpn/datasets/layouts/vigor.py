@@ -32,6 +32,7 @@ _CITIES: dict[str, dict[str, tuple[str, ...]]] = {
 }
 _LISTS = {"same-area": "same_area_balanced_{}.txt", "cross-area": "pano_label_balanced.txt"}
 _TILES = "satellite_list.txt"
+_MARKS = (*(f"{splits}/{{}}/" for splits in _SPLITS), "{}/panorama/", "ground/{}/")
 # The paper states these numbers; the authors' repository states none, and the released lists were not at hand to count.
 _FULL = {
     "same-area": {
@@ -52,12 +53,10 @@ class VIGOR(Dataset):
     """A folder of VIGOR in one of its areas; its only task is "street-to-satellite", and its groups are the cities.
 
     A panorama's label is the number of its true tile among all listed tiles.
-
-    Raises:
-        DataError: if a list is missing or malformed; the message names the file and the line.
     """
 
     kind = "VIGOR"
+    marks = tuple((path.format(city),) for city in CITIES for path in _MARKS)
     known_by = "splits/Chicago (VIGOR)"
     parts = (*(city.lower() for city in CITIES), *_SPLITS, "satellite", "ground")
     splits = ("same-area", "cross-area")
@@ -66,13 +65,6 @@ class VIGOR(Dataset):
     panoramas = True
     group_name = "city"
     positions_from = "the pictures' names"
-
-    @staticmethod
-    def marks(root: Path) -> bool:
-        """Return whether there are the splits or the cities of VIGOR."""
-        if any((root / splits / city).is_dir() for splits in _SPLITS for city in CITIES):
-            return True
-        return any((root / city / "panorama").is_dir() or (root / "ground" / city).is_dir() for city in CITIES)
 
     def splits_there(self) -> list[str]:
         splits = _splits(self.root)
@@ -118,9 +110,6 @@ class VIGOR(Dataset):
                 "names."
             )
         return geo.Position(float(point[1]), float(point[2]))
-
-
-LAYOUT = VIGOR
 
 
 def _splits(root: Path) -> Path:

@@ -37,22 +37,19 @@ class WorldUAV(Dataset):
 
     A tile's label is its number; a drone picture's is that of its first positive. Groups are the regions; in one region they are
     its flights, of which all are queries.
-
-    Raises:
-        DataError: if a list is missing or malformed, or there is nothing to test with.
     """
 
     kind = "World-UAV"
+    marks = (
+        (_POSITIVE, f"{_TILES}/"),
+        *((f"{folder}/test{suffix}.txt",) for folder in _INDEX for suffix in ("", "_country", "_all")),
+    )
     known_by = "Index/test.txt (World-UAV)"
     parts = ("index",)
     splits = tuple(_SUFFIXES)
     split_list = f"{_INDEX[0]}/test.txt"
     group_name = "region"
     mean_of_groups = True
-
-    @staticmethod
-    def marks(root: Path) -> bool:
-        return _is_region(root) or any(_list(root, "test", split) is not None for split in _SUFFIXES)
 
     def splits_there(self) -> list[str] | None:
         there = [split for split in _SUFFIXES if _list(self.root, "test", split) is not None]
@@ -151,9 +148,6 @@ class WorldUAV(Dataset):
             if tiles and not true[key]:
                 self.leave_out(f"{region} {key}".strip(), "has none of its true tiles")
         return true
-
-
-LAYOUT = WorldUAV
 
 
 def _is_region(folder: Path) -> bool:
