@@ -517,6 +517,13 @@ def read_lines(path: Path, name: str) -> list[str]:
     return read_text(path, name).splitlines()
 
 
+def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the lines that are not blank, each after "Line <number> of <name>"; errors as for `read_lines`."""
+    for number, line in enumerate(read_lines(path, name), 1):
+        if line.strip():
+            yield f"Line {number} of {name}", line
+
+
 def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
     """Return the value in a JSON file of at most so many bytes; errors as for `read_lines`, and if it is not JSON."""
     try:

@@ -21,10 +21,6 @@ from lpn.datasets import matlab
 from lpn.datasets.base import Dataset, PictureRow, sizes
 
 NAME = "ACT_data.mat"
-FULL = sizes(
-    train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
-    test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
-)
 _FOLDERS = ("", "ANU_data_small/", "ANU_data_test/")
 _FILES = {"satellite": "satview_polish/{}_satView_polish", "street": "streetview/{}_grdView"}
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
@@ -39,7 +35,7 @@ class CVACT(Dataset):
     """
 
     kind = "CVACT"
-    marks = ((NAME,), ("satview_polish/", "streetview/"))
+    marks = ((NAME,),)
     known_by = f"{NAME} (CVACT)"
     parts = ("satview_polish", "streetview", "anu_data_small", "anu_data_test")
     unusable, effect = f"files named in {NAME}", "their pairs are left out"
@@ -50,18 +46,12 @@ class CVACT(Dataset):
     expected = f"a valSet in {NAME}"
     recipes = ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released")
     panoramas = True
-    published_sizes = FULL
-
-    @classmethod
-    def recognises(cls, root: Path) -> bool:
-        return super().recognises(root) and f"{root.resolve().name}/" not in _FOLDERS
+    published_sizes = sizes(
+        train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
+        test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
+    )
 
     def rows(self) -> Iterator[PictureRow]:
-        if not (self.root / NAME).is_file():
-            raise DataError(
-                f"{printable(str(self.root))} has CVACT's pictures and no {NAME}; its authors give such a list with the "
-                "pictures, so put it there."
-            )
         ids, rows = _read(self.root / NAME)
         for split, indices in rows.items():
             for row in indices.tolist():

@@ -12,14 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lpn.core.errors import DataError
-from lpn.core.files import printable
 from lpn.datasets.base import Dataset, PictureRow, read_rows, sizes
 from lpn.datasets.listed_paths import listed_path
 
-FULL = sizes(
-    train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
-    test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
-)
 _SPLITS = {"train": "splits/train-19zl.csv", "test": "splits/val-19zl.csv"}
 _NUMBER = re.compile(r"\d{1,15}$")
 
@@ -28,7 +23,7 @@ class CVUSA(Dataset):
     """A folder in CVUSA's layout. Incomplete pairs are left out."""
 
     kind = "CVUSA"
-    marks = (*((name,) for name in _SPLITS.values()), ("bingmap/", "streetview/"))
+    marks = tuple((name,) for name in _SPLITS.values())
     known_by = "splits/*-19zl.csv (CVUSA)"
     parts = ("bingmap", "streetview", "splits")
     unusable, effect = "files named in splits", "their pairs are left out"
@@ -36,16 +31,14 @@ class CVUSA(Dataset):
     recipes = ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released")
     paper = (("street-to-satellite",), "Table II", "Table II")
     panoramas = True
-    published_sizes = FULL
+    published_sizes = sizes(
+        train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
+        test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
+    )
 
     def rows(self) -> Iterator[PictureRow]:
         listed = {split: _read(self.root / name, name) for split, name in _SPLITS.items()}
         pairs = [pair for of_split in listed.values() for pair in of_split]
-        if not any((self.root / name).is_file() for name in _SPLITS.values()):
-            raise DataError(
-                f"{printable(str(self.root))} has CVUSA's pictures and no {' or '.join(_SPLITS.values())}; its authors give such "
-                "a list with the pictures, so put it there."
-            )
         self.none_whole = (
             f"lists {len(pairs)} pairs in splits, but has none of them whole; expected their files in bingmap/19 and "
             "streetview/panos"

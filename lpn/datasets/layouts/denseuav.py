@@ -18,16 +18,11 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Dataset, Picture, PositionProtocol, read_lines, sizes
+from lpn.datasets.base import Dataset, Picture, PositionProtocol, numbered_lines, sizes
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
-_FULL = sizes(
-    train={"drone": (6_768, 2_256), "satellite": (13_536, 2_256)},
-    query={"drone": (2_331, 777), "satellite": (4_662, 777)},
-    gallery={"drone": (9_099, 3_033), "satellite": (18_198, 3_033)},
-)
 _HEIGHT = re.compile(r"H(\d+)(_old)?\.\w+", re.IGNORECASE)
 _POINT = re.compile(r"([EW])(\d+(?:\.\d+)?)\s+([NS])(\d+(?:\.\d+)?)")
 
@@ -46,7 +41,11 @@ class DenseUAV(University):
     measured_by: PositionProtocol | None = "DenseUAV"
     recipes = Dataset.recipes
     paper = None
-    published_sizes = _FULL
+    published_sizes = sizes(
+        train={"drone": (6_768, 2_256), "satellite": (13_536, 2_256)},
+        query={"drone": (2_331, 777), "satellite": (4_662, 777)},
+        gallery={"drone": (9_099, 3_033), "satellite": (18_198, 3_033)},
+    )
 
     def __init__(self, root: Path, split: str | None = None) -> None:
         super().__init__(root, split)
@@ -85,10 +84,7 @@ def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:
         )
     positions: dict[str, geo.Position] = {}
     for name in names:
-        for number, line in enumerate(read_lines(root / name, name), 1):
-            if line.strip():
-                place, position = _line(line, f"Line {number} of {name}")
-                positions[place] = position
+        positions |= dict(_line(line, where) for where, line in numbered_lines(root / name, name))
     return " and ".join(names), positions
 
 

@@ -25,11 +25,6 @@ _LISTS = ("test_951_version.json", "test_24G_version.json")
 _QUERY, _DISTRACTORS = "test/query(701)", "test/gallery_no_train(250)"
 _VIEWS = ("drone", "satellite", "street")
 _DRONE = re.compile(r"image-\d+")
-_FULL = sizes(
-    train={"drone": (37_854, 701), "satellite": (701, 701), "street": (11_663, 701)},
-    query={"drone": (None, 701), "satellite": (701, 701)},
-    gallery={"drone": (51_355, 951), "satellite": (951, 951), "street": (2_921, 793)},
-)
 
 
 class GeoText(Dataset):
@@ -41,7 +36,11 @@ class GeoText(Dataset):
     parts = ("images", "train", "test")
     expected = f"{_QUERY}/<place>/* of two views"
     unusable = "pictures of its lists"
-    published_sizes = _FULL
+    published_sizes = sizes(
+        train={"drone": (37_854, 701), "satellite": (701, 701), "street": (11_663, 701)},
+        query={"drone": (None, 701), "satellite": (701, 701)},
+        gallery={"drone": (51_355, 951), "satellite": (951, 951), "street": (2_921, 793)},
+    )
 
     def rows(self) -> Iterator[PictureRow]:
         top, name = _top(self.root), printable(self.root.name)

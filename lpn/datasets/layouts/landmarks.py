@@ -16,7 +16,7 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, PictureRow, Size, files_below, read_lines
+from lpn.datasets.base import Dataset, PictureRow, Size, files_below, numbered_lines
 from lpn.datasets.integrity import picture_errors
 
 PREFIX = "oxc1_"
@@ -103,7 +103,7 @@ class _Query:
         self.landmark, self.number = matched[1], int(matched[2])
         self.name = f"{self.landmark}_{matched[2]}"
         where = file.relative_to(root).as_posix()
-        lines = [line for line in read_lines(file, where) if line.strip()]
+        lines = [line for _, line in numbered_lines(file, where)]
         values = lines[0].split() if len(lines) == 1 else []
         try:
             left, top, right, bottom = (float(value) for value in values[1:])
@@ -117,7 +117,7 @@ class _Query:
             )
         self.box = (left, top, right, bottom)
         self.prefixed = values[0].startswith(PREFIX)
-        self.picture = _name(values[0].removeprefix(PREFIX), where, 1)
+        self.picture = _name(values[0].removeprefix(PREFIX), f"Line 1 of {where}")
         good, ok, self.junk = (
             _names(root, file.with_name(f"{self.name}_{kind}.txt")) for kind in ("good", "ok", "junk")
         )
@@ -143,15 +143,12 @@ def _by_name(root: Path) -> dict[str, Path]:
 
 
 def _names(root: Path, file: Path) -> list[str]:
-    where = file.relative_to(root).as_posix()
-    return [_name(text, where, line) for line, text in enumerate(read_lines(file, where), 1) if text.strip()]
+    return [_name(text, where) for where, text in numbered_lines(file, file.relative_to(root).as_posix())]
 
 
-def _name(text: str, where: str, line: int) -> str:
+def _name(text: str, where: str) -> str:
     """Check a picture's name; names are looked up among existing files, never opened as paths."""
     name = text.strip().removesuffix(".jpg")
     if not re.fullmatch(r"[\w.-]{1,200}", name) or name.startswith("."):
-        raise DataError(
-            f"Line {line} of {where} names {printable(text[:80])!r}; expected a picture's name without a folder."
-        )
+        raise DataError(f"{where} names {printable(text[:80])!r}; expected a picture's name without a folder.")
     return name

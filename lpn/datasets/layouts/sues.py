@@ -26,11 +26,6 @@ HEIGHTS = ("150", "200", "250", "300")
 INDEX = "indexs.yaml"
 _TILES = "satellite-view"
 _SPLITS = {"train": ("Training", "train"), "test": ("Testing", "test")}
-_FULL = sizes(
-    train={"drone": (24_000, 120), "satellite": (120, 120)},
-    query={"drone": (16_000, 80), "satellite": (80, 80)},
-    gallery={"drone": (40_000, 200), "satellite": (200, 200)},
-)
 
 
 class SUES200(Dataset):
@@ -49,7 +44,11 @@ class SUES200(Dataset):
     trained_distractors = True
     folders = ("",)
     expected = "Testing/<height>/{query,gallery}_{drone,satellite}/<place>"
-    published_sizes = _FULL
+    published_sizes = sizes(
+        train={"drone": (24_000, 120), "satellite": (120, 120)},
+        query={"drone": (16_000, 80), "satellite": (80, 80)},
+        gallery={"drone": (40_000, 200), "satellite": (200, 200)},
+    )
 
     def rows(self) -> Iterator[PictureRow]:
         if _is_raw(self.root):

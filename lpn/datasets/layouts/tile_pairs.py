@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
 from lpn.datasets.base import Dataset, Picture, PictureRow, PositionProtocol, Size, Truth, files_below, read_json
-from lpn.datasets.listed_paths import fold, listed_path, name_of
+from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
 
 # Side of GTA-UAV's map in pixels, and metres of a pixel.
 _MAP_PIXELS, _METRES = 24_576, 0.45
@@ -83,7 +83,7 @@ class TilePairs(Dataset):
 
     def rows(self) -> Iterator[PictureRow]:
         listed = _LIST.format(self.split, "test")
-        pairs, form = self._pairs(listed)
+        pairs, form = _read(self.root / listed, self.files)
         self.kind, self.measured_by, self.expected = form, form, f"{listed} with true tiles"
         if form == "GTA-UAV":
             self.published_sizes = {"test/gallery_satellite": Size(14_640)}
@@ -103,9 +103,9 @@ class TilePairs(Dataset):
         tiles = self._tiles(folder)
         numbers = {name: number for number, name in enumerate(tiles)}
         self._spots = {self.root / pair.file: pair.place for pair in pairs}
-        trained = _LIST.format(self.split, "train")
+        trained = self.root / _LIST.format(self.split, "train")
         used: set[int] = set()
-        train = self._pairs(trained)[0] if (self.root / trained).is_file() else []
+        train = _read(trained, self.files)[0] if trained.is_file() else []
         for of, of_split in (("train/drone", train), ("test/query_drone", pairs)):
             for pair in of_split:
                 for name in pair.listed:
@@ -186,17 +186,9 @@ class TilePairs(Dataset):
                 )
         return tiles
 
-    def _pairs(self, name: str) -> tuple[list[_Pair], PositionProtocol]:
-        """Read a list, with paths as they are on this machine."""
-        pairs, form = _read(self.root / name)
-        return [
-            replace(pair, file=self.files.find(pair.file) or pair.file, tiles=self.files.find(pair.tiles) or pair.tiles)
-            for pair in pairs
-        ], form
 
-
-def _read(file: Path) -> tuple[list[_Pair], PositionProtocol]:
-    """Return the pairs of a list, and whether they are GTA-UAV's or UAV-VisLoc's."""
+def _read(file: Path, files: FilesBelow) -> tuple[list[_Pair], PositionProtocol]:
+    """Return the pairs of a list with paths as they are on this machine, and whether they are GTA-UAV's or UAV-VisLoc's."""
     entries = read_json(file, file.name, _LARGEST_LIST)
     if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
         raise DataError(f"{file.name} is not a list of objects; expected one for each drone picture, as in GTA-UAV.")
@@ -205,20 +197,13 @@ def _read(file: Path) -> tuple[list[_Pair], PositionProtocol]:
         raise DataError(
             f"The first object of {file.name} has neither {' nor '.join(_LOCATIONS)}; expected one of them."
         )
-    return [_pair(entry, key, f"Object {i + 1} of {file.name}") for i, entry in enumerate(entries)], _LOCATIONS[key]
+    pairs = [_pair(entry, key, f"Object {number} of {file.name}", files) for number, entry in enumerate(entries, 1)]
+    return pairs, _LOCATIONS[key]
 
 
-def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
-    needed = (
-        "drone_img_dir",
-        "drone_img_name",
-        key,
-        "sate_img_dir",
-        _TILES.format("pos"),
-        _TILES.format("pos_semipos"),
-    )
-    missing = [name for name in needed if name not in entry]
-    if missing:
+def _pair(entry: dict[str, Any], key: str, where: str, files: FilesBelow) -> _Pair:
+    needed = ("drone_img_dir", "drone_img_name", key, "sate_img_dir", *map(_TILES.format, ("pos", "pos_semipos")))
+    if missing := [name for name in needed if name not in entry]:
         raise DataError(f"{where} has no {', '.join(missing)}; expected the keys of GTA-UAV's lists.")
     try:
         first, second = (float(value) for value in _values(entry[key], key))
@@ -230,7 +215,8 @@ def _pair(entry: dict[str, Any], key: str, where: str) -> _Pair:
     if not (math.isfinite(first) and math.isfinite(second)):
         raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
     file = listed_path(f"{entry['drone_img_dir']}/{entry['drone_img_name']}", where)
-    return _Pair(file, (first, second), true, listed, listed_path(str(entry["sate_img_dir"]), where))
+    tiles = listed_path(str(entry["sate_img_dir"]), where)
+    return _Pair(files.find(file) or file, (first, second), true, listed, files.find(tiles) or tiles)
 
 
 def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:

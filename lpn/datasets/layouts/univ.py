@@ -25,11 +25,6 @@ log = logging.getLogger(__name__)
 
 _ANGLES = ("45", "30")
 _RATE = re.compile(r"(2|5|10)(fps)?")
-_FULL = sizes(
-    train={"satellite": (701, 701), "drone": (None, 701), "street": (11_663, 701)},
-    query={"drone": (None, 701), "satellite": (701, 701), "street": (2_579, 701)},
-    gallery={"drone": (None, 951), "satellite": (951, 951), "street": (2_921, 793)},
-)
 
 
 class UniV(University):
@@ -45,7 +40,11 @@ class UniV(University):
     priority = 0
     recipes = Dataset.recipes
     paper = None
-    published_sizes = _FULL
+    published_sizes = sizes(
+        train={"satellite": (701, 701), "drone": (None, 701), "street": (11_663, 701)},
+        query={"drone": (None, 701), "satellite": (701, 701), "street": (2_579, 701)},
+        gallery={"drone": (None, 951), "satellite": (951, 951), "street": (2_921, 793)},
+    )
 
     def __init__(self, root: Path, split: str | None = None) -> None:
         if _is_rate(root.resolve()):

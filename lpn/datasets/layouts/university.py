@@ -19,12 +19,6 @@ from lpn.core.images import SUFFIXES
 from lpn.datasets.base import Dataset, Picture, hidden_name, sizes
 from lpn.datasets.rendered import PLAN, is_rendered
 
-# The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
-FULL = sizes(
-    train={"satellite": (701, 701), "drone": (37_854, 701), "street": (None, 701), "google": (21_099, None)},
-    query={"drone": (37_855, 701), "satellite": (701, 701), "street": (2_579, 701)},
-    gallery={"drone": (51_355, 951), "satellite": (951, 951), "street": (2_921, 793)},
-)
 # The lists in the order in which they are shown.
 LISTS = (
     *(f"train/{name}" for name in ("satellite", "drone", "street", "google")),
@@ -54,7 +48,12 @@ class University(Dataset):
         "Tables I, III, IV, V and Figure 5",
         "Tables IV and V",
     )
-    published_sizes = FULL
+    # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
+    published_sizes = sizes(
+        train={"satellite": (701, 701), "drone": (37_854, 701), "street": (None, 701), "google": (21_099, None)},
+        query={"drone": (37_855, 701), "satellite": (701, 701), "street": (2_579, 701)},
+        gallery={"drone": (51_355, 951), "satellite": (951, 951), "street": (2_921, 793)},
+    )
 
     def __init__(self, root: Path, split: str | None = None) -> None:
         super().__init__(root, split)
@@ -120,11 +119,9 @@ def place_pictures(folder: Path) -> list[Picture]:
 
 
 def _names(folder: Path, folders: bool) -> list[str]:
-    """Return the sorted names of the folders or of the files in a folder."""
+    """Return the sorted names of the folders in a folder, or of all else: a broken link is later reported as unreadable."""
     with os.scandir(folder) as entries:
-        return sorted(
-            e.name for e in entries if not hidden_name(e.name) and (_is_folder(e) if folders else _is_picture(e))
-        )
+        return sorted(entry.name for entry in entries if not hidden_name(entry.name) and _is_folder(entry) == folders)
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
@@ -132,11 +129,3 @@ def _is_folder(entry: os.DirEntry[str]) -> bool:
         return entry.is_dir()
     except OSError:  # circular links
         return False
-
-
-def _is_picture(entry: os.DirEntry[str]) -> bool:
-    """Return whether an entry is a file or a broken link, which is later reported as unreadable."""
-    try:
-        return entry.is_file() or (entry.is_symlink() and not Path(entry.path).exists())
-    except OSError:
-        return True

@@ -20,7 +20,7 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Dataset, Picture, PictureRow, Size, read_lines
+from lpn.datasets.base import Dataset, Picture, PictureRow, numbered_lines, sizes
 from lpn.datasets.listed_paths import fold, listed_path, name_of
 
 CITIES = ("Chicago", "NewYork", "SanFrancisco", "Seattle")
@@ -34,18 +34,7 @@ _LISTS = {"same-area": "same_area_balanced_{}.txt", "cross-area": "pano_label_ba
 _TILES = "satellite_list.txt"
 _MARKS = (*(f"{splits}/{{}}/" for splits in _SPLITS), "{}/panorama/", "ground/{}/")
 # The paper states these numbers; the authors' repository states none, and the released lists were not at hand to count.
-_FULL = {
-    "same-area": {
-        "train/street": Size(52_609),
-        "test/query_street": Size(52_605),
-        "test/gallery_satellite": Size(90_618, 90_618),
-    },
-    "cross-area": {
-        "train/street": Size(51_520),
-        "test/query_street": Size(53_694),
-        "test/gallery_satellite": Size(46_563, 46_563),
-    },
-}
+_FULL = {"same-area": (52_609, 52_605, 90_618), "cross-area": (51_520, 53_694, 46_563)}
 _COORDINATES = re.compile(r"(-?\d+\.\d+)[,_](-?\d+\.\d+),?\.\w+$")
 
 
@@ -76,7 +65,10 @@ class VIGOR(Dataset):
 
     def rows(self) -> Iterator[PictureRow]:
         splits, area = _splits(self.root), str(self.split)
-        self.published_sizes = _FULL[area]
+        train, test, gallery = _FULL[area]
+        self.published_sizes = sizes(
+            train={"street": (train, None)}, query={"street": (test, None)}, gallery={"satellite": (gallery, gallery)}
+        )
         self.expected = f"{splits.name}/<city>/{_LISTS[area].format('test')} and the pictures that it names"
         tiles_of = {city: _tiles(self.root, splits, city) for city in CITIES if (splits / city).is_dir()}
         files = [file for tiles in tiles_of.values() for file in tiles.values()]
@@ -132,28 +124,21 @@ def _tiles(root: Path, splits: Path, city: str) -> dict[str, str]:
     name = f"{splits.name}/{city}/{_TILES}"
     folder = _folder(root, city, "satellite", "satellite")
     tiles = {}
-    for number, line in enumerate(read_lines(splits / city / _TILES, name), 1):
-        if line.strip():
-            tile = name_of(listed_path(line, f"Line {number} of {name}"))
-            tiles[fold(tile)] = f"{folder}/{tile}"
+    for where, line in numbered_lines(splits / city / _TILES, name):
+        tile = name_of(listed_path(line, where))
+        tiles[fold(tile)] = f"{folder}/{tile}"
     return tiles
 
 
-def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> list[tuple[str, list[str]]]:
-    """Return each panorama's file name, and the paths of its tiles, the true one first."""
-    panoramas = []
-    for number, line in enumerate(read_lines(file, name), 1):
+def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:
+    """Yield each panorama's file name, and the paths of its tiles, the true one first."""
+    for where, line in numbered_lines(file, name):
         values = line.split()
-        if not values:
-            continue
-        where = f"Line {number} of {name}"
         if len(values) < 4 or len(values) % 3 != 1:
             raise DataError(
                 f"{where} has {len(values)} values; expected a panorama, and a tile with two numbers up to four times."
             )
         listed = [name_of(tile) for tile in values[1::3]]
-        missing = [tile for tile in listed if fold(tile) not in tiles]
-        if missing:
+        if missing := [tile for tile in listed if fold(tile) not in tiles]:
             raise DataError(f"{where} names the tile {printable(missing[0])}, which is not in {_TILES} of its city.")
-        panoramas.append((name_of(listed_path(values[0], where)), [tiles[fold(tile)] for tile in listed]))
-    return panoramas
+        yield name_of(listed_path(values[0], where)), [tiles[fold(tile)] for tile in listed]

@@ -20,7 +20,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES
 from lpn.core.tables import Column, number_column
-from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, read_json, read_lines
+from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, numbered_lines, read_json
 from lpn.datasets.listed_paths import fold, listed_path, name_of
 
 _SUFFIXES = {"terrain": "", "city": "_country", "mix": "_all"}
@@ -95,8 +95,7 @@ class WorldUAV(Dataset):
         if file is None:
             return []
         title = file.relative_to(self.root).as_posix()
-        lines = [(number, line) for number, line in enumerate(read_lines(file, title), 1) if line.strip()]
-        paths = dict.fromkeys(listed_path(line, f"Line {number} of {title}") for number, line in lines)
+        paths = dict.fromkeys(listed_path(line, where) for where, line in numbered_lines(file, title))
         if not paths:
             raise DataError(f"{title} of {printable(self.root.name)} names no region; expected the path of one a line.")
         for path in paths:

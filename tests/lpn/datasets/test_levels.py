@@ -140,8 +140,6 @@ def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "lost", "said"),
     [
-        (layouts.cvusa, "splits", "has CVUSA's pictures and no splits/train-19zl.csv"),
-        (layouts.cvact, "ACT_data.mat", "has CVACT's pictures and no ACT_data.mat"),
         (layouts.vigor, "splits", "has VIGOR's pictures and no folder splits"),
     ],
 )
