@@ -70,7 +70,7 @@ class TilePairs(Dataset):
     """
 
     kind = "GTA-UAV"
-    marks = ((_LIST.format("*-area", "*"),),)
+    marks = tuple((_LIST.format(area, split),) for area in ("same-area", "cross-area") for split in ("train", "test"))
     known_by = "*-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc)"
     parts = ("drone", "satellite")
     splits = ("same-area", "cross-area")

@@ -24,6 +24,7 @@ LISTS = (
     *(f"train/{name}" for name in ("satellite", "drone", "street", "google")),
     *(f"test/{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite", "street")),
 )
+_NUMBERED = [f"{name}/[0-9]*/" for name in LISTS if name.startswith("train/")]
 
 
 class University(Dataset):
@@ -36,7 +37,8 @@ class University(Dataset):
     marks = (
         (PLAN,),
         *((f"{name}/",) for name in LISTS if name.startswith("test/")),
-        *combinations((f"{name}/[0-9]*/" for name in LISTS if name.startswith("train/")), 2),
+        # Other layouts have a folder train with one set, too.
+        *(("train/", *sets) for sets in combinations(_NUMBERED, 2)),
     )
     known_by = "train and test as in University-1652"
     parts = ("train", "test")
