@@ -204,6 +204,7 @@ class Dataset:
 
     Attributes:
         root: the folder.
+        files: the files below it, which finds what a list names.
         split: the split that is read, such as "cross-area"; None for a layout with one.
         kind: the recognised layout, such as "University-1652".
         title: what `lpn doctor` calls the folder.
@@ -516,24 +517,15 @@ def _unread(file: Path) -> str | None:
         return None
 
 
-def read_lines(path: Path, name: str) -> list[str]:
-    """Return the lines of a text file.
-
-    Raises:
-        DataError: if the file cannot be read, is too large, or is neither UTF-8 nor UTF-16.
-    """
-    return read_text(path, name).splitlines()
-
-
 def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
-    """Yield the lines that are not blank, each after "Line <number> of <name>"; errors as for `read_lines`."""
-    for number, line in enumerate(read_lines(path, name), 1):
+    """Yield the lines that are not blank, each after "Line <number> of <name>"; errors as for `read_text`."""
+    for number, line in enumerate(read_text(path, name).splitlines(), 1):
         if line.strip():
             yield f"Line {number} of {name}", line
 
 
 def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
-    """Return the value in a JSON file of at most so many bytes; errors as for `read_lines`, and if it is not JSON."""
+    """Return the value in a JSON file of at most so many bytes; errors as for `read_text`, and if it is not JSON."""
     try:
         return json.loads(read_text(path, name, most=most))
     except (ValueError, RecursionError) as error:
@@ -541,7 +533,11 @@ def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
 
 
 def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIST_BYTES) -> str:
-    """Return the text of a file of at most so many bytes; errors as for `read_lines`."""
+    """Return the text of a file.
+
+    Raises:
+        DataError: if the file cannot be read, has more than `most` bytes, or is neither UTF-8 nor UTF-16.
+    """
     try:
         if path.stat().st_size > most:
             raise DataError(f"{name} has more than {most // 1_000_000} MB; expected a list of pictures as text.")

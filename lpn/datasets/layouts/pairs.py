@@ -11,8 +11,7 @@ picture (without satellites: the same picture of the first view) show the same p
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.csv_cells import mixed_separators
@@ -21,7 +20,7 @@ from lpn.core.files import printable
 from lpn.core.views import VIEWS
 from lpn.datasets import geo
 from lpn.datasets.base import Dataset, PictureRow, read_rows
-from lpn.datasets.listed_paths import listed_path
+from lpn.datasets.listed_paths import FilesBelow, listed_path
 
 NAME = "pairs.csv"
 _MOST = 2**62
@@ -46,30 +45,22 @@ class PairsCSV(Dataset):
     unusable = f"files named in {NAME}"
     expected = f"lines of {NAME} with the split test and such a picture"
 
-    def rows(self) -> Iterator[PictureRow]:
+    def rows(self) -> list[PictureRow]:
         self.none_whole = f"has none of the files that {NAME} names; expected paths relative to {self.root.name}"
-        views, lines = _read(self.root / NAME)
-        # One picture may be listed in two spellings, and is one place all the same.
-        lines = [
-            replace(line, files={view: self.files.find(file) or file for view, file in line.files.items()})
-            for line in lines
-        ]
-        listed: dict[tuple[str, str], int] = {}
-        # The lists stand in the order of the columns, whichever view the first lines have.
-        rows: dict[str, list[PictureRow]] = {f"{split}/{view}": [] for split in ("train", "test") for view in views}
+        views, lines = _read(self.root / NAME, self.files)
+        rows: dict[tuple[str, str], PictureRow] = {}
         for line, place in zip(lines, _places(lines, "satellite" if "satellite" in views else views[0]), strict=True):
             for view, file in line.files.items():
-                of = f"{line.split}/{view}"
-                if (before := listed.setdefault((of, file), place)) != place:
+                row = PictureRow(f"{line.split}/{view}", file, place, Path(file).with_suffix("").as_posix())
+                if (before := rows.setdefault((row.of, file), row).label) != place:
                     raise DataError(
                         f"Line {line.line} of {NAME} gives {printable(file)} the place {place}, after {before}; keep one."
                     )
-                rows[of].append(PictureRow(of, file, place, Path(file).with_suffix("").as_posix()))
-        for of_list in rows.values():
-            yield from dict.fromkeys(of_list)
+        # The lists stand in the order of the columns, whichever view the first lines have.
+        return sorted(rows.values(), key=lambda row: views.index(row.of.partition("/")[2]))
 
 
-def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
+def _read(path: Path, files: FilesBelow) -> tuple[list[str], list[_PairLine]]:
     rows = read_rows(path, NAME)
     _, first = next(rows, (0, []))
     header = [name.strip().lower() for name in first]
@@ -84,13 +75,13 @@ def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
             f"The first line of {NAME} is {found}; expected two or three of {', '.join(VIEWS)} and, if wanted, split and "
             f"place.{more}"
         )
-    parsed = [_row(header, views, values, line) for line, values in rows]
+    parsed = [_row(header, views, values, line, files) for line, values in rows]
     if not parsed:
         raise DataError(f"{NAME} has no line after the first; expected one for each pair.")
     return views, parsed
 
 
-def _row(header: list[str], views: list[str], values: list[str], line: int) -> _PairLine:
+def _row(header: list[str], views: list[str], values: list[str], line: int, there: FilesBelow) -> _PairLine:
     if len(values) != len(header):
         raise DataError(f"Line {line} of {NAME} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
     row = {name: value.strip() for name, value in zip(header, values, strict=True)}
@@ -105,7 +96,8 @@ def _row(header: list[str], views: list[str], values: list[str], line: int) -> _
     files = {view: listed_path(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
     if not files:
         raise DataError(f"Line {line} of {NAME} names no picture; expected one of {', '.join(views)}.")
-    return _PairLine(line, files, split, place)
+    # One picture may be listed in two spellings, and is one place all the same.
+    return _PairLine(line, {view: there.find(file) or file for view, file in files.items()}, split, place)
 
 
 def _places(rows: list[_PairLine], view: str) -> list[int]:

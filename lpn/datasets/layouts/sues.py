@@ -19,7 +19,7 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, read_lines, sizes
+from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, read_text, sizes
 from lpn.datasets.layouts.university import place_pictures
 
 HEIGHTS = ("150", "200", "250", "300")
@@ -129,7 +129,7 @@ def _row(of: str, picture: Picture, place: int, name: str, height: str) -> Pictu
 
 def _trained(file: Path) -> set[int]:
     """Return the numbers below `index:` in the published list of places to train on."""
-    _, _, listed = "\n".join(read_lines(file, INDEX)).partition("index")
+    _, _, listed = read_text(file, INDEX).partition("index")
     numbers = {int(number) for number in re.findall(r"\b\d{1,4}\b", listed)}
     if not numbers:
         raise DataError(f"{INDEX} names no place; expected its key index with the numbers of the places to train on.")
