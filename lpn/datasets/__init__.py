@@ -115,7 +115,8 @@ def _unmarked(root: Path) -> Dataset:
     whole = levels.above(root, _marked)
     pictures = any(not hidden_name(file.name) and file.name.lower().endswith(SUFFIXES) for file in root.iterdir())
     if whole is not None and not pictures:
-        raise levels.part_of(root, whole)
+        inside, shown = root.resolve().relative_to(whole.resolve()).as_posix(), printable(str(root))
+        raise DataError(f"{shown} is the part {printable(inside)} of a data set; give --data {printable(str(whole))}.")
     if (error := levels.below(root, _marked)) is not None:
         raise error
     for layout in known_layouts():

@@ -50,14 +50,6 @@ def above(root: Path, marked: Marked) -> Path | None:
     return Path(near)
 
 
-def part_of(root: Path, folder: Path) -> DataError:
-    """Return the error about a folder that is a part of the data set in another one."""
-    inside = root.resolve().relative_to(folder.resolve()).as_posix()
-    return DataError(
-        f"{printable(str(root))} is the part {printable(inside)} of a data set; give --data {printable(str(folder))}."
-    )
-
-
 def _layout(folder: Path, marked: Marked) -> type[Dataset] | None:
     try:
         return marked(folder)
