@@ -16,6 +16,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -138,7 +139,7 @@ class TilePairs(Dataset):
         if view != "satellite":
             return super().queries(view)
         tiles = super().gallery("satellite")
-        return [tiles[tile] for tile in self._drones()]
+        return [tiles[tile] for tile in self._drones]
 
     def gallery(self, view: str) -> list[Picture]:
         return super().queries("drone") if view == "drone" else super().gallery(view)
@@ -147,7 +148,7 @@ class TilePairs(Dataset):
         if task != "satellite-to-drone":
             return super().truth(task)
         none = np.zeros(0, np.int64)
-        return [Truth(np.array(drones, np.int64), none, trapezoid=False) for drones in self._drones().values()]
+        return [Truth(np.array(drones, np.int64), none, trapezoid=False) for drones in self._drones.values()]
 
     def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
         """Return metres of the map (GTA-UAV), or latitude and longitude in degrees (UAV-VisLoc), (N, 2)."""
@@ -161,6 +162,7 @@ class TilePairs(Dataset):
             return self._spots[picture.path]
         return _metres_of_tile(picture.path) if self.measured_by == "GTA-UAV" else _degrees_of_tile(picture.path)
 
+    @cached_property
     def _drones(self) -> dict[int, list[int]]:
         """For each tile that is true for a test picture, the positions of these pictures, in the order of the tiles."""
         drones: dict[int, list[int]] = {}
