@@ -14,7 +14,7 @@ from rich.console import Console
 
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
-from lpn.datasets.university import University
+from lpn.datasets.layouts.university import University
 from lpn.retrieval import calibration
 from lpn.training.trainer import Trainer
 from lpn.training.training_set import Fold, TrainingSet

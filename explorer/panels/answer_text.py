@@ -575,7 +575,7 @@ def _trust(analysis: StateAnalysis, workspace: Workspace) -> str:
         return " ".join(filter(None, (tried, _of_map(analysis, workspace))))
     if result is None or state.region or state.altered_weights or (own and _elsewhere(analysis, workspace)):
         return ""
-    if own and (shows_rendered(workspace.root) or any(len(lists.junk) for lists in task.truth or ())):
+    if own and (shows_rendered(workspace.root) or any(len(of.junk) or of.among is not None for of in task.truth or ())):
         return ""
     besides = None if own else state.query
     graded = workspace.graded(workspace.rankings[task.key])

@@ -1,81 +1,58 @@
 """Data sets in their published layouts, read as lists of pictures with places, tasks, and true matches.
 
-It imports `core` only. `open_dataset` recognises University-1652 (and rendered worlds), UniV, GeoText-1652,
-SUES-200, DenseUAV, GTA-UAV, UAV-VisLoc in GTA-UAV's form, World-UAV, VIGOR, CVUSA, CVACT, Oxford5k, Paris6k, your own pairs with
-a `pairs.csv`, and a plain folder of pictures; docs/data.md shows each layout.
+It imports `core` only. `open_dataset` recognises the layouts in `lpn.datasets.layouts`, those of other packages, and a plain
+folder of pictures; docs/data.md shows each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+import logging
+from functools import cache
+from importlib import import_module
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import cast
+from pkgutil import iter_modules
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets import cvact, cvusa, landmarks, levels, pairs
-from lpn.datasets.areas import SCENES, Area, named_split, split_name
+from lpn.core.images import SUFFIXES
+from lpn.datasets import layouts, levels
 from lpn.datasets.base import (
     Dataset,
     LeftOut,
     Picture,
+    PictureRow,
     Size,
     Truth,
     files_below,
-    hidden,
+    hidden_name,
     labels_of,
     unread_below,
     warn_left_out,
 )
-from lpn.datasets.cvact import CVACT
-from lpn.datasets.cvusa import CVUSA
-from lpn.datasets.denseuav import DenseUAV, is_denseuav
 from lpn.datasets.folder import Folder
-from lpn.datasets.geotext import GeoText, is_geotext
-from lpn.datasets.landmarks import Landmarks
-from lpn.datasets.pairs import PairsCSV
-from lpn.datasets.rendered import is_rendered
-from lpn.datasets.sues import SUES200, is_sues
-from lpn.datasets.tile_pairs import TilePairs, is_tile_pairs
-from lpn.datasets.univ import UniV, is_univ, is_univ_videos, open_univ_videos
-from lpn.datasets.university import University
-from lpn.datasets.vigor import VIGOR, is_vigor
-from lpn.datasets.world_uav import WorldUAV, is_world_uav
+from lpn.datasets.layouts.university import University
 
 __all__ = [
-    "CVACT",
-    "CVUSA",
-    "SUES200",
-    "VIGOR",
     "Dataset",
-    "DenseUAV",
     "Folder",
-    "GeoText",
-    "Landmarks",
     "LeftOut",
-    "PairsCSV",
     "Picture",
+    "PictureRow",
     "Size",
-    "TilePairs",
     "Truth",
-    "UniV",
-    "University",
-    "WorldUAV",
     "files_below",
-    "hidden",
+    "known_layouts",
     "labels_of",
     "open_dataset",
     "unread_below",
     "warn_left_out",
 ]
 
-_LAYOUTS = (
-    "train and test as in University-1652, splits/*-19zl.csv (CVUSA), ACT_data.mat (CVACT), Testing/150 or satellite-view "
-    "(SUES-200), Dense_GPS_ALL.txt (DenseUAV), *-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc), splits/Chicago (VIGOR), "
-    "Index/test.txt (World-UAV), 45/2fps (UniV), test_951_version.json (GeoText-1652), "
-    "*_query.txt (Oxford5k, Paris6k), pairs.csv, or pictures"
-)
+log = logging.getLogger(__name__)
+
+# The group of the entry points by which other packages bring layouts.
+GROUP = "lpn.datasets"
 
 
 def open_dataset(root: str | Path) -> Dataset:
@@ -87,59 +64,68 @@ def open_dataset(root: str | Path) -> Dataset:
     Raises:
         DataError: if the folder does not exist, its layout is unknown, or one of its lists is damaged.
     """
-    given = Path(root)
-    root, split = named_split(given)
+    given, split = Path(root), None
+    root = given
+    if not given.exists() and any(given.name in layout.splits for layout in known_layouts()):
+        root, split = given.parent, given.name
     if not root.is_dir():
-        raise levels.no_folder(root)
-    is_rendered(root)  # raises for an unfinished world
-    marked = _marked(root)
-    if split in SCENES:
-        if marked is not WorldUAV:
-            raise levels.no_folder(given)
-        marked = partial(WorldUAV, split=split)
-    elif split is not None:
-        if marked not in (TilePairs, VIGOR):
-            raise DataError(
-                f"{root} has no {split_name(split)} split, which GTA-UAV, UAV-VisLoc, and VIGOR have; give --data {root}."
-            )
-        marked = partial(marked, area=cast(Area, split))
-    if marked is not None:
-        return marked(root)
-    whole, pictures = levels.above(root, _marked), levels.holds_pictures(root)
-    if whole is not None and not pictures:
-        raise levels.part_of(root, whole)
-    if (error := levels.below(root, _marked) or levels.misplaced(root)) is not None:
-        raise error
-    if queries := landmarks.query_files(root):
-        return Landmarks(root, queries)
-    if files := files_below(root):
-        return Folder(root, files, whole)
-    if (error := levels.files_alone(root)) is not None:
-        raise error
-    inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"
-    raise DataError(f"{root} holds {inside}; expected {_LAYOUTS}.")
+        shown, parent = printable(str(root)), printable(str(root.parent))
+        if root.exists():
+            raise DataError(f"{shown} is a file; expected a data set's folder, so give --data {parent}.")
+        raise DataError(f"There is no data set folder at {shown}; check the path.")
+    layout = _marked(root)
+    if split is not None and (layout is None or split not in layout.splits):
+        shown, name = printable(str(given)), printable(str(root))
+        raise DataError(f"There is no data set folder at {shown}; check the path, as {name} has no {split} split.")
+    return _unmarked(root) if layout is None else layout(root, split)
 
 
-def _marked(root: Path) -> Callable[..., Dataset] | None:
+@cache
+def known_layouts() -> tuple[type[Dataset], ...]:
+    """Return the layouts of this package and of others (entry points `lpn.datasets`), in the order in which they are tried.
+
+    One that cannot be loaded is left out with a warning.
+    """
+    modules = [import_module(f"{layouts.__name__}.{module.name}") for module in iter_modules(layouts.__path__)]
+    classes = [
+        (module.__name__, value) for module in modules for value in vars(module).values() if isinstance(value, type)
+    ]
+    found = [value for name, value in classes if issubclass(value, Dataset) and value.__module__ == name]
+    for point in entry_points(group=GROUP):
+        try:
+            layout = point.load()
+            if not (isinstance(layout, type) and issubclass(layout, Dataset)):
+                raise TypeError("it is no subclass of lpn.datasets.Dataset")
+            found.append(layout)
+        except Exception as error:  # another package's code may raise anything
+            reason = printable(str(error).strip().partition("\n")[0]) or type(error).__name__
+            log.warning("The layout %s is left out, as %s cannot be loaded (%s).", point.name, point.value, reason)
+    return tuple(sorted(found, key=lambda layout: -layout.priority))
+
+
+def _marked(root: Path) -> type[Dataset] | None:
     """Recognise the layout by files or folders near the root."""
-    if (root / pairs.NAME).is_file():
-        return PairsCSV
-    if cvusa.split_file(root, "train").is_file() or cvusa.split_file(root, "val").is_file():
-        return CVUSA
-    if (root / cvact.NAME).is_file():
-        return CVACT
-    for recognised, layout in (
-        (is_tile_pairs, TilePairs),
-        (is_vigor, VIGOR),
-        (is_world_uav, WorldUAV),
-        (is_univ, UniV),
-        (is_univ_videos, open_univ_videos),
-        (is_geotext, GeoText),
-        (is_denseuav, DenseUAV),
-        (is_sues, SUES200),
-    ):
-        if recognised(root):
-            return layout
+    return next((layout for layout in known_layouts() if not layout.deep and layout.recognises(root)), None)
+
+
+def _unmarked(root: Path) -> Dataset:
+    """Open a folder without the marks of a layout, or raise the error that names the folder to give."""
     if (root / "train").is_dir() or (root / "test").is_dir():
-        return University
-    return None
+        return University(root)
+    whole = levels.above(root, _marked)
+    pictures = any(not hidden_name(file.name) and file.name.lower().endswith(SUFFIXES) for file in root.iterdir())
+    if whole is not None and not pictures:
+        inside, shown = root.resolve().relative_to(whole.resolve()).as_posix(), printable(str(root))
+        raise DataError(f"{shown} is the part {printable(inside)} of a data set; give --data {printable(str(whole))}.")
+    if (error := levels.below(root, _marked)) is not None:
+        raise error
+    for layout in known_layouts():
+        if layout.deep and layout.recognises(root):
+            return layout(root)
+    folder = Folder(root, whole)
+    if folder.pictures("pictures"):
+        return folder
+    inside = ", ".join(sorted(printable(child.name) for child in root.iterdir())[:5]) or "nothing"
+    known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
+    expected = ", ".join(layout.known_by for layout in known if layout.known_by)
+    raise DataError(f"{printable(str(root))} holds {inside}; expected {expected}, or pictures.")

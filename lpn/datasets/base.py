@@ -1,19 +1,19 @@
-"""The interface of a data set: pictures by split and view, tasks, and true matches."""
+"""A data set: the rows of a layout, resolved to pictures by split and view, with tasks, true matches, and positions."""
 
 from __future__ import annotations
 
 import csv
+import json
 import logging
 import os
-from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
@@ -21,6 +21,7 @@ from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_p
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import views_of
 from lpn.datasets import geo
+from lpn.datasets.listed_paths import FilesBelow
 
 log = logging.getLogger(__name__)
 
@@ -111,6 +112,7 @@ class Truth:
         semi: half-true matches, which count as false (VIGOR's and GTA-UAV's semi-positives), (S,).
         overlaps: intersection over union of the query's footprint with each of `good`, then each of `semi`, 0 .. 1, (M + S,);
             None where nobody measured it.
+        among: the only pictures that are ranked, (R,), an array that the queries of a region share; None for the whole gallery.
     """
 
     good: Int64Array
@@ -119,6 +121,14 @@ class Truth:
     trapezoid: bool = True
     semi: Int64Array = field(default_factory=_no_tiles)
     overlaps: Float64Array | None = None
+    among: Int64Array | None = None
+
+    def unranked(self, size: int) -> BoolArray:
+        """Return True for each picture of a gallery of this size that is removed from the ranking, (G,)."""
+        unranked = np.full(size, self.among is not None)
+        unranked[self.among if self.among is not None else []] = False
+        unranked[self.junk] = True
+        return unranked
 
     def overlap(self, tile: int) -> float:
         """Return the overlap of a tile with the query's footprint, 0 for one that is not listed; NaN without overlaps."""
@@ -136,6 +146,12 @@ class Size:
     places: int | None = None
 
 
+def sizes(**lists: Mapping[str, tuple[int | None, int | None]]) -> dict[str, Size]:
+    """Return the sizes of lists by name, given as (pictures, places) by view for `train`, `query`, `gallery`, or `test`."""
+    prefixes = {"train": "train/", "query": "test/query_", "gallery": "test/gallery_", "test": "test/"}
+    return {prefixes[role] + view: Size(*size) for role, of in lists.items() for view, size in of.items()}
+
+
 @dataclass(frozen=True)
 class LeftOut:
     """A file that a data set lists or contains, but that cannot be used.
@@ -151,57 +167,187 @@ class LeftOut:
     published: bool = False
 
 
-class Dataset(ABC):
-    """A data set's folder.
+@dataclass(frozen=True)
+class PictureRow:
+    """One picture that a layout lists.
+
+    Attributes:
+        of: its list, such as "train/drone" or "test/query_drone"; "test/drone" is both queries and gallery.
+        file: its path below the root as it is listed, or the file itself where a folder was read.
+        label, name, group, box: see `Picture`.
+        true, semi, junk: the `file` of pictures of the gallery, see `Truth`; `true` is None where labels are the truth.
+        overlaps: of the query's footprint with the true and half-true ones, by `file`; None where nobody measured them.
+        region: queries of a region are ranked among the gallery's pictures of it alone; "" for the whole gallery.
+    """
+
+    of: str
+    file: str | Path
+    label: int
+    name: str
+    group: str = ""
+    box: tuple[float, float, float, float] | None = None
+    true: Collection[str | Path] | None = None
+    semi: Collection[str | Path] = ()
+    junk: Collection[str | Path] = ()
+    overlaps: Mapping[str | Path, float] | None = None
+    region: str = ""
+
+
+class Dataset:
+    """A data set's folder; a subclass is a layout: what marks it, its `rows`, and what is special.
+
+    Args:
+        split: one of `splits`; by default the first that is there.
+
+    Raises:
+        DataError: if a list is missing or malformed, or names no picture that is there.
 
     Attributes:
         root: the folder.
+        files: the files below it, which finds what a list names.
+        split: the split that is read, such as "cross-area"; None for a layout with one.
         kind: the recognised layout, such as "University-1652".
+        title: what `lpn doctor` calls the folder.
+        marks: patterns of paths below the root, of folders with a slash at the end; a folder with all paths of one of the tuples
+            is of this layout.
+        known_by: what a folder of this layout holds, for the error about a folder of none.
+        parts: patterns of the names of folders right below the root, in lower case.
+        priority: layouts of a higher one are tried first.
+        deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
+        splits: the last part of a path that names a split.
+        split_list: the list that a split needs.
+        folders: folders below the root whose pictures are all read.
+        unusable, effect: what is left out, and what this does, as the warning says it.
+        none_whole: what to say of a data set without a training picture and a query, as a predicate; "" if it may be so.
+        expected: the expected layout, for the error about a missing view.
+        recipes: the recipes that train on it.
+        paper: the tasks that the paper reports, its tables that need training, and those that need a test split only.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
             results of a group take its queries and gallery pictures, and all pictures without a group.
         mean_of_groups: True if the published figure is the mean of its groups' figures.
         trained_distractors: True if the test gallery holds the places to train on, as published.
+        trapezoid: see `Truth`.
         measured_by: the published evaluation that measures distances on it; None if its results are recall and AP alone.
+        positions_from: what `place` reads, for messages; "" for a data set whose positions are in `geo.csv`.
         published_sizes: the size of each of `lists` in the complete data set, if known.
-        left_out: files that cannot be used; logged once, when the data set is opened.
     """
 
     kind: str
+    title: str = ""
+    marks: tuple[tuple[str, ...], ...] = ()
+    known_by: str = ""
+    parts: tuple[str, ...] = ()
+    priority: int = 0
+    deep: bool = False
+    splits: tuple[str, ...] = ()
+    split_list: str = ""
+    folders: Sequence[str] = ()
+    unusable: str = "files of its lists"
+    effect: str = "they are left out"
+    none_whole: str = ""
+    expected: str = ""
+    recipes: tuple[str, ...] = ("small", "paper", "released")
+    paper: tuple[tuple[str, ...], str, str] | None = None
     panoramas: bool = False
     group_name: str = ""
     mean_of_groups: bool = False
     trained_distractors: bool = False
+    trapezoid: bool = True
     measured_by: PositionProtocol | None = None
+    positions_from: str = ""
+    published_sizes: Mapping[str, Size] = {}
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
-        self.published_sizes: Mapping[str, Size] = {}
-        self.left_out: list[LeftOut] = []
+    def __init__(self, root: Path, split: str | None = None) -> None:
+        self.root, self.files = root, FilesBelow(root)
+        self._left_out: dict[str, LeftOut] = {}
+        self._listed: dict[str, list[tuple[PictureRow, Picture]]] = {}
+        self.split = self._chosen(split)
+        for row in self.rows():
+            file = row.file
+            if isinstance(file, str) and (found := self.files.find(file)) is not None:
+                file = root / found
+            if isinstance(file, str):
+                self.leave_out(file)
+                continue
+            panorama = self.panoramas and row.of.endswith("street")
+            picture = Picture(file, row.label, printable(row.name), row.box, panorama, row.group)
+            self._listed.setdefault(row.of, []).append((row, picture))
+        if self.none_whole and all(name.startswith("test/gallery") for name in self._listed):
+            raise DataError(f"{root.name} {self.none_whole}.")
+        warn_left_out(root.name, self.left_out, f"{self.unusable} cannot be used", self.effect)
 
-    @abstractmethod
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
+        """Return whether a folder is of this layout: by `marks`, unless it is hard to tell."""
+        return any(all(_is_there(root, path) for path in paths) for paths in cls.marks)
+
+    def rows(self) -> Iterable[PictureRow]:
+        """List the pictures; those that are not there are left out. It is called once, when the data set is opened."""
+        return ()
+
+    def splits_there(self) -> list[str] | None:
+        """Return those of `splits` whose lists are there; None for a data set that has none."""
+        return None
+
+    def place(self, picture: Picture) -> geo.Position | None:
+        """Return the position of a test picture by the lists or its name; see `positions_from`."""
+        del picture
+        return None
+
+    def leave_out(self, file: str, why: str = "is not there", published: bool = False) -> None:
+        """Leave out a file, see `LeftOut`."""
+        self._left_out.setdefault(file, LeftOut(file, why, published))
+
+    def together(self, *rows: PictureRow) -> tuple[PictureRow, ...]:
+        """Return rows that are of use together only; none of them, if the file of one is not there."""
+        missing = [row.file for row in rows if isinstance(row.file, str) and self.files.find(row.file) is None]
+        for file in missing:
+            self.leave_out(file)
+        return () if missing else rows
+
+    @property
+    def left_out(self) -> list[LeftOut]:
+        """The files that cannot be used; logged once, when the data set is opened."""
+        return list(self._left_out.values())
+
+    def pictures(self, name: str) -> list[Picture]:
+        """Return the pictures of one of `lists`; none for another name."""
+        return [picture for _, picture in self._listed.get(name, ())]
+
     def train(self, folder: str) -> list[Picture]:
         """Return the training pictures of a view (satellite, drone, street) or of "google"; may be empty."""
+        return self.pictures(f"train/{folder}")
 
-    @abstractmethod
     def queries(self, view: str) -> list[Picture]:
         """Return the test split's queries of a view.
 
         Raises:
             DataError: if there are none.
         """
+        return self._test("query", view)
 
-    @abstractmethod
     def gallery(self, view: str) -> list[Picture]:
         """Return the test split's gallery of a view.
 
         Raises:
             DataError: if there is none.
         """
+        return self._test("gallery", view)
 
-    @abstractmethod
     def tasks(self) -> list[str]:
         """Return the test split's tasks, such as "drone-to-satellite", the most common first."""
+        pairs = ((task, *views_of(task)) for task in TASKS)
+        return [task for task, query, gallery in pairs if self.has("query", query) and self.has("gallery", gallery)]
+
+    def has(self, role: str, view: str) -> bool:
+        """Return whether the test split has queries ("query") or a gallery ("gallery") of a view."""
+        return bool(self._listed.get(f"test/{role}_{view}") or self._listed.get(f"test/{view}"))
+
+    def lacking(self, role: str, view: str) -> str:
+        """Return what is wrong with a test split without queries or a gallery of a view, as a predicate."""
+        what = "test queries" if role == "query" else "test gallery"
+        return f"has no {what} of {view} pictures; expected {self.expected}"
 
     def why_no_task(self) -> str:
         """Return the reason why `tasks` is empty, as a predicate, and the remedy."""
@@ -218,29 +364,52 @@ class Dataset(ABC):
         """Return the error about a data set without `tasks`."""
         return DataError(f"{printable(self.root.resolve().name)} {self.why_no_task()}.")
 
-    @abstractmethod
     def lists(self) -> dict[str, list[Picture]]:
         """Return every list of pictures by its name, such as "train/satellite" or "test/query_drone"."""
+        names = sorted(self._listed, key=lambda name: (not name.startswith("train/"), name.startswith("test/gallery")))
+        return {name: self.pictures(name) for name in names}
 
     def unread(self) -> list[LeftOut]:
-        """Return the pictures in the folders that are not read because of their name or kind.
-
-        A data set with list files has none, because only listed pictures belong to it. The call walks the folders.
-        """
-        return []
+        """Return the pictures in `folders` that are not read because of their name or kind; the call walks the folders."""
+        return unread_below(self.root, self.folders)
 
     def truth(self, task: str) -> list[Truth] | None:
         """Return the ground truth of each query; None if pictures of equal label are the true matches."""
-        del task
-        return None
+        query_view, gallery_view = views_of(task)
+        queries = [row for row, _ in self._listed.get(f"test/query_{query_view}", ())]
+        gallery = [row for row, _ in self._listed.get(f"test/gallery_{gallery_view}", ())]
+        if not gallery or all(row.true is None for row in queries):
+            return None
+        position = {row.file: i for i, row in enumerate(gallery)}
+        regions: dict[str, list[int]] = {}
+        for i, row in enumerate(gallery):
+            regions.setdefault(row.region, []).append(i)
+        among = {name: np.array(tiles, np.int64) for name, tiles in regions.items() if name}
+
+        def tiles(files: Iterable[str | Path]) -> Int64Array:
+            return np.array(sorted({position[file] for file in files if file in position}), np.int64)
+
+        truth = []
+        for row in queries:
+            good, semi, overlaps = tiles(row.true or ()), tiles(row.semi), None
+            if row.overlaps is not None:
+                overlaps = np.array([row.overlaps[gallery[tile].file] for tile in (*good, *semi)], np.float64)
+            junk, region = tiles(row.junk), among.get(row.region)
+            truth.append(Truth(good, junk, True, self.trapezoid, semi, overlaps, region))
+        return truth
 
     def positions(self) -> geo.Positions | None:
-        """Return the positions of the test pictures on the Earth, by default those of its `geo.csv`; None without any.
+        """Return the positions of the test pictures on the Earth, those of its `geo.csv` or of `place`; None without any.
 
         Raises:
-            DataError: if the file that holds them cannot be read.
+            DataError: if the file that holds them cannot be read, or a picture's name has none.
         """
-        return geo.positions(self.root)
+        if not self.positions_from:
+            return geo.positions(self.root)
+        pictures = [picture for name, of in self.lists().items() if name.startswith("test/") for picture in of]
+        places = zip(geo.names_below(self.root, pictures), map(self.place, pictures), strict=True)
+        known = {path: place for path, place in places if place is not None}
+        return geo.Positions(self.root, known, self.positions_from)
 
     def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
         """Return the positions that `measured_by` compares: latitude and longitude in degrees, or metres for GTA-UAV, (N, 2).
@@ -262,63 +431,39 @@ class Dataset(ABC):
             return [number_column(self.group_name, [float(group) for group in groups], "m")]
         return [text_column(self.group_name, groups)]
 
+    def _test(self, role: str, view: str) -> list[Picture]:
+        pictures = self.pictures(f"test/{role}_{view}") or self.pictures(f"test/{view}")
+        if not pictures:
+            raise DataError(f"{self.root.name} {self.lacking(role, view)}.")
+        return pictures
 
-class ListedDataset(Dataset):
-    """A data set whose pictures are all listed when it is opened.
-
-    Args:
-        train, queries, gallery: pictures by view; queries and gallery may be the same mapping.
-        expected: the expected layout, for the error about a missing view.
-    """
-
-    def __init__(
-        self,
-        root: Path,
-        train: Mapping[str, list[Picture]],
-        queries: Mapping[str, list[Picture]],
-        gallery: Mapping[str, list[Picture]],
-        expected: str,
-    ) -> None:
-        super().__init__(root)
-        self._train, self._queries, self._gallery = train, queries, gallery
-        self._expected = expected
-
-    def train(self, folder: str) -> list[Picture]:
-        return list(self._train.get(folder, []))
-
-    def queries(self, view: str) -> list[Picture]:
-        return self._list(self._queries, view, "test queries")
-
-    def gallery(self, view: str) -> list[Picture]:
-        return self._list(self._gallery, view, "test gallery")
-
-    def tasks(self) -> list[str]:
-        return tasks_between([v for v, q in self._queries.items() if q], [v for v, g in self._gallery.items() if g])
-
-    def lists(self) -> dict[str, list[Picture]]:
-        lists = {f"train/{view}": pictures for view, pictures in self._train.items()}
-        if self._queries is self._gallery:
-            lists |= {f"test/{view}": pictures for view, pictures in self._gallery.items()}
-        else:
-            lists |= {f"test/query_{view}": pictures for view, pictures in self._queries.items()}
-            lists |= {f"test/gallery_{view}": pictures for view, pictures in self._gallery.items()}
-        return {name: list(pictures) for name, pictures in lists.items() if pictures}
-
-    def _list(self, lists: Mapping[str, list[Picture]], view: str, name: str) -> list[Picture]:
-        if not lists.get(view):
-            raise DataError(f"{self.root.name} has no {name} of {view} pictures; expected {self._expected}.")
-        return list(lists[view])
+    def _chosen(self, wanted: str | None) -> str | None:
+        """Return the wanted split, or by default the first that is there, with a warning about the others."""
+        found = self.splits_there()
+        if found is None and wanted is None:
+            return None
+        there, name = found or [], printable(self.root.name)
+        if not there or (wanted is not None and wanted not in there):
+            has = " and ".join(there) or "none"
+            raise DataError(f"{name} has the lists of {has}; expected {wanted or self.split_list}, so unpack it there.")
+        if wanted is None and len(there) > 1:
+            log.warning(
+                "%s has %s splits; this is %s, and %s the other%s.",
+                name,
+                {2: "two", 3: "three"}.get(len(there), len(there)),
+                there[0],
+                first_few([str(self.root / split) for split in there[1:]], 2),
+                "s" if len(there) > 2 else "",
+            )
+        return wanted or there[0]
 
 
-def tasks_between(queries: Collection[str], galleries: Collection[str]) -> list[str]:
-    """Return every task from a view with queries to a view with a gallery, the most common first."""
-    pairs = (views_of(task) for task in TASKS)
-    return [f"{query}-to-{gallery}" for query, gallery in pairs if query in queries and gallery in galleries]
-
-
-def hidden(path: Path) -> bool:
-    """Return whether a file or folder is hidden, or is one that a system leaves beside those of the user."""
-    return hidden_name(path.name)
+def _is_there(root: Path, pattern: str) -> bool:
+    """Return whether a pattern of `Dataset.marks` finds something; thousands of folders may be asked."""
+    if "*" in pattern:
+        return any(root.glob(pattern))
+    path = os.path.join(root, pattern)  # noqa: PTH118 (a string is quicker)
+    return os.path.isdir(path) if pattern.endswith("/") else os.path.isfile(path)  # noqa: PTH112, PTH113
 
 
 def hidden_name(name: str) -> bool:
@@ -372,22 +517,30 @@ def _unread(file: Path) -> str | None:
         return None
 
 
-def read_lines(path: Path, name: str) -> list[str]:
-    """Return the lines of a text file.
+def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the lines that are not blank, each after "Line <number> of <name>"; errors as for `read_text`."""
+    for number, line in enumerate(read_text(path, name).splitlines(), 1):
+        if line.strip():
+            yield f"Line {number} of {name}", line
+
+
+def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
+    """Return the value in a JSON file of at most so many bytes; errors as for `read_text`, and if it is not JSON."""
+    try:
+        return json.loads(read_text(path, name, most=most))
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{printable(name)} is not JSON; save it again, or unpack it again.") from error
+
+
+def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIST_BYTES) -> str:
+    """Return the text of a file.
 
     Raises:
-        DataError: if the file cannot be read, is too large, or is neither UTF-8 nor UTF-16.
+        DataError: if the file cannot be read, has more than `most` bytes, or is neither UTF-8 nor UTF-16.
     """
-    return read_text(path, name).splitlines()
-
-
-def read_text(path: Path, name: str, errors: str = "strict") -> str:
-    """Return the text of a file; errors as for `read_lines`."""
     try:
-        if path.stat().st_size > MAX_LIST_BYTES:
-            raise DataError(
-                f"{name} has more than {MAX_LIST_BYTES // 1_000_000} MB; expected a list of pictures as text."
-            )
+        if path.stat().st_size > most:
+            raise DataError(f"{name} has more than {most // 1_000_000} MB; expected a list of pictures as text.")
         return decode_text(path.read_bytes(), errors)
     except OSError as error:
         raise DataError(

@@ -2,32 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 from lpn.core.files import printable
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, unread_below
+from lpn.datasets.base import Dataset, PictureRow, files_below
 
 
-class Folder(ListedDataset):
+class Folder(Dataset):
     """Pictures below a folder, each a place of its own.
 
     Args:
-        files: the pictures, below the root.
         whole: the folder of the data set that the root is a part of, such as one place of its pictures.
     """
 
     kind = "folder"
+    title = "a plain folder of pictures"
+    folders = ("",)
+    expected = "a data set with queries and a gallery, since this is a folder of pictures"
+    recipes = ()
 
-    def __init__(self, root: Path, files: list[Path], whole: Path | None = None) -> None:
-        super().__init__(root, {}, {}, {}, "a data set with queries and a gallery, since this is a folder of pictures")
+    def __init__(self, root: Path, whole: Path | None = None) -> None:
+        super().__init__(root)
         self.whole = whole
-        self.pictures = [
-            Picture(file, index, printable(file.relative_to(root).with_suffix("").as_posix()))
-            for index, file in enumerate(files)
-        ]
 
-    def unread(self) -> list[LeftOut]:
-        return unread_below(self.root)
+    def rows(self) -> Iterator[PictureRow]:
+        for index, file in enumerate(files_below(self.root)):
+            yield PictureRow("pictures", file, index, file.relative_to(self.root).with_suffix("").as_posix())
 
     def why_no_task(self) -> str:
         if self.whole is not None:
@@ -42,6 +43,3 @@ class Folder(ListedDataset):
             "train/satellite/<number>/* to train on, test/query_drone/<number>/* and test/gallery_satellite/<number>/* to test "
             "with"
         )
-
-    def lists(self) -> dict[str, list[Picture]]:
-        return {"pictures": list(self.pictures)}

@@ -25,29 +25,6 @@ from lpn.tasks.query_outcomes import reserved
 from lpn.training.recipes import RECIPES
 from lpn.training.training_set import trainable
 
-_RECIPES = {
-    "University-1652": ("paper", "released", "small", "world"),
-    "world": ("world", "small", "paper", "released"),
-    "CVUSA": ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released"),
-    "CVACT": ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released"),
-    **dict.fromkeys(
-        ("SUES-200", "DenseUAV", "GTA-UAV", "UAV-VisLoc", "World-UAV", "UniV", "GeoText-1652", "pairs"),
-        ("small", "paper", "released"),
-    ),
-    "VIGOR": ("cvusa-paper", "cvusa-released"),
-}
-_AERIAL = (("drone-to-satellite", "satellite-to-drone"), "Tables I, III, IV, V and Figure 5", "Tables IV and V")
-_GROUND = (("street-to-satellite",), "Table II", "Table II")
-_LANDMARKS = (("street-to-street",), "Table VI", "Table VI")
-# For each kind: the tasks that the paper reports, the tables that need training, and those that need a test split only.
-_TABLES = {
-    "University-1652": _AERIAL,
-    "world": _AERIAL,
-    "CVUSA": _GROUND,
-    "Oxford5k": _LANDMARKS,
-    "Paris6k": _LANDMARKS,
-}
-
 
 @dataclass(frozen=True)
 class Count:
@@ -91,6 +68,7 @@ class DataSetReport:
 
     Attributes:
         kind: the recognised layout.
+        title: what it is called.
         counts: the size of every list of pictures.
         looked_at: number of files read.
         decoded: whether the files were decoded completely.
@@ -108,6 +86,7 @@ class DataSetReport:
 
     root: str
     kind: str
+    title: str
     counts: tuple[Count, ...]
     looked_at: int
     decoded: bool
@@ -153,6 +132,7 @@ def check_dataset(
     return DataSetReport(
         root=printable(dataset.root.resolve().name),
         kind=dataset.kind,
+        title=dataset.title or f"in {dataset.kind}'s layout",
         counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
         looked_at=len(files),
         decoded=decode,
@@ -319,7 +299,7 @@ def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     train = _train_labels(lists)
     places = len(trainable(train).places) if "satellite" in train and len(train) > 1 else 0
-    recipes = [name for name in _RECIPES.get(dataset.kind, ()) if name in RECIPES]
+    recipes = [name for name in dataset.recipes if name in RECIPES]
     if places and recipes:
         yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
     for task in dataset.tasks():
@@ -342,9 +322,9 @@ def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
 
 def _tables(dataset: Dataset, trainable: bool) -> str | None:
     """Return the tables of the paper that can be made from this data set."""
-    if dataset.kind not in _TABLES:
+    if dataset.paper is None:
         return None
-    directions, training, testing = _TABLES[dataset.kind]
+    directions, training, testing = dataset.paper
     offered = [task for task in directions if task in dataset.tasks()]
     if not offered:
         return None
@@ -358,7 +338,7 @@ def _below(root: Path, file: Path) -> str:
 
 def print_report(report: DataSetReport, console: Console) -> None:
     """Print a report with a few names of each kind; `to_dict` has all names."""
-    console.print(f"{report.root} is {_KINDS.get(report.kind, report.kind)}.", markup=False, highlight=False)
+    console.print(f"{report.root} is {report.title}.", markup=False, highlight=False)
     table = Table()
     for name in ("pictures of", "pictures", "places"):
         table.add_column(name, justify="left" if name == "pictures of" else "right")
@@ -386,24 +366,6 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
     for line in lines:
         console.print(line, markup=False, highlight=False)
-
-
-_KINDS = {
-    "University-1652": "in University-1652's layout",
-    "world": "a rendered world",
-    "CVUSA": "in CVUSA's layout",
-    "CVACT": "in CVACT's layout",
-    "SUES-200": "in SUES-200's layout",
-    "DenseUAV": "in DenseUAV's layout",
-    "GTA-UAV": "in GTA-UAV's layout",
-    "UAV-VisLoc": "UAV-VisLoc in GTA-UAV's layout",
-    "VIGOR": "in VIGOR's layout",
-    "Oxford5k": "in Oxford5k's layout",
-    "Paris6k": "in Paris6k's layout",
-    "landmarks": "a set of landmarks with ground-truth files as in Oxford5k",
-    "pairs": "pairs listed in pairs.csv",
-    "folder": "a plain folder of pictures",
-}
 
 
 def _of(count: int, full: int | None) -> str:

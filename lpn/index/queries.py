@@ -95,7 +95,8 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
     else:
         names = {place: tile for tile, (place, _) in held.items()}
         true = [[names[i] for i in one.good.tolist() if i in names] if one.known else None for one in lists]
-        junk = [[names[i] for i in one.junk.tolist() if i in names] for one in lists]
+        unranked = (np.flatnonzero(one.unranked(len(galleries[name]))).tolist() for one in lists)
+        junk = [[names[i] for i in of if i in names] for of in unranked]
     return IndexQueries(
         name=name,
         data_name=printable(dataset.root.resolve().name),

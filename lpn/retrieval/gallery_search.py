@@ -228,6 +228,6 @@ def rank(
     junk = np.zeros(len(scores), bool) if labels is None else labels == JUNK
     relevant = None if labels is None or label is None else (labels == label) & ~junk
     if truth is not None:
-        good, junk = (np.isin(np.arange(len(scores)), positions) for positions in (truth.good, truth.junk))
-        relevant = good if truth.known else None
+        junk = truth.unranked(len(scores))
+        relevant = np.isin(np.arange(len(scores)), truth.good) if truth.known else None
     return Ranking(cosines, weights, scores, order[~junk[order]], relevant, lengths, csls=csls)

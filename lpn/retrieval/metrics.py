@@ -173,9 +173,10 @@ def check_truth(truth: Sequence[Truth], queries: int, gallery: int) -> None:
         raise InputError(f"There are {len(truth)} lists of true matches for {queries} queries; expected one for each.")
     for i, lists in enumerate(truth):
         named = np.concatenate([lists.good, lists.junk])
-        if len(named) and not (named.min() >= 0 and named.max() < gallery):
+        tiles = named if lists.among is None else np.concatenate([named, lists.among])
+        if len(tiles) and not (tiles.min() >= 0 and tiles.max() < gallery):
             raise InputError(
-                f"The lists of query {i} name gallery positions {named.min()} to {named.max()}; expected 0 to {gallery - 1}."
+                f"The lists of query {i} name gallery positions {tiles.min()} to {tiles.max()}; expected 0 to {gallery - 1}."
             )
         if len(np.unique(named)) < len(named):
             raise InputError(

@@ -106,8 +106,7 @@ class PartRanks:
             true.add(row, tile, of_true, count)
             ahead = _ahead(blocks, row, of_true, 2 * errors[rows])
             ahead[row, tile] = False
-            ahead[ground_truth.junk.entries(rows)] = False
-            ahead[:, ground_truth.common_junk] = False
+            ground_truth.drop(ahead, rows, False)
             row, tile = np.divmod(np.flatnonzero(ahead), len(gallery))
             kept += len(row) * (8 + 4 * n)
             if kept > budget:

@@ -162,7 +162,9 @@ def _in_rows(lists: Truth, row_of: Int64Array) -> Truth:
         parts = (good, overlaps[: len(good)]), (semi, overlaps[len(good) :])
         overlaps = np.concatenate([values[rows >= 0][np.argsort(rows[rows >= 0])] for rows, values in parts])
     good, junk, semi = (np.sort(rows[rows >= 0]) for rows in (good, junk, semi))
-    return Truth(good, junk, lists.known, lists.trapezoid, semi, overlaps)
+    among = None if lists.among is None else row_of[lists.among]
+    among = None if among is None else np.sort(among[among >= 0])
+    return Truth(good, junk, lists.known, lists.trapezoid, semi, overlaps, among)
 
 
 _REQUIRED_KEYS = ("gallery_f", "gallery_label", "query_f", "query_label")

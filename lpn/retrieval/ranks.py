@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 
@@ -55,13 +56,27 @@ class Lists:
 class GroundTruth:
     """The true tiles and the junk of each query, and the tiles that are junk for all queries.
 
-    `trapezoid` tells for each query which average precision it has, see `average_precision`, (Q,).
+    `trapezoid` tells for each query which average precision it has, see `average_precision`, (Q,). `among` has for each query the
+    only tiles that are ranked, None for all; it is empty where all queries rank all.
     """
 
     true: Lists
     junk: Lists
     common_junk: Int64Array
     trapezoid: BoolArray
+    among: Sequence[Int64Array | None] = ()
+
+    def drop(self, values: AnyArray, rows: slice, value: float) -> None:
+        """Set the values of these queries, (B, G), to `value` at the tiles that are not ranked."""
+        values[self.junk.entries(rows)] = value
+        values[:, self.common_junk] = value
+        # Consecutive queries of a region share one array of tiles.
+        for _, members in groupby(enumerate(self.among[rows]), key=lambda member: id(member[1])):
+            (first, tiles), *others = members
+            if tiles is not None:
+                outside = np.ones(values.shape[1], bool)
+                outside[tiles] = False
+                values[first : first + 1 + len(others), outside] = value
 
     @classmethod
     def by_labels(cls, of_query: Int64Array, of_tile: Int64Array) -> GroundTruth:
@@ -78,9 +93,9 @@ class GroundTruth:
     def by_lists(cls, truth: Sequence[Truth]) -> GroundTruth:
         """Take true tiles and junk from the data set's lists."""
         trapezoid = np.array([lists.trapezoid for lists in truth], bool)
-        return cls(
-            Lists.of([lists.good for lists in truth]), Lists.of([lists.junk for lists in truth]), _NONE, trapezoid
-        )
+        good, junk = Lists.of([lists.good for lists in truth]), Lists.of([lists.junk for lists in truth])
+        among = [lists.among for lists in truth]
+        return cls(good, junk, _NONE, trapezoid, among if any(tiles is not None for tiles in among) else ())
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,8 +136,7 @@ class _Block:
         self._ground_truth, self._rows = ground_truth, rows
         self._row, self._tile = ground_truth.true.entries(rows)
         self._true = block[self._row, self._tile]
-        for junk in (ground_truth.junk.entries(rows), (slice(None), ground_truth.common_junk)):
-            block[junk] = -np.inf
+        ground_truth.drop(block, rows, -np.inf)
         self._lead = _gaps(block)
         block[self._row, self._tile] = -np.inf
         size = block.shape
@@ -216,9 +230,8 @@ class _Block:
         for query, line in self._scores.double(rows + self._start):
             row = query - self._start
             own = slice(*np.searchsorted(self._row, [row, row + 1]))
-            junk = self._ground_truth.junk.entries(slice(query, query + 1))[1]
             tiles = self._tile[own]
-            line[junk] = line[self._ground_truth.common_junk] = -np.inf
+            self._ground_truth.drop(line[None], slice(query, query + 1), -np.inf)
             true = line[tiles].copy()
             line[tiles] = -np.inf
             false = int(np.argmax(line))

@@ -102,6 +102,7 @@ def cache_file(task: Task) -> Path | None:
         digest.update(np.ascontiguousarray(labels, np.int64).tobytes() + b"|")
     for truth in task.truth or ():
         digest.update(truth.good.astype(np.int64).tobytes() + b"/" + truth.junk.astype(np.int64).tobytes())
+        digest.update(b"" if truth.among is None else b"/" + truth.among.tobytes())
         digest.update(b"|" if truth.trapezoid else b"-")
     return folder / f"{digest.hexdigest()[:24]}.npz"
 

@@ -12,7 +12,7 @@ import pytest
 
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
-from lpn.datasets.denseuav import is_denseuav
+from lpn.datasets.layouts.denseuav import DenseUAV
 from lpn.doctor.dataset_check import check_dataset
 from lpn.retrieval.evaluate import check_test_split
 from tools.fixtures import layouts, small_worlds
@@ -47,10 +47,10 @@ def test_sues_in_both_forms_has_places_heights_and_all_places_as_gallery(tmp_pat
 @pytest.mark.parametrize("folder", ["train/drone", "test/query_drone"])
 def test_pictures_right_in_a_folder_of_places_are_not_read_as_denseuav_s(tmp_path: Path, folder: str) -> None:
     small_worlds.write(tmp_path / folder / "0001.jpg", small_worlds.place(1))
-    assert not is_denseuav(tmp_path)
+    assert not DenseUAV.recognises(tmp_path)
     assert open_dataset(tmp_path).kind == "University-1652"
     small_worlds.write(tmp_path / folder / "000002" / "H80.JPG", small_worlds.place(1))
-    assert is_denseuav(tmp_path)
+    assert DenseUAV.recognises(tmp_path)
 
 
 def test_denseuav_has_positions_of_its_folders_and_old_tiles(tmp_path: Path) -> None:

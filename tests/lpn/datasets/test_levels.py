@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import tarfile
-import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -89,42 +87,6 @@ def test_what_systems_leave_in_a_data_set_is_no_part_of_it(tmp_path: Path, capsy
     assert "Nothing is broken." in capsys.readouterr().out
 
 
-def test_the_lists_of_a_split_alone_are_told_where_they_belong(tmp_path: Path) -> None:
-    release = layouts.university_gaps(tmp_path / "release")
-    for split, lists in (
-        ("test", "gallery_drone, gallery_satellite, gallery_street, and 3 more"),
-        ("train", "drone, google"),
-    ):
-        alone = tmp_path / f"{split} alone" / "mine"
-        shutil.copytree(release / split, alone)
-        assert refusal(alone).startswith(f"{alone} holds {lists}")
-        if split == "test":
-            assert refusal(alone).endswith(f"into a folder test; move them into {alone}/test, and give --data {alone}.")
-        upper = alone.rename(alone.with_name(split.title()))
-        assert refusal(upper).endswith(f"rename it to {split}, and give --data {upper.parent}.")
-        assert refusal(upper.parent) == f"{upper.parent} has the folder {upper.name}; expected {split}, so rename it."
-
-
-def test_the_advice_for_views_alone_leads_to_data_sets_that_train_and_that_test(tmp_path: Path) -> None:
-    release = layouts.university_gaps(tmp_path / "release")
-    for query in ("drone", "street"):
-        alone = tmp_path / query
-        for view in (query, "satellite"):
-            shutil.copytree(release / "train" / view, alone / view)
-        listed = ", ".join(sorted((query, "satellite")))
-        assert refusal(alone) == (
-            f"{alone} holds {listed}, and nothing says whether to train on them or to test with "
-            f"them; to train, move them into {alone}/train; to test, rename {query} to {alone}/test/query_{query} and "
-            f"satellite to {alone}/test/gallery_satellite. Then give --data {alone}."
-        )
-        trained = shutil.copytree(alone, tmp_path / f"train {query}" / "train").parent
-        assert len(TrainingSet(open_dataset(trained), Console(quiet=True)).labels) > 1
-        (alone / "test").mkdir()
-        (alone / query).rename(alone / "test" / f"query_{query}")
-        (alone / "satellite").rename(alone / "test" / "gallery_satellite")
-        assert open_dataset(alone).tasks() == [f"{query}-to-satellite"]
-
-
 def test_a_folder_of_pictures_gets_one_sentence_for_training_and_for_testing(tmp_path: Path) -> None:
     for view in ("drone", "satellite"):
         small_worlds.write(tmp_path / "alike" / view / "1.jpg", layouts.small(1))
@@ -156,13 +118,6 @@ def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
     assert open_dataset(tmp_path / "photos").kind == "folder"
 
 
-def test_a_file_of_a_model_is_no_archive(tmp_path: Path) -> None:
-    (tmp_path / "net.pth").write_bytes(b"PK\x03\x04")
-    assert refusal(tmp_path / "net.pth").endswith(
-        "is a file of a model; give it with --model, and a data set's folder with --data."
-    )
-
-
 def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
     def marked(folder: Path) -> None:
         raise PermissionError(13, "Permission denied", str(folder))
@@ -172,62 +127,19 @@ def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
     assert levels.below(tmp_path, marked) is None
 
 
-@pytest.mark.parametrize("command", [["doctor"], ["train", "--out", "OUT", "--recipe", "small", "--from-scratch"]])
-@pytest.mark.parametrize("name", ["x.zip", "x.tar", "x.tar.gz", "x.tgz", "x.7z", "x.rar", "x.part1.rar"])
-def test_an_archive_is_to_be_unpacked_first(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: list[str], name: str
-) -> None:
-    file = tmp_path / name
-    if "tar" in name or name.endswith("tgz"):
-        with tarfile.open(file, "w") as made:
-            made.add(__file__, "test.py")
-    else:
-        with zipfile.ZipFile(file, "w") as archive:
-            archive.write(__file__, "test.py")
-    command = [word.replace("OUT", str(tmp_path / "run")) for word in command]
-    assert main.main([*command, "--data", str(file)]) == 2
-    said = capsys.readouterr().err
-    assert said == f"lpn: {file} is an archive; unpack it first, and give the folder that it makes.\n"
-
-
-def test_videos_of_a_flight_are_no_data_set(tmp_path: Path) -> None:
-    for name in ("DJI_0001.MP4", "DJI_0001.SRT", "DJI_0002.MP4", ".hidden"):
-        (tmp_path / name).touch()
-    with pytest.raises(DataError) as raised:
-        open_dataset(tmp_path)
-    assert str(raised.value) == (
-        f"{tmp_path} holds DJI_0001.MP4, DJI_0001.SRT, and 1 more, of a flight; read its frames with lpn flight {tmp_path} "
-        "--out FLIGHT, and give FLIGHT to lpn locate or lpn explore flight."
-    )
-    video = tmp_path / "DJI_0001.MP4"
-    assert refusal(video) == (
-        f"{video} is of a flight; read its frames with lpn flight {video} --out FLIGHT, and give FLIGHT to lpn locate or lpn "
-        "explore flight."
-    )
-
-
-def test_a_file_or_a_folder_of_archives_is_told_too(tmp_path: Path) -> None:
+def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
     root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
     assert (
         refusal(root / "pairs.csv")
         == f"{root / 'pairs.csv'} is a file; expected a data set's folder, so give --data {root}."
     )
-    downloads = tmp_path / "downloads"
-    downloads.mkdir()
-    (downloads / "University-Release.zip").write_bytes(b"PK\3\4")
-    (downloads / "Thumbs.db").write_bytes(b"")
-    assert refusal(downloads) == (
-        f"{downloads} holds University-Release.zip, an archive; unpack it first, and give the folder that it makes."
-    )
-    absent = downloads / "University-Release"
+    absent = tmp_path / "University-Release"
     assert refusal(absent) == f"There is no data set folder at {absent}; check the path."
 
 
 @pytest.mark.parametrize(
     ("make", "lost", "said"),
     [
-        (layouts.cvusa, "splits", "has CVUSA's pictures and no splits/train-19zl.csv"),
-        (layouts.cvact, "ACT_data.mat", "has CVACT's pictures and no ACT_data.mat"),
         (layouts.vigor, "splits", "has VIGOR's pictures and no folder splits"),
     ],
 )

@@ -16,7 +16,8 @@ from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture, Truth, University, open_dataset
+from lpn.datasets import Picture, Truth, open_dataset
+from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save

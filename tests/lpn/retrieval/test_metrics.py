@@ -12,7 +12,8 @@ from hypothesis.extra import numpy as arrays
 
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.retrieval import inner_products, metrics
+from lpn.retrieval import gallery_search, inner_products, metrics
+from lpn.retrieval.part_ranks import PartRanks
 from tools.fixtures import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -263,3 +264,32 @@ def test_the_gap_is_that_of_the_first_two_tiles_whatever_they_show(factors: np.n
     one = metrics.retrieve(queries, np.zeros(9, int), tiles, np.array([0, -1, -1, -1, -1, -1]))
     assert np.isnan(one.gap).all(), "there is no second tile"
     assert np.isnan(metrics.retrieve(queries, np.zeros(9, int), tiles[:1], np.array([0])).gap).all()
+
+
+@pytest.mark.parametrize("ties", [False, True])
+def test_a_query_of_a_region_is_ranked_as_if_all_tiles_elsewhere_were_junk(ties: bool) -> None:
+    rng = np.random.default_rng(5)
+    query, gallery = (rng.standard_normal((count, 4, 8)).astype(np.float32) for count in (30, 600))
+    if ties:
+        gallery[100:500] = gallery[0]
+    regions = [np.arange(150), np.arange(150, 420), None, np.arange(420, 600)]
+    within, listed = [], []
+    for i in range(30):
+        region = regions[i // 9]
+        own = np.arange(600) if region is None else region
+        good, junk = np.split(np.sort(rng.choice(own, 7, replace=False)), [3])
+        others = np.setdiff1d(np.arange(600), own)
+        within.append(Truth(good, junk, among=region))
+        listed.append(Truth(good, np.sort([*junk, *others])))
+        np.testing.assert_array_equal(np.flatnonzero(within[-1].unranked(600)), listed[-1].junk)
+        cosines, weights = np.einsum("gnd,nd->gn", gallery, query[i]), np.full(4, 0.25)
+        orders = [gallery_search.rank(cosines, weights, truth=of[-1]).order for of in (within, listed)]
+        np.testing.assert_array_equal(*orders)
+    found, expected = (metrics.retrieve(query, None, gallery, None, truth) for truth in (within, listed))
+    for name in ("first", "true", "false", "precision", "gap"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+    parts = [PartRanks.of(query, gallery, None, None, truth) for truth in (within, listed)]
+    for ranked in zip(*(of.under(np.array([0.1, 0.2, 0.3, 0.4])) for of in parts if of is not None), strict=True):
+        np.testing.assert_array_equal(*ranked)
+    with pytest.raises(InputError, match="expected 0 to 599"):
+        metrics.retrieve(query, None, gallery, None, [replace(within[0], among=np.array([600])), *within[1:]])

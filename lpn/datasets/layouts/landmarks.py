@@ -11,14 +11,12 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
-
-from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, Truth, files_below, read_lines, warn_left_out
+from lpn.datasets.base import Dataset, PictureRow, Size, files_below, numbered_lines
 from lpn.datasets.integrity import picture_errors
 
 PREFIX = "oxc1_"
@@ -43,65 +41,57 @@ CORRUPT = frozenset(f"paris_{landmark}_{number:06d}" for landmark, numbers in _C
 _QUERY = re.compile(r"(.+)_(\d{1,6})_query\.txt")
 
 
-class Landmarks(ListedDataset):
+class Landmarks(Dataset):
     """Oxford5k, Paris6k, or a data set with the same kind of ground truth; its only task is "street-to-street".
 
-    The label of a true match is its landmark's number; every other picture has a label of its own. Labels are for display;
-    `truth` holds the true matches. Unreadable pictures are left out and logged once.
-
-    Raises:
-        DataError: if a ground-truth file is missing or malformed, or two pictures have the same name.
+    The label of a true match is its landmark's number; every other picture has a label of its own. Labels are for display.
+    Unreadable pictures are left out.
     """
 
     kind = "landmarks"
+    title = "a set of landmarks with ground-truth files as in Oxford5k"
+    known_by = "*_query.txt (Oxford5k, Paris6k)"
+    priority = -2
+    deep = True
+    unusable = "pictures"
+    expected = "pictures named as in the ground truth"
 
-    def __init__(self, root: Path, query_files: list[Path]) -> None:
-        queries = [_Query(root, file) for file in query_files]
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
+        return bool(_query_files(root))
+
+    def rows(self) -> Iterator[PictureRow]:
+        queries = [_Query(self.root, file) for file in _query_files(self.root)]
         queries.sort(key=lambda query: (query.landmark, query.number))
+        self.none_whole = f"has the picture of none of its {len(queries)} queries; add them as .jpg"
         if len({query.prefixed for query in queries}) > 1:
             raise DataError(
-                f"{root.name} holds ground truth of Oxford5k and of another data set; give the folder of one."
+                f"{self.root.name} holds ground truth of Oxford5k and of another data set; give the folder of one."
             )
-        if queries[0].prefixed:
-            self.kind = "Oxford5k"
-        elif all(query.picture.startswith("paris_") for query in queries):
-            self.kind = "Paris6k"
-        files = _by_name(root)
-        broken = picture_errors(list(files.values()))
-        left_out = [
-            LeftOut(file.relative_to(root).as_posix(), why, self.kind == "Paris6k" and file.stem in CORRUPT)
-            for file, why in broken.items()
-        ]
-        readable = {name: file for name, file in files.items() if file not in broken}
-        position = {name: index for index, name in enumerate(readable)}
-        named = dict.fromkeys(name for query in queries for name in query.names())
-        left_out += [LeftOut(f"{name}.jpg", "is not there") for name in named if name not in files]
+        if queries[0].prefixed or all(query.picture.startswith("paris_") for query in queries):
+            self.kind, self.title = "Oxford5k" if queries[0].prefixed else "Paris6k", ""
+            self.published_sizes, self.paper = FULL[self.kind], ((TASK,), "Table VI", "Table VI")
+        files = _by_name(self.root)
+        for file, why in picture_errors(list(files.values())).items():
+            published = self.kind == "Paris6k" and file.stem in CORRUPT
+            self.leave_out(file.relative_to(self.root).as_posix(), why, published)
+            del files[file.stem]
+        broken = {Path(item.file).stem for item in self.left_out}
         landmarks = {name: index for index, name in enumerate(sorted({query.landmark for query in queries}))}
-        labels = {name: len(landmarks) + index for name, index in position.items()}
-        labels |= {
-            name: landmarks[query.landmark] for query in reversed(queries) for name in query.good if name in position
-        }
-        usable = [query for query in queries if query.picture in position]
-        gallery = [Picture(file, labels[name], printable(name)) for name, file in readable.items()]
-        query_pictures = [
-            Picture(readable[query.picture], landmarks[query.landmark], printable(query.name), query.box)
-            for query in usable
-        ]
-        super().__init__(
-            root, {}, {"street": query_pictures}, {"street": gallery}, "pictures named as in the ground truth"
-        )
-        if not query_pictures:
-            raise DataError(f"{root.name} has the picture of none of its {len(queries)} queries; add them as .jpg.")
-        self._truth = [Truth(_positions(query.good, position), _positions(query.junk, position)) for query in usable]
-        self.left_out = left_out
-        self.published_sizes = FULL.get(self.kind, {})
-        warn_left_out(self.root.name, self.left_out, "pictures cannot be used", "they are left out")
+        of_landmark = {name: landmarks[query.landmark] for query in reversed(queries) for name in query.good}
+        for index, (name, file) in enumerate(files.items()):
+            yield PictureRow("test/gallery_street", file, of_landmark.get(name, len(landmarks) + index), name)
+        for query in queries:
+            for name in query.names():
+                if name not in files and name not in broken:
+                    self.leave_out(f"{name}.jpg")
+            good, junk = ([files[name] for name in names if name in files] for names in (query.good, query.junk))
+            if (file_of := files.get(query.picture)) is not None:
+                label = landmarks[query.landmark]
+                yield PictureRow("test/query_street", file_of, label, query.name, box=query.box, true=good, junk=junk)
 
     def tasks(self) -> list[str]:
         return [TASK]
-
-    def truth(self, task: str) -> list[Truth] | None:
-        return list(self._truth) if task == TASK else None
 
 
 class _Query:
@@ -113,7 +103,7 @@ class _Query:
         self.landmark, self.number = matched[1], int(matched[2])
         self.name = f"{self.landmark}_{matched[2]}"
         where = file.relative_to(root).as_posix()
-        lines = [line for line in read_lines(file, where) if line.strip()]
+        lines = [line for _, line in numbered_lines(file, where)]
         values = lines[0].split() if len(lines) == 1 else []
         try:
             left, top, right, bottom = (float(value) for value in values[1:])
@@ -127,7 +117,7 @@ class _Query:
             )
         self.box = (left, top, right, bottom)
         self.prefixed = values[0].startswith(PREFIX)
-        self.picture = _name(values[0].removeprefix(PREFIX), where, 1)
+        self.picture = _name(values[0].removeprefix(PREFIX), f"Line 1 of {where}")
         good, ok, self.junk = (
             _names(root, file.with_name(f"{self.name}_{kind}.txt")) for kind in ("good", "ok", "junk")
         )
@@ -137,7 +127,7 @@ class _Query:
         return [self.picture, *self.good, *self.junk]
 
 
-def query_files(root: Path) -> list[Path]:
+def _query_files(root: Path) -> list[Path]:
     """Return the ground-truth files below a folder that name a query."""
     return [file for file in files_below(root, ("_query.txt",)) if _QUERY.fullmatch(file.name)]
 
@@ -153,19 +143,12 @@ def _by_name(root: Path) -> dict[str, Path]:
 
 
 def _names(root: Path, file: Path) -> list[str]:
-    where = file.relative_to(root).as_posix()
-    return [_name(text, where, line) for line, text in enumerate(read_lines(file, where), 1) if text.strip()]
+    return [_name(text, where) for where, text in numbered_lines(file, file.relative_to(root).as_posix())]
 
 
-def _name(text: str, where: str, line: int) -> str:
+def _name(text: str, where: str) -> str:
     """Check a picture's name; names are looked up among existing files, never opened as paths."""
     name = text.strip().removesuffix(".jpg")
     if not re.fullmatch(r"[\w.-]{1,200}", name) or name.startswith("."):
-        raise DataError(
-            f"Line {line} of {where} names {printable(text[:80])!r}; expected a picture's name without a folder."
-        )
+        raise DataError(f"{where} names {printable(text[:80])!r}; expected a picture's name without a folder.")
     return name
-
-
-def _positions(names: list[str], position: dict[str, int]) -> Int64Array:
-    return np.array(sorted(position[name] for name in names if name in position), dtype=np.int64)

@@ -11,7 +11,7 @@ picture (without satellites: the same picture of the first view) show the same p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from lpn.core.csv_cells import mixed_separators
@@ -19,7 +19,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS
 from lpn.datasets import geo
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, read_rows, warn_left_out
+from lpn.datasets.base import Dataset, PictureRow, read_rows
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 
 NAME = "pairs.csv"
@@ -34,51 +34,33 @@ class _PairLine:
     place: int | None
 
 
-class PairsCSV(ListedDataset):
-    """A folder with a pairs.csv. Missing pictures are left out and logged once.
-
-    Raises:
-        DataError: if pairs.csv is malformed; the message names the line.
-    """
+class PairsCSV(Dataset):
+    """A folder with a pairs.csv."""
 
     kind = "pairs"
+    title = f"pairs listed in {NAME}"
+    marks = ((NAME,),)
+    known_by = NAME
+    priority = 1
+    unusable = f"files named in {NAME}"
+    expected = f"lines of {NAME} with the split test and such a picture"
 
-    def __init__(self, root: Path) -> None:
-        views, rows = _read(root / NAME)
-        there = FilesBelow(root).resolve(file for row in rows for file in row.files.values())
-        # One picture may be listed in two spellings, and is one place all the same.
-        rows = [replace(row, files={view: there.get(file, file) for view, file in row.files.items()}) for row in rows]
-        files = set(there.values())
-        places = _places(rows, "satellite" if "satellite" in views else views[0])
-        left_out: dict[str, LeftOut] = {}
-        pictures: dict[str, dict[str, dict[str, Picture]]] = {
-            split: {view: {} for view in views} for split in ("train", "test")
-        }
-        for row, place in zip(rows, places, strict=True):
-            for view, file in row.files.items():
-                listed = pictures[row.split][view].get(file)
-                if listed is not None and listed.label != place:
+    def rows(self) -> list[PictureRow]:
+        self.none_whole = f"has none of the files that {NAME} names; expected paths relative to {self.root.name}"
+        views, lines = _read(self.root / NAME, self.files)
+        rows: dict[tuple[str, str], PictureRow] = {}
+        for line, place in zip(lines, _places(lines, "satellite" if "satellite" in views else views[0]), strict=True):
+            for view, file in line.files.items():
+                row = PictureRow(f"{line.split}/{view}", file, place, Path(file).with_suffix("").as_posix())
+                if (before := rows.setdefault((row.of, file), row).label) != place:
                     raise DataError(
-                        f"Line {row.line} of {NAME} gives {printable(file)} the place {place}, after {listed.label}; keep one."
+                        f"Line {line.line} of {NAME} gives {printable(file)} the place {place}, after {before}; keep one."
                     )
-                if file in files:
-                    name = Path(file).with_suffix("").as_posix()
-                    pictures[row.split][view][file] = Picture(root / file, place, printable(name))
-                else:
-                    left_out[file] = LeftOut(file, "is not there")
-        train, test = (
-            {view: list(of_view.values()) for view, of_view in pictures[split].items()} for split in ("train", "test")
-        )
-        if not any([*train.values(), *test.values()]):
-            raise DataError(
-                f"{root.name} has none of the files that {NAME} names; expected paths relative to {root.name}."
-            )
-        super().__init__(root, train, test, test, f"lines of {NAME} with the split test and such a picture")
-        self.left_out = list(left_out.values())
-        warn_left_out(self.root.name, self.left_out, f"files named in {NAME} cannot be used", "they are left out")
+        # The lists stand in the order of the columns, whichever view the first lines have.
+        return sorted(rows.values(), key=lambda row: views.index(row.of.partition("/")[2]))
 
 
-def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
+def _read(path: Path, files: FilesBelow) -> tuple[list[str], list[_PairLine]]:
     rows = read_rows(path, NAME)
     _, first = next(rows, (0, []))
     header = [name.strip().lower() for name in first]
@@ -93,13 +75,13 @@ def _read(path: Path) -> tuple[list[str], list[_PairLine]]:
             f"The first line of {NAME} is {found}; expected two or three of {', '.join(VIEWS)} and, if wanted, split and "
             f"place.{more}"
         )
-    parsed = [_row(header, views, values, line) for line, values in rows]
+    parsed = [_row(header, views, values, line, files) for line, values in rows]
     if not parsed:
         raise DataError(f"{NAME} has no line after the first; expected one for each pair.")
     return views, parsed
 
 
-def _row(header: list[str], views: list[str], values: list[str], line: int) -> _PairLine:
+def _row(header: list[str], views: list[str], values: list[str], line: int, there: FilesBelow) -> _PairLine:
     if len(values) != len(header):
         raise DataError(f"Line {line} of {NAME} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
     row = {name: value.strip() for name, value in zip(header, values, strict=True)}
@@ -114,7 +96,8 @@ def _row(header: list[str], views: list[str], values: list[str], line: int) -> _
     files = {view: listed_path(row[view], f"Line {line} of {NAME}") for view in views if row[view]}
     if not files:
         raise DataError(f"Line {line} of {NAME} names no picture; expected one of {', '.join(views)}.")
-    return _PairLine(line, files, split, place)
+    # One picture may be listed in two spellings, and is one place all the same.
+    return _PairLine(line, {view: there.find(file) or file for view, file in files.items()}, split, place)
 
 
 def _places(rows: list[_PairLine], view: str) -> list[int]:

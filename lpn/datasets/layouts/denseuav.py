@@ -18,19 +18,11 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Picture, PositionProtocol, Size, read_lines
+from lpn.datasets.base import Dataset, Picture, PositionProtocol, numbered_lines, sizes
+from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
-from lpn.datasets.university import University
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
-_FULL = {
-    "train/drone": Size(6_768, 2_256),
-    "train/satellite": Size(13_536, 2_256),
-    "test/query_drone": Size(2_331, 777),
-    "test/query_satellite": Size(4_662, 777),
-    "test/gallery_drone": Size(9_099, 3_033),
-    "test/gallery_satellite": Size(18_198, 3_033),
-}
 _HEIGHT = re.compile(r"H(\d+)(_old)?\.\w+", re.IGNORECASE)
 _POINT = re.compile(r"([EW])(\d+(?:\.\d+)?)\s+([NS])(\d+(?:\.\d+)?)")
 
@@ -39,47 +31,46 @@ class DenseUAV(University):
     """A folder of DenseUAV; true matches are tiles of the same folder.
 
     Queries are grouped by the height in their names.
-
-    Raises:
-        DataError: if the positions are missing or malformed; the message names the file and the line.
     """
 
     kind = "DenseUAV"
+    known_by = "Dense_GPS_ALL.txt (DenseUAV)"
+    priority = 0
     group_name = "height"
     trained_distractors = True
     measured_by: PositionProtocol | None = "DenseUAV"
+    recipes = Dataset.recipes
+    paper = None
+    published_sizes = sizes(
+        train={"drone": (6_768, 2_256), "satellite": (13_536, 2_256)},
+        query={"drone": (2_331, 777), "satellite": (4_662, 777)},
+        gallery={"drone": (9_099, 3_033), "satellite": (18_198, 3_033)},
+    )
 
-    def __init__(self, root: Path) -> None:
-        super().__init__(root)
-        self.published_sizes = _FULL
-        self._source, self._places = _places(root)
+    def __init__(self, root: Path, split: str | None = None) -> None:
+        super().__init__(root, split)
+        self.positions_from, self._places = _places(root)
 
-    def pictures_in(self, folder: str) -> list[Picture]:
-        pictures = super().pictures_in(folder)
-        if not folder.startswith("test/query"):
+    @classmethod
+    def recognises(cls, root: Path) -> bool:
+        """Return whether there is a list of positions, or a picture of the first place has a name such as H80.JPG."""
+        if any((root / name).is_file() for name in LISTS):
+            return True
+        for folder in ("test/query_drone", "train/drone"):
+            place = next((place for place in sorted((root / folder).glob("[0-9]*")) if place.is_dir()), None)
+            if place is not None:
+                return any(_HEIGHT.fullmatch(file.name) for file in place.iterdir())
+        return False
+
+    def pictures_in(self, name: str) -> list[Picture]:
+        pictures = super().pictures_in(name)
+        if not name.startswith("test/query"):
             return pictures
         named = ((picture, _HEIGHT.fullmatch(picture.path.name)) for picture in pictures)
-        return [picture if name is None else replace(picture, group=name[1]) for picture, name in named]
+        return [picture if height is None else replace(picture, group=height[1]) for picture, height in named]
 
-    def positions(self) -> geo.Positions:
-        by_path: dict[str, geo.Position] = {}
-        for name, pictures in self.lists().items():
-            if name.startswith("test/"):
-                paths = geo.names_below(self.root, pictures)
-                places = (self._places.get(picture.path.parent.name) for picture in pictures)
-                by_path |= {path: place for path, place in zip(paths, places, strict=True) if place is not None}
-        return geo.Positions(self.root, by_path, self._source)
-
-
-def is_denseuav(root: Path) -> bool:
-    """Return whether a folder is DenseUAV's: by its lists of positions, or by names such as H80.JPG."""
-    if any((root / name).is_file() for name in LISTS):
-        return True
-    for folder in ("test/query_drone", "train/drone"):
-        place = next((place for place in sorted((root / folder).glob("[0-9]*")) if place.is_dir()), None)
-        if place is not None:
-            return any(_HEIGHT.fullmatch(file.name) for file in place.iterdir())
-    return False
+    def place(self, picture: Picture) -> geo.Position | None:
+        return self._places.get(picture.path.parent.name)
 
 
 def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:
@@ -93,10 +84,7 @@ def _places(root: Path) -> tuple[str, dict[str, geo.Position]]:
         )
     positions: dict[str, geo.Position] = {}
     for name in names:
-        for number, line in enumerate(read_lines(root / name, name), 1):
-            if line.strip():
-                place, position = _line(line, f"Line {number} of {name}")
-                positions[place] = position
+        positions |= dict(_line(line, where) for where, line in numbered_lines(root / name, name))
     return " and ".join(names), positions
 
 

@@ -9,6 +9,7 @@ Some copies hold .png files. The test split is CVACT_val (valSet). The label of 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,23 +18,16 @@ from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import matlab
-from lpn.datasets.base import LeftOut, ListedDataset, Picture, Size, warn_left_out
-from lpn.datasets.listed_paths import FilesBelow
+from lpn.datasets.base import Dataset, PictureRow, sizes
 
 NAME = "ACT_data.mat"
-FULL = {
-    "train/satellite": Size(35_532, 35_532),
-    "train/street": Size(35_532, 35_532),
-    "test/satellite": Size(8_884, 8_884),
-    "test/street": Size(8_884, 8_884),
-}
 _FOLDERS = ("", "ANU_data_small/", "ANU_data_test/")
 _FILES = {"satellite": "satview_polish/{}_satView_polish", "street": "streetview/{}_grdView"}
 _ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
-class CVACT(ListedDataset):
-    """A folder in CVACT's layout. Incomplete pairs are left out and logged once.
+class CVACT(Dataset):
+    """A folder in CVACT's layout. Incomplete pairs are left out.
 
     Raises:
         DataError: if ACT_data.mat is malformed, or no pair is complete.
@@ -41,43 +35,37 @@ class CVACT(ListedDataset):
     """
 
     kind = "CVACT"
+    marks = ((NAME,),)
+    known_by = f"{NAME} (CVACT)"
+    parts = ("satview_polish", "streetview", "anu_data_small", "anu_data_test")
+    unusable, effect = f"files named in {NAME}", "their pairs are left out"
+    none_whole = (
+        f"has none of the pairs that {NAME} lists; expected their files in streetview and satview_polish, or in these folders "
+        "below ANU_data_small"
+    )
+    expected = f"a valSet in {NAME}"
+    recipes = ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released")
     panoramas = True
+    published_sizes = sizes(
+        train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
+        test={"satellite": (8_884, 8_884), "street": (8_884, 8_884)},
+    )
 
-    def __init__(self, root: Path) -> None:
-        ids, rows = _read(root / NAME)
-        there, left_out = FilesBelow(root), []
-        pictures: dict[str, dict[str, list[Picture]]] = {}
+    def rows(self) -> Iterator[PictureRow]:
+        ids, rows = _read(self.root / NAME)
         for split, indices in rows.items():
-            of_split: dict[str, list[Picture]] = {view: [] for view in _FILES}
             for row in indices.tolist():
-                paths = {view: _find(there, view, ids[row - 1]) for view in _FILES}
-                left_out += [
-                    LeftOut(f"{_FILES[view].format(ids[row - 1])}.jpg", "is not there")
-                    for view, file in paths.items()
-                    if file is None
-                ]
-                for view, file in paths.items():
-                    if file is not None and None not in paths.values():
-                        name = printable(ids[row - 1])
-                        of_split[view].append(Picture(root / file, row, name, panorama=view == "street"))
-            pictures[split] = of_split
-        if not any(pictures[split]["street"] for split in pictures):
-            raise DataError(
-                f"{root.name} has none of the pairs that {NAME} lists; expected their files in streetview and satview_polish, "
-                "or in these folders below ANU_data_small."
-            )
-        super().__init__(root, pictures["train"], pictures["test"], pictures["test"], f"a valSet in {NAME}")
-        self.left_out = left_out
-        self.published_sizes = FULL
-        warn_left_out(
-            self.root.name, self.left_out, f"files named in {NAME} cannot be used", "their pairs are left out"
-        )
+                name = ids[row - 1]
+                tile, panorama = (
+                    PictureRow(f"{split}/{view}", self._find(file.format(name)), row, name)
+                    for view, file in _FILES.items()
+                )
+                yield from self.together(tile, panorama)
 
-
-def _find(there: FilesBelow, view: str, name: str) -> str | None:
-    """Return the path of a pair's picture below the root."""
-    files = (f"{folder}{_FILES[view].format(name)}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
-    return next((path for file in files if (path := there.find(file)) is not None), None)
+    def _find(self, file: str) -> str:
+        """Return the path of a picture in any of the published folders; one without a folder, if it is not there."""
+        files = (f"{folder}{file}{suffix}" for folder in _FOLDERS for suffix in (".jpg", ".png"))
+        return next((path for path in map(self.files.find, files) if path is not None), f"{file}.jpg")
 
 
 def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:

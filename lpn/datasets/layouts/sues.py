@@ -1,0 +1,136 @@
+"""SUES-200 (Zhu et al. 2023): 200 places from four heights, raw or split for training and test.
+
+    <name with "drone">/0001/{150,200,250,300}/*     raw: 50 frames each; indexs.yaml lists the places to train on
+    satellite-view/0001/*
+    Training/<height>/{drone,satellite}/0001/*       split: 120 places; also train/<height>/...
+    Testing/<height>/query_{drone,satellite}/0001/*  80 places; also test/<height>/...
+    Testing/<height>/gallery_{drone,satellite}/0001/*    all 200 places
+
+The label of a picture is its place's number, and the group of a drone picture its height in metres. Tiles are the same at all
+heights.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, read_text, sizes
+from lpn.datasets.layouts.university import place_pictures
+
+HEIGHTS = ("150", "200", "250", "300")
+INDEX = "indexs.yaml"
+_TILES = "satellite-view"
+_SPLITS = {"train": ("Training", "train"), "test": ("Testing", "test")}
+
+
+class SUES200(Dataset):
+    """A folder of SUES-200, raw or split."""
+
+    kind = "SUES-200"
+    marks = (
+        *((f"{folder}/{height}/",) for folders in _SPLITS.values() for folder in folders for height in HEIGHTS),
+        *((f"{folders[0]}/",) for folders in _SPLITS.values()),
+        (f"{_TILES}/", INDEX),
+        (f"{_TILES}/", "*[dD][rR][oO][nN][eE]*/"),
+    )
+    known_by = "Testing/150 or satellite-view (SUES-200)"
+    parts = ("training", "testing", "train", "test", _TILES, "*drone*")
+    group_name = "height"
+    trained_distractors = True
+    folders = ("",)
+    expected = "Testing/<height>/{query,gallery}_{drone,satellite}/<place>"
+    published_sizes = sizes(
+        train={"drone": (24_000, 120), "satellite": (120, 120)},
+        query={"drone": (16_000, 80), "satellite": (80, 80)},
+        gallery={"drone": (40_000, 200), "satellite": (200, 200)},
+    )
+
+    def rows(self) -> Iterator[PictureRow]:
+        if _is_raw(self.root):
+            yield from _raw(self.root)
+        else:
+            yield from _split(self.root, "train", {"train/drone": "drone", "train/satellite": "satellite"})
+            test = [f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite")]
+            yield from _split(self.root, "test", {f"test/{name}": name for name in test})
+
+
+def _drone_folder(root: Path) -> Path | None:
+    folders = (path for path in sorted(root.iterdir()) if "drone" in path.name.lower() and path.is_dir())
+    return next((path for path in folders if not hidden_name(path.name)), None)
+
+
+def _is_raw(root: Path) -> bool:
+    """Return whether a folder is SUES-200's raw form, or what is left of it."""
+    return (root / _TILES).is_dir() and (_drone_folder(root) is not None or (root / INDEX).is_file())
+
+
+def _split(root: Path, split: str, lists: dict[str, str]) -> Iterator[PictureRow]:
+    """Yield the drone pictures of all heights, and the tiles of the first height that has some, by list and folder."""
+    top = next((root / name for name in _SPLITS[split] if (root / name).is_dir()), None)
+    if top is None:
+        return
+    heights = [height for height in HEIGHTS if (top / height).is_dir()]
+    if not heights:
+        raise DataError(
+            f"{top.name} of {printable(root.name)} has no folder {', '.join(HEIGHTS)}; expected one for each height of SUES-200."
+        )
+    read: set[str] = set()
+    for height in heights:
+        if missing := [name for name in lists.values() if not (top / height / name).is_dir()]:
+            raise DataError(
+                f"{top.name}/{height} of {printable(root.name)} has no folder {' and no folder '.join(missing)}; expected "
+                f"{', '.join(lists.values())} for each height, as in SUES-200."
+            )
+        for of, name in lists.items():
+            pictures = place_pictures(top / height / name) if of not in read else []
+            for picture in pictures:
+                yield _row(of, picture, picture.label, picture.name, height)
+            if pictures and "satellite" in of:
+                read.add(of)
+
+
+def _raw(root: Path) -> Iterator[PictureRow]:
+    drone = _drone_folder(root)
+    if drone is None or not (root / INDEX).is_file():
+        missing = INDEX if drone is not None else 'a folder whose name contains "drone"'
+        raise DataError(
+            f"{printable(root.name)} has SUES-200's {_TILES} and not {missing}; expected the drone pictures, {_TILES}, and "
+            f"{INDEX} of its repository, which names the places to train on."
+        )
+    trained = _trained(root / INDEX)
+    rows = []
+    for place in sorted(path for path in drone.iterdir() if path.is_dir() and not hidden_name(path.name)):
+        if not place.name.isdecimal():
+            raise DataError(
+                f"The folder {printable(place.name)} in {printable(drone.name)} is not a number; expected one folder per place."
+            )
+        for picture in place_pictures(place):
+            # The folder of a height stands where that of a place does elsewhere.
+            height = picture.path.parent.name
+            if height in HEIGHTS:
+                rows.append(_row("drone", picture, int(place.name), f"{place.name}/{picture.path.stem}", height))
+    rows += [_row("satellite", tile, tile.label, tile.name, "") for tile in place_pictures(root / _TILES)]
+    for row in rows:
+        yield replace(row, of=f"train/{row.of}" if row.label in trained else f"test/query_{row.of}")
+        yield replace(row, of=f"test/gallery_{row.of}")
+
+
+def _row(of: str, picture: Picture, place: int, name: str, height: str) -> PictureRow:
+    """Return the row of a picture; only drone pictures have a height."""
+    if "satellite" in of:
+        return PictureRow(of, picture.path, place, name)
+    return PictureRow(of, picture.path, place, f"{name} {height} m", height)
+
+
+def _trained(file: Path) -> set[int]:
+    """Return the numbers below `index:` in the published list of places to train on."""
+    _, _, listed = read_text(file, INDEX).partition("index")
+    numbers = {int(number) for number in re.findall(r"\b\d{1,4}\b", listed)}
+    if not numbers:
+        raise DataError(f"{INDEX} names no place; expected its key index with the numbers of the places to train on.")
+    return numbers

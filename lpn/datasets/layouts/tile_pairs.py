@@ -1,0 +1,268 @@
+"""GTA-UAV (Ji et al. 2024), and UAV-VisLoc in the form that GTA-UAV's programs give it: drone pictures with lists of true tiles.
+
+    drone/images/*.png                                         other folders are possible: the lists name them
+    satellite/<zoom>_<offset>_<x>_<y>.png                      GTA-UAV
+    satellite/<map>_<zoom>_<x>_<y>.png                         UAV-VisLoc
+    {cross,same}-area-drone2sate-{train,test}.json             one object for each drone picture
+
+An object lists the tiles that overlap the picture's footprint by more than 0.39 (true) and by more than 0.14 (true and half-true
+together), with these overlaps as weights. GTA-UAV's positions are metres of its map, UAV-VisLoc's latitude and longitude. The
+gallery is every tile of the folder, all zooms together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.datasets import geo
+from lpn.datasets.base import Dataset, Picture, PictureRow, PositionProtocol, Size, Truth, files_below, read_json
+from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
+
+# Side of GTA-UAV's map in pixels, and metres of a pixel.
+_MAP_PIXELS, _METRES = 24_576, 0.45
+_TILE = 256
+_LARGEST_LIST = 500_000_000
+# UAV-VisLoc's maps: latitude and longitude of the top-left and of the bottom-right corner, height and width in pixels. Map 09, of
+# several sheets, is not cut into tiles.
+_MAPS = {
+    "01": (29.774065, 115.970635, 29.702283, 115.996851, 26762, 9774),
+    "02": (29.817376, 116.033769, 29.725402, 116.064566, 34291, 11482),
+    "03": (32.355491, 119.805926, 32.29029, 119.900052, 24308, 35092),
+    "04": (32.254036, 119.90598, 32.151018, 119.954509, 38408, 18093),
+    "05": (24.666899, 102.340055, 24.650422, 102.365252, 6144, 9394),
+    "06": (32.373177, 109.63516, 32.346944, 109.656837, 9780, 8082),
+    "07": (40.340058, 115.791182, 40.339604, 115.79923, 170, 3000),
+    "08": (30.947227, 120.136489, 30.903521, 120.252951, 16294, 43421),
+    "10": (40.355093, 115.776356, 40.341475, 115.794041, 5077, 6593),
+    "11": (38.852301, 101.013109, 38.807825, 101.092483, 16582, 29592),
+}
+_LIST = "{}-drone2sate-{}.json"
+_TILES = "pair_{}_sate_img_list"
+_WEIGHTS = "pair_{}_sate_weight_list"
+_LOCATIONS: dict[str, PositionProtocol] = {"drone_loc_x_y": "GTA-UAV", "drone_loc_lat_lon": "UAV-VisLoc"}
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """One object of a list: the drone picture's file, its position, and the overlaps of its true tiles and of all its tiles."""
+
+    file: str
+    place: tuple[float, float]
+    true: dict[str, float]
+    listed: dict[str, float]
+    tiles: str
+
+
+class TilePairs(Dataset):
+    """A folder of GTA-UAV, or of UAV-VisLoc as GTA-UAV's programs prepare it, in one of its areas.
+
+    A tile's label is its number. A drone picture's label is that of the tile it overlaps most.
+    """
+
+    kind = "GTA-UAV"
+    marks = tuple((_LIST.format(area, split),) for area in ("same-area", "cross-area") for split in ("train", "test"))
+    known_by = "*-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc)"
+    parts = ("drone", "satellite")
+    splits = ("same-area", "cross-area")
+    split_list = _LIST.format("same-area", "test")
+    unusable = "files named in its lists"
+    trapezoid = False
+
+    def splits_there(self) -> list[str]:
+        return [area for area in self.splits if (self.root / _LIST.format(area, "test")).is_file()]
+
+    def rows(self) -> Iterator[PictureRow]:
+        listed = _LIST.format(self.split, "test")
+        pairs, form = _read(self.root / listed, self.files)
+        self.kind, self.measured_by, self.expected = form, form, f"{listed} with true tiles"
+        if form == "GTA-UAV":
+            self.published_sizes = {"test/gallery_satellite": Size(14_640)}
+        else:
+            self.title, self.positions_from = "UAV-VisLoc in GTA-UAV's layout", f"{listed} and the tiles' names"
+        folders = {pair.tiles for pair in pairs}
+        if len(folders) != 1:
+            raise DataError(
+                f"The test list of {printable(self.root.name)} names {len(folders)} folders of tiles; expected one."
+            )
+        repeated, times = Counter(pair.file for pair in pairs).most_common(1)[0]
+        if times > 1:
+            raise DataError(
+                f"{listed} has {times} objects of {printable(repeated)}; expected one for each drone picture."
+            )
+        folder = folders.pop()
+        tiles = self._tiles(folder)
+        numbers = {name: number for number, name in enumerate(tiles)}
+        self._spots = {self.root / pair.file: pair.place for pair in pairs}
+        trained = self.root / _LIST.format(self.split, "train")
+        used: set[int] = set()
+        train = _read(trained, self.files)[0] if trained.is_file() else []
+        for of, of_split in (("train/drone", train), ("test/query_drone", pairs)):
+            for pair in of_split:
+                for name in pair.listed:
+                    if name not in tiles:
+                        self.leave_out(f"{folder}/{name}")
+                overlaps: dict[str | Path, float] = {
+                    tiles[name]: weight for name, weight in (pair.listed | pair.true).items() if name in tiles
+                }
+                true = [name for name in pair.true if name in tiles]
+                if self.files.find(pair.file) is None:
+                    self.leave_out(pair.file)
+                elif pair.true and not true:
+                    self.leave_out(pair.file, "has none of its true tiles")
+                elif true:
+                    label = numbers[max(true, key=lambda name: pair.true[name])]
+                    used |= {label} if of == "train/drone" else set()
+                    good = [tiles[name] for name in true]
+                    semi = [file for file in overlaps if file not in good]
+                    name = Path(pair.file).stem
+                    yield PictureRow(of, pair.file, label, name, true=good, semi=semi, overlaps=overlaps)
+        for name, file in tiles.items():
+            if numbers[name] in used:
+                yield PictureRow("train/satellite", file, numbers[name], Path(file).stem)
+            yield PictureRow("test/gallery_satellite", file, numbers[name], Path(file).stem)
+
+    def tasks(self) -> list[str]:
+        return ["drone-to-satellite", "satellite-to-drone"] if self.pictures("test/query_drone") else []
+
+    def queries(self, view: str) -> list[Picture]:
+        if view != "satellite":
+            return super().queries(view)
+        tiles = super().gallery("satellite")
+        return [tiles[tile] for tile in self._drones]
+
+    def gallery(self, view: str) -> list[Picture]:
+        return super().queries("drone") if view == "drone" else super().gallery(view)
+
+    def truth(self, task: str) -> list[Truth] | None:
+        if task != "satellite-to-drone":
+            return super().truth(task)
+        none = np.zeros(0, np.int64)
+        return [Truth(np.array(drones, np.int64), none, trapezoid=False) for drones in self._drones.values()]
+
+    def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
+        """Return metres of the map (GTA-UAV), or latitude and longitude in degrees (UAV-VisLoc), (N, 2)."""
+        return np.array([self._spot(picture) for picture in pictures], np.float64).reshape(-1, 2)
+
+    def place(self, picture: Picture) -> geo.Position:
+        return geo.Position(*self._spot(picture))
+
+    def _spot(self, picture: Picture) -> tuple[float, float]:
+        if picture.path in self._spots:
+            return self._spots[picture.path]
+        return _metres_of_tile(picture.path) if self.measured_by == "GTA-UAV" else _degrees_of_tile(picture.path)
+
+    @cached_property
+    def _drones(self) -> dict[int, list[int]]:
+        """For each tile that is true for a test picture, the positions of these pictures, in the order of the tiles."""
+        drones: dict[int, list[int]] = {}
+        for position, truth in enumerate(super().truth("drone-to-satellite") or ()):
+            for tile in truth.good.tolist():
+                drones.setdefault(tile, []).append(position)
+        return dict(sorted(drones.items()))
+
+    def _tiles(self, folder: str) -> dict[str, str]:
+        """Return the path of each tile below the root by its folded name."""
+        below = [] if self.files.find(folder) is None else files_below(self.root / folder)
+        if not below:
+            raise DataError(
+                f"{printable(self.root.name)} has no tiles in {folder}, which its lists name; unpack them there."
+            )
+        tiles: dict[str, str] = {}
+        for path in below:
+            file = path.relative_to(self.root).as_posix()
+            if (other := tiles.setdefault(fold(path.name), file)) != file:
+                raise DataError(
+                    f"{printable(self.root.name)} has the tiles {printable(other)} and {printable(file)}, and its lists name "
+                    "tiles by their file names alone; leave one of them out."
+                )
+        return tiles
+
+
+def _read(file: Path, files: FilesBelow) -> tuple[list[_Pair], PositionProtocol]:
+    """Return the pairs of a list with paths as they are on this machine, and whether they are GTA-UAV's or UAV-VisLoc's."""
+    entries = read_json(file, file.name, _LARGEST_LIST)
+    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+        raise DataError(f"{file.name} is not a list of objects; expected one for each drone picture, as in GTA-UAV.")
+    key = next((key for key in _LOCATIONS if key in entries[0]), None)
+    if key is None:
+        raise DataError(
+            f"The first object of {file.name} has neither {' nor '.join(_LOCATIONS)}; expected one of them."
+        )
+    pairs = [_pair(entry, key, f"Object {number} of {file.name}", files) for number, entry in enumerate(entries, 1)]
+    return pairs, _LOCATIONS[key]
+
+
+def _pair(entry: dict[str, Any], key: str, where: str, files: FilesBelow) -> _Pair:
+    needed = ("drone_img_dir", "drone_img_name", key, "sate_img_dir", *map(_TILES.format, ("pos", "pos_semipos")))
+    if missing := [name for name in needed if name not in entry]:
+        raise DataError(f"{where} has no {', '.join(missing)}; expected the keys of GTA-UAV's lists.")
+    try:
+        first, second = (float(value) for value in _values(entry[key], key))
+        true, listed = (_weighted(entry, kind) for kind in ("pos", "pos_semipos"))
+    except (TypeError, ValueError) as error:
+        raise DataError(
+            f"{where} is malformed: {error}; expected two numbers, and lists of tiles and weights."
+        ) from error
+    if not (math.isfinite(first) and math.isfinite(second)):
+        raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
+    file = listed_path(f"{entry['drone_img_dir']}/{entry['drone_img_name']}", where)
+    tiles = listed_path(str(entry["sate_img_dir"]), where)
+    return _Pair(files.find(file) or file, (first, second), true, listed, files.find(tiles) or tiles)
+
+
+def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:
+    """Return the overlap of each tile; NaN for those without a weight."""
+    key, of_weights = _TILES.format(kind), _WEIGHTS.format(kind)
+    names, weights = _values(entry[key], key), entry.get(of_weights)
+    weights = [math.nan] * len(names) if weights is None else _values(weights, of_weights)
+    if len(names) != len(weights):
+        raise ValueError(f"{len(names)} tiles and {len(weights)} weights")
+    return {fold(name_of(str(name))): float(weight) for name, weight in zip(names, weights, strict=True)}
+
+
+def _values(value: Any, key: str) -> list[Any]:
+    if not isinstance(value, list):
+        raise TypeError(f"{key} is no list")
+    return value
+
+
+def _metres_of_tile(file: Path) -> tuple[float, float]:
+    """Return the centre of a GTA-UAV tile in metres right of and below the map's top-left corner."""
+    zoom, offset, x, y = _numbers_in(file, 0, "4_0_6_13")
+    side = _METRES * _MAP_PIXELS / 2**zoom
+    return side * (x + 0.5 + offset / _TILE), side * (y + 0.5 + offset / _TILE)
+
+
+def _degrees_of_tile(file: Path) -> tuple[float, float]:
+    """Return latitude and longitude of the centre of a UAV-VisLoc tile."""
+    _, zoom, x, y = _numbers_in(file, 1, "03_7_001_002")
+    name = file.stem.split("_")[0]
+    if name not in _MAPS:
+        raise DataError(
+            f"The tile {printable(file.name)} is of map {printable(name)}; expected one of {', '.join(_MAPS)}."
+        )
+    top, left, bottom, right, height, width = _MAPS[name]
+    shrink = 2 ** (math.ceil(math.log2(max(height, width) / _TILE)) - zoom)
+    rows, columns = math.ceil(height / shrink), math.ceil(width / shrink)
+    return top - (y + 0.5) * _TILE / rows * (top - bottom), left + (x + 0.5) * _TILE / columns * (right - left)
+
+
+def _numbers_in(file: Path, zoom: int, example: str) -> tuple[int, ...]:
+    """Return the four numbers of a tile's name, of which the one at position `zoom` is a zoom."""
+    parts = file.stem.split("_")
+    if len(parts) != 4 or not all(part.isdecimal() and len(part) < 7 for part in parts) or int(parts[zoom]) > 30:
+        raise DataError(
+            f"The tile {printable(file.name)} has no position in its name; expected four numbers, such as {example}."
+        )
+    return tuple(map(int, parts))

@@ -1,0 +1,191 @@
+"""World-UAV, the data set of UAV-GeoLoc (Wu et al. 2025): flights over regions, each with tiles of its own.
+
+    Index/{test,test_country,test_all}.txt                   regions to test on: terrain, city, mix; a path a line
+    Index/{train,train_country,train_all}.txt                regions to train on
+    <region>/DB/img/*.png                                    tiles
+    <region>/query/height<h>_rot<r>/footage/height<h>_rot<r>_<key>.jpeg
+    <region>/{positive,semi_positive}.json                   names of tiles by key; semi_positive.json may lack keys
+
+Positives and semi-positives are both true, and a query is ranked among the tiles of its region alone. Queries are the flights at
+100, 125, and 150 m that are turned by multiples of 45 degrees. The published recall is the mean over the regions.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+from lpn.core.images import SUFFIXES
+from lpn.core.tables import Column, number_column
+from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, numbered_lines, read_json
+from lpn.datasets.listed_paths import fold, listed_path, name_of
+
+_SUFFIXES = {"terrain": "", "city": "_country", "mix": "_all"}
+# The released commands name the lists in both folders.
+_INDEX = ("Index", "Index/Index")
+_POSITIVE, _SEMI = "positive.json", "semi_positive.json"
+_TILES = "DB/img"
+_FLIGHT = re.compile(r"height(\d+)_rot(\d+)")
+_HEIGHTS, _STEP = (100, 125, 150), 45
+
+
+class WorldUAV(Dataset):
+    """A folder of World-UAV in one of its splits, or the folder of one region; its only task is "drone-to-satellite".
+
+    A tile's label is its number; a drone picture's is that of its first positive. Groups are the regions; in one region they are
+    its flights, of which all are queries.
+    """
+
+    kind = "World-UAV"
+    marks = (
+        (_POSITIVE, f"{_TILES}/"),
+        *((f"{folder}/test{suffix}.txt",) for folder in _INDEX for suffix in ("", "_country", "_all")),
+    )
+    known_by = "Index/test.txt (World-UAV)"
+    parts = ("index",)
+    splits = tuple(_SUFFIXES)
+    split_list = f"{_INDEX[0]}/test.txt"
+    group_name = "region"
+    mean_of_groups = True
+
+    def splits_there(self) -> list[str] | None:
+        there = [split for split in _SUFFIXES if _list(self.root, "test", split) is not None]
+        return None if _is_region(self.root) else there
+
+    def rows(self) -> Iterator[PictureRow]:
+        if self.split is None:
+            self.group_name, self.expected = "flight", f"query/height<h>_rot<r>/footage and {_POSITIVE}"
+            regions, trained = [""], list[str]()
+        else:
+            self.expected = f"the regions of {_INDEX[0]}/test{_SUFFIXES[self.split]}.txt"
+            regions, trained = self._regions("test", self.split), self._regions("train", self.split)
+        tiles_of = {region: self._tiles(region) for region in dict.fromkeys((*regions, *trained))}
+        files = [file for tiles in tiles_of.values() for file in tiles.values()]
+        numbers = {file: number for number, file in enumerate(files)}
+        used = set()
+        for region in regions:
+            for file in tiles_of[region].values():
+                yield PictureRow("test/gallery_satellite", file, numbers[file], _tile_name(file), region=region)
+            yield from self._flown("test/query_drone", region, tiles_of[region], numbers)
+        for region in trained:
+            for row in self._flown("train/drone", region, tiles_of[region], numbers):
+                used.add(row.label)
+                yield row
+        for file, number in numbers.items():
+            if number in used:
+                yield PictureRow("train/satellite", file, number, _tile_name(file))
+
+    def columns(self, queries: Sequence[Picture]) -> list[Column]:
+        flights = [_FLIGHT.match(picture.path.stem) for picture in queries]
+        if not all(flights):
+            return super().columns(queries)
+        numbers = [tuple(map(float, flight.groups())) for flight in flights if flight is not None]
+        return [
+            *super().columns(queries),
+            number_column("height", [height for height, _ in numbers], "m"),
+            number_column("rotation", [rotation for _, rotation in numbers], "°"),
+        ]
+
+    def _regions(self, name: str, split: str) -> list[str]:
+        """Return the paths of the regions of a list that are there."""
+        file = _list(self.root, name, split)
+        if file is None:
+            return []
+        title = file.relative_to(self.root).as_posix()
+        paths = dict.fromkeys(listed_path(line, where) for where, line in numbered_lines(file, title))
+        if not paths:
+            raise DataError(f"{title} of {printable(self.root.name)} names no region; expected the path of one a line.")
+        for path in paths:
+            if not _is_region(self.root / path):
+                missing = next(part for part in ("", _POSITIVE, _TILES) if not (self.root / path / part).exists())
+                self.leave_out(f"{path}/{missing}".rstrip("/"))
+        return [path for path in paths if _is_region(self.root / path)]
+
+    def _tiles(self, region: str) -> dict[str, str]:
+        """Return the paths of a region's tiles by their folded names."""
+        folder = f"{region}/{_TILES}".lstrip("/")
+        tiles = {fold(name): f"{folder}/{name}" for name in _pictures_in(self.root / folder)}
+        if not tiles:
+            self.leave_out(folder, "has no tiles")
+        return tiles
+
+    def _flown(self, of: str, region: str, tiles: dict[str, str], numbers: dict[str, int]) -> Iterator[PictureRow]:
+        """Yield the drone pictures of a region, with labels by their first positive."""
+        true = self._true(region, tiles)
+        query = f"{region}/query".lstrip("/")
+        flights = _flights(self.root / query)
+        if not flights:
+            self.leave_out(query, "has no flights")
+        for flight, height, rotation in flights:
+            if of == "test/query_drone" and self.split and (height not in _HEIGHTS or rotation % _STEP):
+                continue
+            folder = f"{query}/{flight}/footage"
+            files = {Path(name).stem.rpartition("_")[2]: name for name in _pictures_in(self.root / folder)}
+            for key, of_key in true.items():
+                if key not in files:
+                    self.leave_out(f"{folder}/{flight}_{key}.jpeg")
+                elif of_key:
+                    name = f"{region}/{Path(files[key]).stem}".lstrip("/")
+                    file, label = f"{folder}/{files[key]}", numbers[of_key[0]]
+                    yield PictureRow(
+                        of, file, label, name, region if self.split else flight, true=of_key, region=region
+                    )
+
+    def _true(self, region: str, tiles: dict[str, str]) -> dict[str, list[str]]:
+        """Return the true tiles of each key of a region, positives first; those that are not there are left out."""
+        positive, semi = (_lists(self.root, f"{region}/{name}".lstrip("/")) for name in (_POSITIVE, _SEMI))
+        true = {}
+        for key, names in positive.items():
+            named = [*names, *semi.get(key, ())]
+            true[key] = [tile for name in named if (tile := tiles.get(fold(name_of(name)))) is not None]
+            for name in named:
+                if fold(name_of(name)) not in tiles:
+                    self.leave_out(f"{region}/{_TILES}/{printable(name)}".lstrip("/"))
+            if tiles and not true[key]:
+                self.leave_out(f"{region} {key}".strip(), "has none of its true tiles")
+        return true
+
+
+def _is_region(folder: Path) -> bool:
+    return (folder / _POSITIVE).is_file() and (folder / _TILES).is_dir()
+
+
+def _list(root: Path, name: str, split: str) -> Path | None:
+    files = (root / folder / f"{name}{_SUFFIXES[split]}.txt" for folder in _INDEX)
+    return next((file for file in files if file.is_file()), None)
+
+
+def _tile_name(path: str) -> str:
+    return path.replace(f"{_TILES}/", "").rpartition(".")[0]
+
+
+def _lists(root: Path, name: str) -> dict[str, list[str]]:
+    """Return the names of tiles by key; a file that is not there has none."""
+    lists = read_json(root / name, name) if (root / name).is_file() else {}
+    if not isinstance(lists, dict) or not all(
+        isinstance(names, list) and all(isinstance(tile, str) for tile in names) for names in lists.values()
+    ):
+        raise DataError(
+            f"{printable(name)} is not an object of lists; expected names of tiles by the numbers of frames."
+        )
+    return lists
+
+
+def _flights(folder: Path) -> list[tuple[str, int, int]]:
+    """Return the flights' folders, with height and rotation, sorted by these."""
+    found = [flight for name in _names(folder) if (flight := _FLIGHT.fullmatch(name)) is not None]
+    return sorted(((flight[0], int(flight[1]), int(flight[2])) for flight in found), key=lambda flight: flight[1:])
+
+
+def _pictures_in(folder: Path) -> list[str]:
+    return [name for name in _names(folder) if name.lower().endswith(SUFFIXES)]
+
+
+def _names(folder: Path) -> list[str]:
+    try:
+        return sorted(entry.name for entry in folder.iterdir() if not hidden_name(entry.name))
+    except OSError:
+        return []

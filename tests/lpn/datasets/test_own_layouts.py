@@ -1,0 +1,88 @@
+"""The layouts of this package, each found in its file, and those that another package brings."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from lpn.core.errors import DataError
+from lpn.datasets import known_layouts, layouts, open_dataset
+from lpn.doctor.dataset_check import check_dataset
+from lpn.training.recipes import RECIPES
+from tools.fixtures import layouts as drawn
+from tools.fixtures import small_worlds
+
+PLOTS = """
+from lpn.datasets import Dataset, PictureRow
+
+class Plots(Dataset):
+    kind = "Plots"
+    marks = (("plots.txt",),)
+    known_by = "plots.txt (Plots)"
+    parts = ("photos",)
+    unusable = "files named in plots.txt"
+
+    def rows(self):
+        for number, name in enumerate((self.root / "plots.txt").read_text().split()):
+            tile = PictureRow("test/gallery_satellite", f"tiles/{name}.png", number, name)
+            photo = PictureRow("test/query_drone", f"photos/{name}.png", number, name, true=[tile.file])
+            yield from self.together(tile, photo)
+
+class NoLayout:
+    pass
+"""
+
+
+@pytest.fixture
+def plots(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A package with a layout and two that cannot be used on the path, and a data set of that layout."""
+    (tmp_path / "own_layouts.py").write_text(PLOTS)
+    info = tmp_path / "own_layouts-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own-layouts\nVersion: 1.0\n")
+    points = "plots = own_layouts:Plots\nabsent = own_layouts:Absent\nother = own_layouts:NoLayout\n"
+    (info / "entry_points.txt").write_text(f"[lpn.datasets]\n{points}")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "own_layouts", raising=False)
+    root = tmp_path / "data" / "mine"
+    for name in ("a", "b"):
+        small_worlds.write(root / "tiles" / f"{name}.png", drawn.small(1))
+        small_worlds.write(root / "photos" / f"{name}.png", drawn.small(2))
+    (root / "plots.txt").write_text("a\nb\nc\n")
+    known_layouts.cache_clear()
+    yield root
+    known_layouts.cache_clear()
+
+
+def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureFixture) -> None:
+    with caplog.at_level(logging.WARNING):
+        dataset = open_dataset(plots)
+    assert (dataset.kind, dataset.tasks()) == ("Plots", ["drone-to-satellite"])
+    assert [picture.path for picture in dataset.queries("drone")] == [plots / "photos/a.png", plots / "photos/b.png"]
+    assert [of.good.tolist() for of in dataset.truth("drone-to-satellite") or ()] == [[0], [1]]
+    assert [line.getMessage() for line in caplog.records] == [
+        "The layout absent is left out, as own_layouts:Absent cannot be loaded (module 'own_layouts' has no attribute "
+        "'Absent').",
+        "The layout other is left out, as own_layouts:NoLayout cannot be loaded (it is no subclass of "
+        "lpn.datasets.Dataset).",
+        "mine: 2 files named in plots.txt cannot be used: tiles/c.png (is not there), photos/c.png (is not there); they are "
+        "left out.",
+    ]
+    report = check_dataset(dataset)
+    assert (report.title, len(report.left_out)) == ("in Plots's layout", 2)
+    (plots / "photos" / "low").mkdir()
+    for path in (plots / "photos" / "low", plots.parent):
+        with pytest.raises(DataError, match=f"give --data {plots}"):
+            open_dataset(path)
+
+
+def test_every_file_of_layouts_holds_one_that_can_be_told() -> None:
+    files = {file.stem for file in Path(*layouts.__path__).glob("*.py")} - {"__init__"}
+    known = known_layouts()
+    assert {layout.__module__.rpartition(".")[2] for layout in known} == files
+    assert len({layout.kind for layout in known}) == len({layout.known_by for layout in known}) == len(known)
+    assert {recipe for layout in known for recipe in layout.recipes} <= set(RECIPES)
