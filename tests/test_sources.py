@@ -92,10 +92,12 @@ def options(
 
 def _output(command: str, source: str, folder: Path) -> tuple[list[str], Path]:
     """Return further options of a command, and the file that they make it write."""
+    # A flight's comparison writes a page, which has tables of its own.
+    table = [] if source == "flight" else ["--table", str(folder / "table.md")]
     query = {"flight": "05.png", "arrays": "0009/image-01"}.get(source, "0009")
     return {
         "evaluate": (["--json"], folder / "figures.json"),
-        "compare": (["--resamples", "20", "--json"], folder / "table.json"),
+        "compare": (["--resamples", "20", *table, "--json"], folder / "figures.json"),
         "failures": (["--csv"], folder / "failures.csv"),
         "report": (["--query", query, "--out"], folder / "report.html"),
         "sweep": (["--query", query, "--step", "90", "--csv"], folder / "sweep.csv"),
@@ -129,6 +131,8 @@ def test_each_command_takes_a_task_from_each_source(
     else:
         assert status == 0, told.err
         assert file.stat().st_size > 100
+        tables = [one for one in tmp_path.glob("table.md") if "| A | B | only A |" in one.read_text("utf-8")]
+        assert len(tables) == (command == "compare" and source != "flight")
 
 
 def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:

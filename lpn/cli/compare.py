@@ -41,6 +41,9 @@ class ComparisonOptions:
     """Seed of the bootstrap."""
     resamples: int = 1000
     """Number of bootstrap resamples."""
+    table: Path | None = None
+    """File to write the printed figures and paired tests to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its
+    package booktabs), or one line a model (.csv)."""
     json: Path | None = None
     """File to write everything to, as JSON."""
 
@@ -50,9 +53,6 @@ class ComparisonOfSources(ABC):
     """Compare the rankings of two or more models on the same queries and gallery."""
 
     comparison: ComparisonOptions = field(default_factory=ComparisonOptions)
-    page: Path | None = None
-    """File to write the tables to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its package booktabs), or one line
-    a model (.csv)."""
 
     def run(self) -> None:
         from lpn.analysis.model_table import compare
@@ -61,17 +61,17 @@ class ComparisonOfSources(ABC):
         from lpn.core.files import check_outputs, write_atomic, write_json
 
         options = self.comparison
-        check_outputs((self.page, ".md", ".tex", ".csv"), (options.json, ".json"))
+        check_outputs((options.table, ".md", ".tex", ".csv"), (options.json, ".json"))
         table = compare(list(self._ranked()), options.seed, options.resamples)
         _print(table, wide_console())
-        if self.page is not None:
-            match self.page.suffix.lower():
+        if options.table is not None:
+            match options.table.suffix.lower():
                 case ".md":
-                    write_atomic(self.page, table.to_markdown().encode())
+                    write_atomic(options.table, table.to_markdown().encode())
                 case ".tex":
-                    write_atomic(self.page, latex_page([table.section]).encode())
+                    write_atomic(options.table, latex_page([table.section]).encode())
                 case _:
-                    write_atomic(self.page, table.to_csv())
+                    write_atomic(options.table, table.to_csv())
         if options.json is not None:
             write_json(options.json, table.to_dict())
 
@@ -350,6 +350,8 @@ def _networks(
     from lpn.core.files import check_outputs
     from lpn.models.shipped import model_file
 
+    if options.table is not None:
+        raise InputError("--table and --page are both given, and a page has tables of its own; leave one of them out.")
     models = compared.options()
     saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
     if saved:

@@ -96,7 +96,7 @@ COMMANDS = {
             "{second}",
             "--data",
             "{data}",
-            "--page",
+            "--table",
             "{out}.tex",
         ],
         0,

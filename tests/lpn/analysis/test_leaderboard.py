@@ -101,6 +101,7 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
         (["--turns", "90"], "belong to a page"),
         (["--page", "{}/page.md", "--calibrate"], "ranked plainly"),
         (["--page", "{}/page.md"], "takes two models or more; found 1."),
+        (["--page", "{}/page.md", "--table", "{}/table.csv"], "leave one of them out"),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(

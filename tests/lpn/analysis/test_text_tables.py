@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 
 from lpn.analysis.text_tables import TableSection, TextTable, latex_page, latex_text
 from lpn.cli.main import main
 from lpn.reproduce import report
 from lpn.reproduce.record import TableRecord, row_record
-from tools.fixtures.published_results import save_result
 
 
 def columns(latex: str) -> list[list[int]]:
@@ -50,12 +48,9 @@ def test_reproduced_tables_have_the_columns_of_the_markdown() -> None:
 
 def test_compare_writes_latex(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("two.tex", "page.tex")]
-    result = tmp_path / "result.mat"
     model, more = str(model_file), ["--resamples", "20"]
     compared = ["compare", model, str(one_part_model_file), "--data", str(data), *more]
-    save_result(result, data, model_file)
-    published = ["compare", "published", str(result), str(shutil.copy(result, tmp_path / "again.mat"))]
-    assert main([*published, "--data", str(data), *more, "--page", str(files[0])]) == 0
+    assert main([*compared, "--table", str(files[0])]) == 0
     assert main([*compared, "--page", str(files[1])]) == 0
     counts = [columns(file.read_text("utf-8")) for file in files]
     assert len(counts[0]) == 2

@@ -1,4 +1,4 @@
-"""`lpn explain` as a person runs it, and the sentences it says."""
+"""`lpn explain` as a person runs it."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+from lpn.cli import main
 from tests.lpn.cli.test_main import without_torch
 
 
@@ -41,3 +42,33 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
     assert drawn.shape[1] == 1200
     # Both colours are there, and the pictures beneath them.
     assert len(np.unique(drawn.reshape(-1, 3), axis=0)) > 1000
+
+
+def test_covering_is_said_to_be_approximate(model_file: Path, pair: list[str], tmp_path: Path) -> None:
+    file, picture = tmp_path / "why.json", tmp_path / "why.png"
+    given = ["explain", "--model", str(model_file), *pair, "--covering", "--json", str(file), "--png", str(picture)]
+    assert main.main(given) == 0
+    found = json.loads(file.read_text())
+    assert found["level"] == "measured by occlusion"
+    assert np.shape(found["parts"][0]["losses"]) == (8, 8)
+    assert "cells" not in found["parts"][0]
+    assert cv2.imread(str(picture)) is not None
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        (["--query", "nowhere.jpg"], "nowhere.jpg"),
+        (["--view-query", "street"], "no 'street' view"),
+        (["--weights", "1,2"], "expected 4 numbers"),
+        (["--weights", "a,b"], "expected a number for each part"),
+        (["--model", "nowhere.onnx"], "no model file"),
+    ],
+)
+def test_mistakes_get_one_sentence(
+    changed: list[str], expected: str, model_file: Path, pair: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main.main(["explain", "--model", str(model_file), *pair, *changed]) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert said.count("\n") == 1

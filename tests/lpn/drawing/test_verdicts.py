@@ -7,9 +7,11 @@ import pytest
 
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
+from lpn.explain import Evidence, SideEvidence
 from lpn.explain.counterfactual import Effect, PositiveRank, RanksWithoutParts, Reweighting
 from lpn.explain.sweeps import SweepPoint, SweepResult
 from lpn.retrieval import Match
+from lpn.retrieval.scoring import part_weights
 
 
 def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> RanksWithoutParts:
@@ -123,3 +125,62 @@ def test_a_query_without_a_true_tile_is_wrong_and_a_part_that_costs_has_a_minus(
         "It is 0.300 (d²) behind the top match; part a costs it most (−0.300)."
         in verdicts.verdict(first, true, first, ["a", "b"])[2:]
     )
+
+
+@pytest.mark.parametrize(
+    ("row", "column", "picture", "tile"),
+    [(0, 3, "upper right", "north-east"), (3, 0, "lower left", "south-west"), (1, 3, "right", "east")],
+)
+def test_sides_of_a_tile_are_told_by_the_compass(row: int, column: int, picture: str, tile: str) -> None:
+    cells = np.zeros((4, 4))
+    cells[row, column] = 1
+    if picture == "right":
+        cells[2, column] = 1
+    assert (verdicts.describe_position(cells, "drone"), verdicts.describe_position(cells, "satellite")) == (
+        picture,
+        tile,
+    )
+    assert verdicts.describe_position(np.ones((4, 4)), "drone") == "all around"
+    unrolled = np.zeros((4, 16))
+    unrolled[:, 14] = 1
+    assert verdicts.describe_position(unrolled, "satellite") == "right"
+    assert verdicts.describe_position(-np.ones((4, 4)), "drone") == "all around"
+
+
+def test_a_score_of_constants_is_not_said_to_be_of_places() -> None:
+    cells = np.zeros((2, 4, 4))
+    cells[:, 0, 3] = -0.1
+    found = Evidence(np.array([0.5, 0.6]), part_weights(2), *(SideEvidence(cells, np.array([0.6, 0.7])),) * 2)
+    said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
+    assert "most of it by a constant that comes from no cell" in said
+    assert "Of the whole score, +0.650 is constants" in said
+    assert "north-east" not in said
+
+
+def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against() -> None:
+    cells = np.zeros((2, 4, 4))
+    cells[1, 0, 3] = 0.8
+    side = SideEvidence(cells, np.zeros(2))
+    found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
+    said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
+    assert said == (
+        "Part 2 outer adds most to the score (+0.400 of +0.300), where the query's upper right agrees with the tile's "
+        "north-east. Part 1 centre speaks against the pair (−0.100)."
+    )
+
+
+def test_cells_on_no_side_are_told_as_places_all_over_the_pictures() -> None:
+    east = np.zeros((1, 4, 4))
+    east[0, 1:3, 3] = 1.0
+    sides = [SideEvidence(cells, np.zeros(1)) for cells in (np.full((1, 4, 4), 1.0), east)]
+    said = [
+        verdicts.describe_evidence(
+            Evidence(np.array([0.8]), part_weights(1), sides[query], sides[tile]), ["whole"], "drone", "satellite"
+        )
+        for query, tile in ((0, 0), (0, 1), (1, 0))
+    ]
+    assert said == [
+        "The score is +0.800, mainly from places all over both pictures.",
+        "The score is +0.800, mainly from where places all over the query agree with the tile's east.",
+        "The score is +0.800, mainly from where the query's right agrees with places all over the tile.",
+    ]

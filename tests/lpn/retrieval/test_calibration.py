@@ -184,7 +184,9 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
     assert moved["R@1"]["value"] > plain["R@1"]["value"]
     assert main(["compare", "saved.mat", str(model_file), "--data", str(wide), "--calibrate"]) == 2
-    main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--csls", "3", "--json", str(table)])
+    outputs = ["--json", str(table), "--table", str(tmp_path / "table.tex")]
+    assert main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--csls", "3", *outputs]) == 0
+    assert "\nmodel.onnx, calibrated, CSLS & " in (tmp_path / "table.tex").read_text("utf-8")
     rows = json.loads(table.read_bytes())["models"]
     assert [row["name"] for row in rows] == [plain["name"], moved["name"], "model.onnx, calibrated, CSLS"]
     assert rows[1]["R@1"]["value"] == moved["R@1"]["value"]
