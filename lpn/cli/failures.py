@@ -105,7 +105,8 @@ class FailuresCommand(FailuresOfSource):
                     raise InputError(f"{option} needs --beside.")
             return table
         model = replace(self.source.model, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
-        second = open_first_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
+        scored = replace(self.source, calibrate=task.calibration is not None)  # alike, whatever ships for either
+        second = open_first_task(replace(scored, model=model, task=cast(TaskName, task.name)))
         return table.with_columns(compared_ranks(table, second.outcomes.rank))
 
 
