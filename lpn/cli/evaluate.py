@@ -318,7 +318,7 @@ class EvaluateCommand(EvaluationOfSource):
     def run(self) -> None:
         from lpn.core.files import check_outputs
 
-        check_outputs((self.per_query, ".csv"))
+        check_outputs((self.json, ".json"), (self.per_query, ".csv"))
         if self.changes.weather != "all":
             super().run()
         elif self.per_query is None:
@@ -329,10 +329,9 @@ class EvaluateCommand(EvaluationOfSource):
             )
 
     def _run_weathers(self) -> None:
-        from lpn.core.files import check_outputs, write_json
+        from lpn.core.files import write_json
         from lpn.retrieval.weathers import evaluate_weathers
 
-        check_outputs((self.json, ".json"))
         model, dataset, tasks, title, protocol, calibration = self._opened()
         result = evaluate_weathers(model, dataset, tasks, protocol, calibration)
         _print_weathers(title, result)

@@ -215,10 +215,7 @@ def open_data(
         describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress, csls)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
-    if calibration is None:
-        return OpenedSource(tasks, model, model)
-    note = f"{printable(model_name)} is {calibration.describe()}."
-    return OpenedSource(tasks, calibration.applied(model), model, notes=[note])
+    return OpenedSource(tasks, model if calibration is None else calibration.applied(model), model)
 
 
 @dataclass(frozen=True, kw_only=True)
