@@ -6,7 +6,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -56,9 +56,6 @@ class RankingOptions:
 
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
-    centre: bool = False
-    """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
-    no labels, and makes up for places and cameras that differ from those of the training."""
 
     def protocol(self, csls: int, changes: ChangeOptions | None = None) -> Protocol:
         """Return the protocol of these options.
@@ -72,12 +69,22 @@ class RankingOptions:
 
         parts, changed = _numbers(self.parts), changes or ChangeOptions()
         name: WeatherName = "normal" if changed.weather == "all" else changed.weather
-        return Protocol(
-            Change(changed.rotate, changed.shift, changed.scale, weather=Weather(name)),
-            None if parts is None else tuple(parts),
-            centre=self.centre,
-            csls=csls,
-        )
+        change = Change(changed.rotate, changed.shift, changed.scale, weather=Weather(name))
+        return Protocol(change, None if parts is None else tuple(parts), csls=csls)
+
+
+@dataclass(kw_only=True)
+class DescriptorOptions(RankingOptions):
+    """The descriptors that are compared."""
+
+    centre: bool = False
+    """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
+    no labels, and makes up for places and cameras that differ from those of the training."""
+    csls: CslsOption = 0
+
+    def saved_protocol(self) -> Protocol:
+        """Return the protocol of these options, see `protocol`."""
+        return replace(self.protocol(self.csls), centre=self.centre)
 
 
 @dataclass(kw_only=True)
@@ -109,14 +116,13 @@ class EvaluationOfPublished(EvaluationOfSource):
     """Result of the published test code, pytorch_result.mat."""
     n_parts: int | None = None
     """Number of parts of its descriptors; needed with --parts and --centre."""
-    csls: CslsOption = 0
-    ranking: RankingOptions = field(default_factory=RankingOptions)
+    ranking: DescriptorOptions = field(default_factory=DescriptorOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
         from lpn.retrieval.published_results import check_n_parts, load_saved
 
-        protocol = self.ranking.protocol(self.csls)
+        protocol = self.ranking.saved_protocol()
         if protocol.centre and self.n_parts is None:
             raise InputError(
                 "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
@@ -131,13 +137,12 @@ class EvaluationOfArrays(EvaluationOfSource):
     """Measure recall and AP of descriptors that any model made."""
 
     source: Arrays
-    csls: CslsOption = 0
-    ranking: RankingOptions = field(default_factory=RankingOptions)
+    ranking: DescriptorOptions = field(default_factory=DescriptorOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_descriptors
 
-        source, protocol = self.source, self.ranking.protocol(self.csls)
+        source, protocol = self.source, self.ranking.saved_protocol()
         if source.paths is None:
             raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
         arrays = source.load()
