@@ -201,9 +201,11 @@ def _offer_scorings(
         calibrate, csls: see `open_model`.
         report: receives the progress of a calibration; by default the terminal shows it.
     """
+    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
+    if csls:
+        check_neighbours(csls, max(len(task.queries) for task in tasks))
     asked = task_calibration(model, dataset, calibrate, report)
     ready = asked or shipped_calibration(model, dataset)
-    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
 
     def rank(scored: Iterable[GalleryTask]) -> None:
         for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
@@ -217,10 +219,8 @@ def _offer_scorings(
         yield_cores()  # answers must not wait for it
         rank_by(calibrated(model, dataset, on_progress), on_progress)
 
-    if csls:
-        check_neighbours(csls, max(len(task.queries) for task in tasks))
-        if asked is None:
-            rank(by_csls(tasks, csls))
+    if csls and asked is None:
+        rank(by_csls(tasks, csls))
     if ready is not None:
         rank_by(ready, report)
     why_not = "" if ready is not None else no_calibration(model, dataset)
