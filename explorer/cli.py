@@ -26,6 +26,8 @@ from lpn.descriptors.weather import WeatherName
 from lpn.models.adapters import Kind
 from lpn.sources import (
     Arrays,
+    CalibrateOption,
+    CslsOption,
     Flown,
     Indexed,
     KindOption,
@@ -34,6 +36,7 @@ from lpn.sources import (
     Published,
     TaskSource,
     of_each,
+    shipped_model,
 )
 
 if TYPE_CHECKING:
@@ -146,7 +149,7 @@ class ExploreFlight(ExploreSource):
                 open_flight_over,
                 source.map,
                 source.flight,
-                model.model,
+                model.model or shipped_model(),
                 self.query,
                 self.beside,
                 self.register,
@@ -206,13 +209,13 @@ class Explore(ExploreSource):
     data: Path | None = None
     """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
     model: Path | None = None
-    """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default the demo's."""
+    """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default city-lpn, which
+    ships."""
     kind: KindOption = None
     pooling: PoolingOption = None
     provider: ProviderOption = "auto"
-    calibrate: bool = False
-    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean, without labels; see
-    docs/evaluation.md."""
+    calibrate: CalibrateOption = None
+    csls: CslsOption = 0
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
     beside: tuple[Path, ...] = ()
@@ -226,7 +229,12 @@ class Explore(ExploreSource):
 
     @staticmethod
     def in_background(
-        source: Model | Task | Path | None, data: Path | None = None, host: str = "127.0.0.1", port: int = 0
+        source: Model | Task | Path | None,
+        data: Path | None = None,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        calibrate: bool | None = None,
+        csls: int = 0,
     ) -> ServedPage:
         """Serve until the page is closed or the process ends, see `lpn.explore`."""
         from explorer.app import serve_in_background
@@ -236,13 +244,14 @@ class Explore(ExploreSource):
 
         authenticator = ServeOptions(host=host, port=port).authenticator()
         if isinstance(source, Task):
-            if data is not None:
-                raise InputError("A task has its own data; leave the data set out.")
+            if data is not None or calibrate is not None or csls:
+                raise InputError("A task has its own data and scoring; leave the data set, calibrate, and csls out.")
             return serve_in_background(partial(open_tasks, [source]), host, port, authenticator, {})
         if isinstance(source, Model):
             query = DEMO_QUERY if data is None else None
-            return serve_in_background(partial(open_model, data or DEMO, source, query), host, port, authenticator, {})
-        opening = Explore(data=data, model=source).workspaces()
+            opens = partial(open_model, data or DEMO, source, query, calibrate=calibrate, csls=csls)
+            return serve_in_background(opens, host, port, authenticator, {})
+        opening = Explore(data=data, model=source, calibrate=calibrate, csls=csls).workspaces()
         return serve_in_background(
             opening.open_workspace, host, port, authenticator, opening.others, opening.label, opening.key
         )
@@ -254,15 +263,11 @@ class Explore(ExploreSource):
             InputError: if an option lacks the one that it needs, or the demo's files are missing.
         """
         from explorer.opening import open_model
-        from lpn.datasets import open_dataset
 
         for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
             if given is not None and self.model is None:
                 raise InputError(f"{option} needs --model.")
         kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
-        if self.data is not None and self.model is None:
-            open_dataset(self.data)  # without a model, the error is that of a folder that is no data set
-            raise InputError(f"There is no model for {self.data}; give a trained LPN with --model.")
         if self.data is None and not DEMO.is_dir():
             raise InputError(
                 "The demo's files are missing from this installation; install lpn-explorer again, or give a data set with "
@@ -273,7 +278,7 @@ class Explore(ExploreSource):
         return partial(
             open_model,
             self.data or DEMO,
-            self.model or DEMO_MODEL,
+            self.model or (DEMO_MODEL if self.data is None else shipped_model()),
             query,
             self.beside,
             baseline,
@@ -284,6 +289,7 @@ class Explore(ExploreSource):
             self.pooling,
             poolings,
             self.beside_weather,
+            self.csls,
         )
 
     def workspaces(self) -> Workspaces:
@@ -313,7 +319,7 @@ class Explore(ExploreSource):
             key: offered(_LABELS[key], [opens.keywords[name] for name in ("map_path", "flight_path", "model")], opens)
             for key, opens in flights.items()
         }
-        of_city = self.query or self.beside or self.beside_weather or self.calibrate
+        of_city = self.query or self.beside or self.beside_weather or self.calibrate is not None or self.csls
         if of_city or "place" not in flights or find_spec("rasterio") is None:
             return Workspaces(open_data, others, _LABELS[DATA])
         del others["place"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import threading
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
@@ -32,9 +31,20 @@ from lpn.locate.pipeline import registered
 from lpn.locate.relief import relief_model
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
+from lpn.retrieval.calibration import Calibration
+from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
-from lpn.tasks.opening import calibrated, choose_task, no_calibration, scored_tasks, shipped_calibration
-from lpn.tasks.task import Task
+from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.opening import (
+    by_csls,
+    calibrated,
+    choose_task,
+    no_calibration,
+    scored_tasks,
+    shipped_calibration,
+    task_calibration,
+)
+from lpn.tasks.task import Scoring, Task
 from lpn.tasks.turned import changed
 
 log = logging.getLogger(__name__)
@@ -54,10 +64,11 @@ def open_model(
     provider: ProviderName = "auto",
     kind: Kind | None = None,
     beside_kinds: Sequence[Kind | None] = (),
-    calibrate: bool = False,
+    calibrate: bool | None = None,
     pooling: str | None = None,
     beside_poolings: Sequence[str | None] = (),
     beside_weathers: Sequence[WeatherName] = (),
+    csls: int = 0,
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
@@ -70,8 +81,7 @@ def open_model(
         provider: what computes the networks, see `lpn.load`.
         kind: the method of `model`, see `lpn.load`.
         beside_kinds: those of `beside`; None for models that tell theirs.
-        calibrate: calibrate all of these models on the pictures of all tasks before the page opens, see
-            `lpn.retrieval.calibration`; otherwise a browser asks for it, unless a calibration ships with the data.
+        calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
         pooling: of the tokens of `model`, see `lpn.load`.
         beside_poolings: those of `beside`; None for models that have parts of their own.
         beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
@@ -87,30 +97,31 @@ def open_model(
     _check_weathers(beside_weathers)
     if beside_weathers and not isinstance(model, Model):
         model = lpn.load(model, provider, kind=kind, pooling=pooling)
-    workspace, dataset = _open_one(data, model, provider, name, kind, calibrate, pooling=pooling)
+    scoring = calibrate, csls
+    workspace, dataset = _open_one(data, model, provider, name, kind, scoring, pooling=pooling)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
     opens = []
     for file, other_name, other_kind, other_pooling in zip(beside, names, kinds, poolings, strict=True):
         other = lpn.load(file, provider, kind=other_kind, pooling=other_pooling)
         choose_task(other, dataset)
-        opens.append(_opens(data, other, provider, other_name, calibrate))
+        opens.append(_opens(data, other, provider, other_name, scoring))
     _put_beside(workspace, names, opens)
     for weather in map(Weather, beside_weathers):
         assert isinstance(model, Model)
         label = f"{workspace.model_name} {weather.describe()}"
         workspace.beside.append(LazyWorkspace(label, partial(_in_weather, workspace, model, weather, label)))
     if baseline is not None and not beside:
-        opens_it = _naming_files([baseline], _opens(data, baseline, provider, baseline.name, calibrate))
+        opens_it = _naming_files([baseline], _opens(data, baseline, provider, baseline.name, scoring))
         workspace.beside.append(LazyWorkspace("the baseline (n = 1)", opens_it))
     return workspace
 
 
 def _opens(
-    data: Path, model: Path | Model, provider: ProviderName, name: str, calibrate: bool
+    data: Path, model: Path | Model, provider: ProviderName, name: str, scoring: tuple[bool | None, int]
 ) -> Callable[[ReportProgress | None], Workspace]:
     """Return what opens a model on a data set, see `_open_one`."""
-    return lambda report: _open_one(data, model, provider, name, None, calibrate, report)[0]
+    return lambda report: _open_one(data, model, provider, name, None, scoring, report)[0]
 
 
 def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str, report: ReportProgress) -> Workspace:
@@ -161,52 +172,63 @@ def _open_one(
     provider: ProviderName,
     model_name: str,
     kind: Kind | None = None,
-    calibrate: bool = False,
+    scoring: tuple[bool | None, int] = (None, 0),
     report: ReportProgress | None = None,
     pooling: str | None = None,
 ) -> tuple[Workspace, Dataset]:
-    """Open one model on a data set, see `open_model`."""
+    """Open one model on a data set, see `open_model`; `scoring` is its calibrate and csls."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind, pooling=pooling)
         dataset = open_dataset(data)
-    workspace = _workspace(open_data(opened, model_name, dataset, every=True, on_progress=report))
-    _offer_scorings(workspace, opened, model_name, dataset, calibrate)
+    workspace = _workspace(open_data(opened, model_name, dataset, calibrate=False, every=True, on_progress=report))
+    _offer_scorings(workspace, opened, model_name, dataset, *scoring, report)
     return workspace, dataset
 
 
-def _offer_scorings(workspace: Workspace, model: Model, model_name: str, dataset: Dataset, wait: bool) -> None:
-    """Let a workspace be ranked calibrated and by CSLS: at once if the calibration ships with the data, else when asked for.
+def _offer_scorings(
+    workspace: Workspace,
+    model: Model,
+    model_name: str,
+    dataset: Dataset,
+    calibrate: bool | None,
+    csls: int,
+    report: ReportProgress | None,
+) -> None:
+    """Let a workspace be ranked calibrated and by CSLS: at once by a calibration that ships or is asked for, else when asked for.
 
     Args:
-        wait: calibrate before the page opens.
+        calibrate, csls: see `open_model`.
+        report: receives the progress of a calibration; by default the terminal shows it.
     """
-    shipped = None if (why_not := no_calibration(model, dataset)) else shipped_calibration(model, dataset)
+    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
+    if csls:
+        check_neighbours(csls, max(len(task.queries) for task in tasks))
+    asked = task_calibration(model, dataset, calibrate, report)
+    ready = asked or shipped_calibration(model, dataset)
 
-    def prepare(report: ReportProgress) -> None:
-        if not wait:
-            yield_cores()  # answers must not wait for it
-        # Before the page opens, the terminal shows it.
-        on_progress = None if wait or shipped is not None else report
-        calibration = shipped or calibrated(model, dataset, on_progress)
-        tasks = scored_tasks(model, model_name, dataset, calibration, list(workspace.tasks), on_progress)
-        for ranking in [_begin_ranking(task) for task in tasks]:
+    def rank(scored: Iterable[GalleryTask]) -> None:
+        for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
             workspace.rankings[ranking.task.key] = ranking
-        if wait:
-            _say(f"{printable(model_name)} is {calibration.describe()}.")
 
-    if wait and why_not:
-        raise InputError(f"{why_not} Leave --calibrate out.")
-    workspace.scorings = Scorings(why_not, None if why_not else prepare)
-    if not (wait or shipped is not None):
-        return
-    job = workspace.scorings.prepare(workspace)
-    assert job is not None
-    job.wait(threading.TIMEOUT_MAX)
-    if job.error is not None and wait:
-        raise LPNError(job.error)
-    if wait:
-        workspace.asked_scoring = "calibrated"
+    def rank_by(calibration: Calibration, on_progress: ReportProgress | None) -> None:
+        names = list(workspace.tasks)
+        rank(scored_tasks(model, model_name, dataset, calibration, names, on_progress, csls or NEIGHBOURS))
+
+    def prepare(on_progress: ReportProgress) -> None:
+        yield_cores()  # answers must not wait for it
+        rank_by(calibrated(model, dataset, on_progress), on_progress)
+
+    if csls and asked is None:
+        rank(by_csls(tasks, csls))
+    if ready is not None:
+        rank_by(ready, report)
+    why_not = "" if ready is not None else no_calibration(model, dataset)
+    workspace.scorings = Scorings(why_not, prepare if ready is None and not why_not else None)
+    opens_with: dict[Scoring, object] = {"csls": csls, "calibrated": asked}
+    workspace.opens_with = tuple(scoring for scoring, wanted in opens_with.items() if wanted)
+    if calibrate and asked is not None:
+        _say(f"{printable(model_name)} is {asked.describe()}.")
 
 
 def _names(

@@ -13,7 +13,6 @@ from threading import Lock
 import numpy as np
 
 from explorer import session_state
-from explorer.compute import scorings
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
@@ -101,8 +100,8 @@ class Workspace:
         # By the keys of their tasks: as the tasks were opened, and, once they are calibrated, under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
         self.tasks = {ranking.task.name: ranking.task for ranking in rankings}
-        # The scoring that was asked for when the app was started.
-        self.asked_scoring: Scoring | None = None
+        # The scorings that a page opens with, the first that a task has; set at the start, and never by a measured figure.
+        self.opens_with: tuple[Scoring, ...] = ()
         self.scorings: Scorings = Scorings(
             "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
         )
@@ -226,14 +225,9 @@ class Workspace:
         return model if as_opened or task.calibration is None else task.calibration.applied(model)
 
     def default_scoring(self, name: str) -> Scoring:
-        """Return the scoring that a task opens with: of those that are ready, the one with the best measured Recall@1.
-
-        Until all are measured, it is the one that was asked for at the start, or that of the task as it was opened.
-        """
-        choices = [choice for choice in scorings.choices(self.rankings, name) if choice.ready]
-        if self.asked_scoring is not None and any(choice.recall is None for choice in choices):
-            return self.asked_scoring
-        return scorings.best(choices) or self.tasks[name].scoring
+        """Return the scoring that a task opens with: the first of `opens_with` that it has, or the one it was opened under."""
+        ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
+        return next(ready, self.tasks[name].scoring)
 
     def task_of(self, state: SessionState) -> Task:
         """Return the state's task under its scoring, or as it was opened where that one is not ready."""

@@ -12,7 +12,7 @@ A folder of pictures is a gallery, and a picture of another view gets an answer 
 
 The published protocol measures a model on a data set:
 
-    >>> result = lpn.evaluate(lpn.load("city-lpn"), lpn.open_dataset("ROOT"), "drone-to-satellite")
+    >>> result = lpn.evaluate("city-lpn", "ROOT", "drone-to-satellite")
     >>> 0 <= result.recall["1"] <= 100
     True
 
@@ -42,14 +42,15 @@ if TYPE_CHECKING:
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
     from lpn.core.views import TaskName
-    from lpn.datasets import open_dataset
+    from lpn.datasets import Dataset, open_dataset
     from lpn.descriptors.transforms import Change
     from lpn.library import Answer, Gallery
     from lpn.models.adapters import Kind
     from lpn.models.base import Model
     from lpn.models.contract import Contract, ForwardPass, Heads
     from lpn.models.partition import Partition
-    from lpn.retrieval.evaluate import evaluate
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.protocol import Protocol
     from lpn.tasks.task import Task
 
 # Without this, importing ONNX Runtime writes an identifier into the user's home folder, and reports its use to Microsoft.
@@ -85,7 +86,6 @@ _MODULE_OF = {
     "Model": "lpn.models.base",
     "Partition": "lpn.models.partition",
     "Task": "lpn.tasks.task",
-    "evaluate": "lpn.retrieval.evaluate",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
 }
@@ -96,6 +96,9 @@ if not TYPE_CHECKING:
         if name in _MODULE_OF:
             return getattr(import_module(_MODULE_OF[name]), name)
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+    def __dir__() -> list[str]:
+        return sorted(__all__)
 
 
 def load(
@@ -168,25 +171,96 @@ def load(
     return load_file(path, device, kind, pooled, network)
 
 
-def open_task(data: str | Path, task: TaskName | None = None, model: Model | str | Path = "city-lpn") -> Task:
+def evaluate(
+    model: Model | str | Path,
+    data: Dataset | str | Path,
+    task: TaskName | None = None,
+    protocol: Protocol | None = None,
+    calibrate: bool | None = None,
+    csls: int = 0,
+) -> Result:
+    """Measure recall and AP of a model on a data set by the published protocol, as the command `lpn evaluate` does.
+
+    Args:
+        model: a model, or what `load` opens.
+        data: a data set, or its folder.
+        task: such as "drone-to-satellite"; by default the first that data set and model offer.
+        protocol: changes, parts, and the like, see `lpn.retrieval.protocol.Protocol`.
+        calibrate: see `open_task`.
+        csls: see `open_task`; 0 leaves it to the protocol.
+
+    Raises:
+        LPNError: when an argument is wrong, or model or data set cannot be used.
+    """
+    from dataclasses import replace
+
+    from lpn.descriptors import descriptor_reader
+    from lpn.retrieval.evaluate import evaluate
+    from lpn.retrieval.protocol import Protocol
+    from lpn.tasks.evaluation import protocol_calibration
+    from lpn.tasks.opening import choose_task
+
+    if protocol is not None and not isinstance(protocol, Protocol):
+        raise InputError(
+            f"The protocol is of the type {type(protocol).__name__}; expected an lpn.retrieval.protocol.Protocol."
+        )
+    opened, dataset = _opened_model(model)[0], _opened_data(data)
+    chosen = choose_task(opened, dataset, task)
+    protocol = protocol or Protocol()
+    protocol = replace(protocol, csls=csls or protocol.csls)
+    calibration = protocol_calibration(opened, dataset, protocol, calibrate)
+    return evaluate(opened, dataset, chosen, protocol, descriptor_reader(dataset.root), calibration)
+
+
+def open_task(
+    data: Dataset | str | Path,
+    task: TaskName | None = None,
+    model: Model | str | Path = "city-lpn",
+    calibrate: bool | None = None,
+    csls: int = 0,
+) -> Task:
     """Open a task of a data set under a model: its queries and gallery are described, or read from the cache.
 
     Args:
-        data: a data set in any layout of docs/data.md.
+        data: a data set, or its folder in any layout of docs/data.md.
         task: such as "drone-to-satellite"; by default the first that data set and model offer.
         model: a model, or what `load` opens.
+        calibrate: True calibrates the model on the pictures of all tasks, without labels, or takes the calibration that ships
+            with the data set; False does not; None does where one ships.
+        csls: re-rank by CSLS over this many nearest queries of each tile, such as 3; 0 does not.
 
     Raises:
-        LPNError: when model or data set cannot be used, or they do not offer the task.
+        LPNError: when an argument is wrong, model or data set cannot be used, or they do not offer the task.
     """
-    from lpn.core.files import printable
-    from lpn.datasets import open_dataset
-    from lpn.models.base import Model
     from lpn.sources import open_data
 
-    opened = model if isinstance(model, Model) else load(model)
-    name = opened.contract.method if isinstance(model, Model) else Path(model).name
-    return open_data(opened, printable(name), open_dataset(Path(data)), task).task
+    return open_data(*_opened_model(model), _opened_data(data), task, calibrate, csls).task
+
+
+def _opened_model(model: object) -> tuple[Model, str]:
+    """Return a model with its name to display."""
+    from lpn.core.files import printable
+    from lpn.models.base import Model
+
+    if isinstance(model, Model):
+        return model, printable(model.contract.method)
+    if isinstance(model, str | Path):
+        return load(model), printable(Path(model).name)
+    raise InputError(
+        f"The model is of the type {type(model).__name__}; expected a model, its file, or a name of lpn models."
+    )
+
+
+def _opened_data(data: object) -> Dataset:
+    from lpn.datasets import Dataset, open_dataset
+
+    if isinstance(data, Dataset):
+        return data
+    if isinstance(data, str | Path):
+        return open_dataset(Path(data))
+    raise InputError(
+        f"The data set is of the type {type(data).__name__}; expected its folder, or what lpn.open_dataset opens."
+    )
 
 
 def explore(
@@ -194,6 +268,8 @@ def explore(
     data: str | Path | None = None,
     host: str = "127.0.0.1",
     port: int = 0,
+    calibrate: bool | None = None,
+    csls: int = 0,
 ) -> ServedPage:
     """Serve a model on a data set to a browser, as the command `lpn explore` does, while the program goes on.
 
@@ -205,9 +281,10 @@ def explore(
     The server ends with the page's `close()`, or with the process, such as the notebook's kernel.
 
     Args:
-        model: a model, what `load` opens, or an opened task, which has its data; by default the demo's.
+        model: a model, what `load` opens, or an opened task, which has its data and scoring; by default city-lpn, which ships.
         data: a data set in any layout of docs/data.md; by default the demo's.
         host, port: the address to listen on; 0 is any free port.
+        calibrate, csls: how the page ranks when it opens, see `open_task`.
 
     Raises:
         LPNError: when model, data set, or address cannot be used.
@@ -220,5 +297,6 @@ def explore(
     if point is None:
         raise MissingPackageError("The explorer is not installed; pip install lpn-explorer.")
     source = Path(model) if isinstance(model, str) else model
-    page: ServedPage = point.load().in_background(source, None if data is None else Path(data), host, port)
+    root = None if data is None else Path(data)
+    page: ServedPage = point.load().in_background(source, root, host, port, calibrate, csls)
     return page

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from threading import Lock
 
@@ -64,9 +64,3 @@ def choices(rankings: Mapping[str, RankingJob], name: str) -> list[Choice]:
         recall = ranking.results["recall@1"] if ranking is not None and graded else None
         offered.append(Choice(scoring, TERMS[scoring], recall, ranking is not None))
     return offered
-
-
-def best(choices: Sequence[Choice]) -> Scoring | None:
-    """Return the scoring with the highest measured Recall@1, the plainer on ties; None if nothing is measured."""
-    measured = [choice for choice in choices if choice.recall is not None]
-    return max(measured, key=lambda choice: choice.recall or 0.0).scoring if measured else None

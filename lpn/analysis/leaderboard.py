@@ -6,6 +6,7 @@ import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,9 @@ from lpn.core.progress import Progress
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
-from lpn.descriptors.transforms import Change
+from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
+from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol
 from lpn.retrieval.sides import TaskPictures
@@ -178,6 +180,8 @@ def leaderboard(
     seed: int = 0,
     resamples: int = RESAMPLES,
     on_progress: Progress | None = None,
+    calibrations: Mapping[str, Calibration | None] = MappingProxyType({}),
+    csls: int = 0,
 ) -> Leaderboard:
     """Measure models on all tasks of a data set that all of them know, on the full gallery and without distractors.
 
@@ -187,6 +191,8 @@ def leaderboard(
         turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
         weathers: measure the ten weathers of University-WX as well.
         seed, resamples: of the bootstrap, see `model_table`.
+        calibrations: of the calibrated models.
+        csls: K of CSLS; 0 ranks without it.
 
     Raises:
         InputError: when no task is known to all models, or a measure is not possible on one of them.
@@ -210,8 +216,9 @@ def leaderboard(
         if on_progress is not None:
             on_progress("measures", done, stages)
 
-    def figures(model: Model, task: str, protocol: Protocol) -> RecallAndAP:
-        result = evaluate(model, dataset, task, protocol, read)
+    def figures(name: str, task: str, change: Change = UNCHANGED, parts: tuple[int, ...] | None = None) -> RecallAndAP:
+        protocol = Protocol(change, parts, csls=csls)
+        result = evaluate(models[name], dataset, task, protocol, read, calibrations.get(name))
         return result.recall["1"], result.ap
 
     facts = {}
@@ -226,22 +233,24 @@ def leaderboard(
         if has_distractors(TaskPictures.of(dataset, task)):
             galleries.append("without-distractors")
         for gallery in galleries:
-            ranked = [rank_model(model, name, dataset, task, gallery, read) for name, model in models.items()]
+            ranked = [
+                rank_model(model, name, dataset, task, gallery, read, calibrations.get(name), csls)
+                for name, model in models.items()
+            ]
             tables.append(compare(ranked, seed, resamples))
         for name, model in models.items():
             report()
             if model.n_parts > 1:
-                alone = {
-                    str(part): figures(model, task, Protocol(parts=(part,))) for part in range(1, model.n_parts + 1)
-                }
-                parts.setdefault(task, {})[name] = {**alone, "all": figures(model, task, Protocol())}
+                alone = {str(part): figures(name, task, parts=(part,)) for part in range(1, model.n_parts + 1)}
+                parts.setdefault(task, {})[name] = {**alone, "all": figures(name, task)}
             for degrees in turns:
-                change = Change(rotate=float(degrees))
-                turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(model, task, Protocol(change))
+                turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(
+                    name, task, Change(rotate=float(degrees))
+                )
                 report()
     of_weathers, flown = {}, [task for task in tasks if set(views_of(task)) != {"satellite"}]
     for name, model in models.items() if weathers else ():
-        of_weathers[name] = evaluate_weathers(model, dataset, flown)
+        of_weathers[name] = evaluate_weathers(model, dataset, flown, Protocol(csls=csls), calibrations.get(name))
         report()
     return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
 

@@ -27,6 +27,7 @@ from lpn.datasets import Dataset, geo
 from lpn.descriptors import Reader, cached_descriptors
 from lpn.models.base import Model
 from lpn.retrieval import csls, metrics
+from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.evaluate import FULL, WITHOUT
 from lpn.retrieval.published_results import PublishedResult, published_pictures
 from lpn.retrieval.sides import TaskPictures
@@ -242,18 +243,17 @@ def rank_model(
     task: str,
     gallery: GalleryChoice = "full",
     read: Reader = cached_descriptors,
-    calibrated: bool = False,
+    calibration: Calibration | None = None,
     neighbours: int = 0,
 ) -> RankedModel:
     """Rank a task by a model; queries whose truth is not known are left out.
 
     Args:
-        calibrated: calibrate the model on the task's pictures first, see `lpn.retrieval.calibration`.
+        calibration: the model's, see `lpn.tasks.opening.task_calibration`; None ranks plain.
         neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
 
     Raises:
-        InputError: when the data set lacks the task, the model a view, the gallery has no distractors to leave out, or a
-            calibration is not possible.
+        InputError: when the data set lacks the task, the model a view, the gallery distractors to leave out, or CSLS queries.
         DataError: when the test split is incomplete.
     """
     pictures = TaskPictures.of(dataset, task)
@@ -261,8 +261,8 @@ def rank_model(
         model.check_view(view)
     if neighbours:
         csls.check_neighbours(neighbours, len(pictures.queries))
-    sides = pictures.described(model.for_task(*pictures.views), read, calibrated=calibrated)
-    compared = csls.scaled(sides.query, sides.gallery, neighbours) if neighbours else (sides.query, sides.gallery)
+    sides = pictures.described(model.for_task(*pictures.views), read, calibration=calibration)
+    compared = csls.scaled(*sides, neighbours) if neighbours else sides
     return _ranked(name, dataset.root, pictures, gallery, compared, pictures.labels)
 
 

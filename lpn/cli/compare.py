@@ -16,6 +16,8 @@ from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
     Arrays,
+    CalibrateOption,
+    CslsOption,
     Flown,
     Indexed,
     ModelOptions,
@@ -31,6 +33,7 @@ if TYPE_CHECKING:
     from lpn.analysis.model_table import ModelTable, RankedModel
     from lpn.core.consoles import Console
     from lpn.models.base import Model
+    from lpn.retrieval.calibration import Calibration
 
 
 @dataclass(kw_only=True)
@@ -237,7 +240,8 @@ class ComparisonOfFlights(ComparisonOfSources):
 class CompareCommand(ComparisonOfSources):
     """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests.
 
-    Results of the published test code (pytorch_result.mat) may stand among the models.
+    Results of the published test code (pytorch_result.mat) may stand among the models. One model with --calibrate or --csls is
+    compared with itself, ranked plain.
     """
 
     SOURCES: ClassVar[dict[str, type[ComparisonOfSources]]] = {
@@ -254,11 +258,8 @@ class CompareCommand(ComparisonOfSources):
     """Views of query and gallery; by default the first task of the data set."""
     gallery: Literal["full", "without-distractors"] = "full"
     """The gallery that all of them rank: full (as LPN and FSRA do), or without-distractors (as Sample4Geo and DAC do)."""
-    calibrate: bool = False
-    """Rank with each model calibrated on the pictures without labels as well (docs/evaluation.md); a row of its own."""
-    csls: int = 0
-    """Rank with each model, calibrated if --calibrate is given, by CSLS over this many nearest queries as well, such as 3
-    (docs/evaluation.md); a row of its own. 0 for none."""
+    calibrate: CalibrateOption = None
+    csls: CslsOption = 0
     page: Path | None = None
     """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
     Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
@@ -279,22 +280,31 @@ class CompareCommand(ComparisonOfSources):
         from lpn.analysis.leaderboard import leaderboard
         from lpn.core.consoles import stage_bars
         from lpn.datasets import open_dataset
+        from lpn.tasks.opening import alike_calibrations
 
-        if self.calibrate or self.csls or self.task or self.gallery != "full":
-            raise InputError(
-                "A page has all tasks and galleries, ranked plainly; leave --task, --gallery, --calibrate, and --csls out."
-            )
+        if self.task or self.gallery != "full":
+            raise InputError("A page has all tasks and galleries; leave --task and --gallery out.")
         models, sizes = _networks(page, self.comparison, self.models)
+        dataset = open_dataset(self.data)
+        calibrations = alike_calibrations(list(models.values()), dataset, self.calibrate)
+        titles = {
+            name: _scored_name(name, calibration, self.csls)
+            for name, calibration in zip(models, calibrations, strict=True)
+        }
+        models = {titles[name]: model for name, model in models.items()}
+        sizes = {titles[name]: size for name, size in sizes.items()}
         with stage_bars("Taking {}") as on_progress:
             board = leaderboard(
                 models,
                 sizes,
-                open_dataset(self.data),
+                dataset,
                 self.turns,
                 self.weathers,
                 self.comparison.seed,
                 self.comparison.resamples,
                 on_progress,
+                dict(zip(models, calibrations, strict=True)),
+                self.csls,
             )
         _write_page(board, page, self.comparison.json)
 
@@ -303,16 +313,15 @@ class CompareCommand(ComparisonOfSources):
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
+        from lpn.tasks.opening import alike_calibrations
 
-        if self.csls < 0:
-            raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
         files = self.models.models
         if not files or (len(files) < 2 and not self.calibrate and not self.csls):
             raise InputError(
                 f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(files)}."
             )
         models = self.models.options()
-        saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
+        saved = [name for name, model in models.items() if model.file.suffix.lower() == ".mat"]
         if saved and (self.calibrate or self.csls):
             raise InputError(
                 f"{saved[0]} holds descriptors, not pictures, so it can be neither calibrated nor ranked anew; leave it, or "
@@ -321,26 +330,32 @@ class CompareCommand(ComparisonOfSources):
         dataset = open_dataset(self.data)
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
+        networks = {name: options.load() for name, options in models.items() if name not in saved}
+        calibrated = alike_calibrations(list(networks.values()), dataset, False if saved else self.calibrate)
+        calibrations = dict(zip(networks, calibrated, strict=True))
+        read = descriptor_reader(dataset.root)
         for name, options in models.items():
             if name in saved:
                 if options.kind is not None:
                     raise InputError(
                         f"{name} holds descriptors and needs no kind; give auto in place of {options.kind}."
                     )
-                result = rank_published(load_saved(options.model), name, dataset, self.gallery)
+                result = rank_published(load_saved(options.file), name, dataset, self.gallery)
                 if result.task != task:
                     raise InputError(f"{name} is a result of {result.task}; expected {task}, so choose it with --task.")
                 yield result
             else:
-                model = options.load()
-                read = descriptor_reader(dataset.root)
-                rows = {name: (False, 0)}
-                if self.calibrate:
-                    rows[f"{name}, calibrated"] = (True, 0)
-                if self.csls:
-                    rows[f"{list(rows)[-1]}, CSLS"] = (self.calibrate, self.csls)
-                for title, (calibrated, neighbours) in rows.items():
-                    yield rank_model(model, title, dataset, task, self.gallery, read, calibrated, neighbours)
+                scored = (calibrations[name], self.csls)
+                # One model is compared with itself, ranked plain.
+                rows = [scored] if len(models) > 1 else dict.fromkeys([(None, 0), (scored[0], 0), scored])
+                for calibration, csls in rows:
+                    title = _scored_name(name, calibration, csls)
+                    yield rank_model(networks[name], title, dataset, task, self.gallery, read, calibration, csls)
+
+
+def _scored_name(name: str, calibration: Calibration | None, csls: int) -> str:
+    """Return a model's name with how it is ranked."""
+    return name + (", calibrated" if calibration else "") + (", CSLS" if csls else "")
 
 
 def _networks(
@@ -353,12 +368,12 @@ def _networks(
     if options.table is not None:
         raise InputError("--table and --page are both given, and a page has tables of its own; leave one of them out.")
     models = compared.options()
-    saved = [name for name, model in models.items() if model.model.suffix.lower() == ".mat"]
+    saved = [name for name, model in models.items() if model.file.suffix.lower() == ".mat"]
     if saved:
         raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
     _check_several(len(models))
     check_outputs((page, ".html", ".htm", ".md", ".tex"), (options.json, ".json"))
-    files = {name: model_file(model.model) for name, model in models.items()}
+    files = {name: model_file(model.file) for name, model in models.items()}
     sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
     return {name: model.load() for name, model in models.items()}, sizes
 

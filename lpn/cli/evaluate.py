@@ -6,14 +6,14 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
 from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
 from lpn.descriptors.weather import WeatherName
-from lpn.sources import Arrays, Data, Flown, Indexed, KindOption, PoolingOption, ProviderOption, Published
+from lpn.sources import Arrays, CslsOption, Data, Flown, Indexed, KindOption, PoolingOption, ProviderOption, Published
 from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
@@ -23,11 +23,15 @@ if TYPE_CHECKING:
     from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
     from lpn.maps import Map
     from lpn.models.base import Model
+    from lpn.retrieval.calibration import Calibration
     from lpn.retrieval.evaluate import Result
     from lpn.retrieval.protocol import Protocol
     from lpn.retrieval.weathers import WeatherResult
 
 log = logging.getLogger(__name__)
+
+# Tiles that --per-query lists.
+_LISTED = 10
 
 
 @dataclass(kw_only=True)
@@ -52,14 +56,8 @@ class RankingOptions:
 
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
-    centre: bool = False
-    """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
-    no labels, and makes up for places and cameras that differ from those of the training."""
-    csls: int = 0
-    """Re-rank by CSLS over this many nearest queries of each tile, such as 3: tiles that are near to all queries move away. It
-    needs no labels, but all queries together; see docs/evaluation.md. 0 for none."""
 
-    def protocol(self, changes: ChangeOptions | None = None, calibrate: bool = False) -> Protocol:
+    def protocol(self, csls: int, changes: ChangeOptions | None = None) -> Protocol:
         """Return the protocol of these options.
 
         Raises:
@@ -69,17 +67,24 @@ class RankingOptions:
         from lpn.descriptors.weather import Weather
         from lpn.retrieval.protocol import Protocol
 
-        if self.csls < 0:
-            raise InputError(f"--csls is {self.csls}; expected a number of nearest queries, such as 3, or 0.")
         parts, changed = _numbers(self.parts), changes or ChangeOptions()
         name: WeatherName = "normal" if changed.weather == "all" else changed.weather
-        return Protocol(
-            Change(changed.rotate, changed.shift, changed.scale, weather=Weather(name)),
-            None if parts is None else tuple(parts),
-            centre=self.centre,
-            calibrate=calibrate,
-            csls=self.csls,
-        )
+        change = Change(changed.rotate, changed.shift, changed.scale, weather=Weather(name))
+        return Protocol(change, None if parts is None else tuple(parts), csls=csls)
+
+
+@dataclass(kw_only=True)
+class DescriptorOptions(RankingOptions):
+    """The descriptors that are compared."""
+
+    centre: bool = False
+    """Subtract the mean descriptor of all queries from each query, and that of the gallery from each tile, part by part. It needs
+    no labels, and makes up for places and cameras that differ from those of the training."""
+    csls: CslsOption = 0
+
+    def saved_protocol(self) -> Protocol:
+        """Return the protocol of these options, see `protocol`."""
+        return replace(self.protocol(self.csls), centre=self.centre)
 
 
 @dataclass(kw_only=True)
@@ -111,13 +116,13 @@ class EvaluationOfPublished(EvaluationOfSource):
     """Result of the published test code, pytorch_result.mat."""
     n_parts: int | None = None
     """Number of parts of its descriptors; needed with --parts and --centre."""
-    ranking: RankingOptions = field(default_factory=RankingOptions)
+    ranking: DescriptorOptions = field(default_factory=DescriptorOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
         from lpn.retrieval.published_results import check_n_parts, load_saved
 
-        protocol = self.ranking.protocol()
+        protocol = self.ranking.saved_protocol()
         if protocol.centre and self.n_parts is None:
             raise InputError(
                 "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
@@ -132,12 +137,12 @@ class EvaluationOfArrays(EvaluationOfSource):
     """Measure recall and AP of descriptors that any model made."""
 
     source: Arrays
-    ranking: RankingOptions = field(default_factory=RankingOptions)
+    ranking: DescriptorOptions = field(default_factory=DescriptorOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_descriptors
 
-        source, protocol = self.source, self.ranking.protocol()
+        source, protocol = self.source, self.ranking.saved_protocol()
         if source.paths is None:
             raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
         arrays = source.load()
@@ -312,39 +317,60 @@ class EvaluateCommand(EvaluationOfSource):
     source: Data
     changes: ChangeOptions = field(default_factory=ChangeOptions)
     ranking: RankingOptions = field(default_factory=RankingOptions)
+    per_query: Path | None = None
+    """File to write a line for each query to, as CSV: its rank, AP, and the names and scores of the ten nearest tiles."""
 
     def run(self) -> None:
-        if self.changes.weather == "all":
+        from lpn.core.files import check_outputs
+
+        check_outputs((self.json, ".json"), (self.per_query, ".csv"))
+        if self.changes.weather != "all":
+            super().run()
+        elif self.per_query is None:
             self._run_weathers()
         else:
-            super().run()
+            raise InputError(
+                "--per-query lists the queries in one weather; choose one with --weather, or leave it out."
+            )
 
     def _run_weathers(self) -> None:
-        from lpn.core.files import check_outputs, write_json
+        from lpn.core.files import write_json
         from lpn.retrieval.weathers import evaluate_weathers
 
-        check_outputs((self.json, ".json"))
-        model, dataset, tasks, title = self._opened()
-        result = evaluate_weathers(model, dataset, tasks, self.ranking.protocol(self.changes, self.source.calibrate))
+        model, dataset, tasks, title, protocol, calibration = self._opened()
+        result = evaluate_weathers(model, dataset, tasks, protocol, calibration)
         _print_weathers(title, result)
         if self.json is not None:
             write_json(self.json, result.to_dict())
 
     def _evaluate(self) -> tuple[str, Result]:
+        from lpn.core.files import write_atomic
+        from lpn.core.views import views_of
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.evaluate import evaluate
 
-        protocol = self.ranking.protocol(self.changes, self.source.calibrate)
-        model, dataset, tasks, title = self._opened()
-        return title, evaluate(model, dataset, tasks[0], protocol, descriptor_reader(dataset.root))
+        model, dataset, (task, *_), title, protocol, calibration = self._opened()
+        depth = 0 if self.per_query is None else _LISTED
+        result = evaluate(model, dataset, task, protocol, descriptor_reader(dataset.root), calibration, depth)
+        if self.per_query is not None and result.per_query is not None:
+            sides = dataset.queries(views_of(task)[0]), dataset.gallery(views_of(task)[1])
+            names = ([picture.name for picture in side] for side in sides)
+            write_atomic(self.per_query, result.per_query.to_csv(*names))
+        return title, result
 
-    def _opened(self) -> tuple[Model, Dataset, list[str], str]:
-        """Open model and data set; return them, the task and, unless one is given, its reverse if offered, and the title."""
+    def _opened(self) -> tuple[Model, Dataset, list[str], str, Protocol, Calibration | None]:
+        """Open model and data set.
+
+        Returns:
+            Both, the task and, unless one is given, its reverse if offered, the title, the protocol, and the calibration.
+        """
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset
+        from lpn.tasks.evaluation import protocol_calibration
         from lpn.tasks.opening import no_task_error, offered_tasks
 
         source = self.source
+        protocol = self.ranking.protocol(source.csls, self.changes)
         model, dataset = source.model.load(), open_dataset(source.data)
         tasks = offered_tasks(model, dataset)
         if source.task is None and not tasks:
@@ -354,7 +380,8 @@ class EvaluateCommand(EvaluationOfSource):
         reverse = [
             name for name in tasks if source.task is None and views_of(name) == views_of(task)[::-1] != views_of(task)
         ]
-        return model, dataset, [task, *reverse], title
+        calibration = protocol_calibration(model, dataset, protocol, source.calibrate)
+        return model, dataset, [task, *reverse], title, protocol, calibration
 
 
 def _print_result(title: str, result: Result) -> None:

@@ -8,18 +8,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import lpn
-from lpn.core.arrays import Float32Array
+from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import signed
 from lpn.core.views import View
-from lpn.sources import KindOption, PoolingOption
+from lpn.sources import CalibrateOption, CslsOption, KindOption, PoolingOption
 
 if TYPE_CHECKING:
     from lpn.core.consoles import Console
     from lpn.explain import Evidence
     from lpn.models.base import Model
     from lpn.retrieval import DescribedPicture
+    from lpn.retrieval.calibration import Calibration
+    from lpn.tasks.task import Task
 
 
 @dataclass
@@ -40,6 +42,10 @@ class ExplainCommand:
     """View of the tile."""
     rotate: float = 0.0
     """Degrees counter-clockwise by which the query is rotated first."""
+    data: Path | None = None
+    """Data set of the pair, for --calibrate and --csls."""
+    calibrate: CalibrateOption = None
+    csls: CslsOption = 0
     weights: str | None = None
     """Weight of each part, such as 1,1,0,1; equal by default."""
     covering: bool = False
@@ -55,25 +61,50 @@ class ExplainCommand:
         from lpn.core import images
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
+        from lpn.datasets import open_dataset
+        from lpn.descriptors.transforms import Change
         from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
         from lpn.retrieval import scoring
+        from lpn.sources import open_data
+        from lpn.tasks.opening import task_calibration
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
+        if self.data is None and (self.calibrate or self.csls):
+            raise InputError(
+                "--calibrate and --csls take all pictures of the pair's data set; give its folder with --data."
+            )
         model, views = lpn.load(self.model, kind=self.kind, pooling=self.pooling), (self.view_query, self.view_match)
         for view in views:
             model.check_view(view)
+        task = calibration = None
+        if self.data is not None:
+            dataset = open_dataset(self.data)
+            calibration = task_calibration(model, dataset, self.calibrate)
+            if self.csls:
+                name = f"{self.view_query}-to-{self.view_match}"
+                task = open_data(model, self.model.name, dataset, name, calibration is not None, self.csls).task
+            if calibration is not None:
+                model = calibration.applied(model)
         model = model.for_task(*views)
         if not model.contract.has_cells and (self.png is not None or not self.covering):
             raise InputError(
                 f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure places instead."
             )
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
-        query = retrieval.describe_picture(model, images.load_picture(self.query), self.view_query, self.rotate)
-        tile = retrieval.describe_picture(model, images.load_picture(self.match), self.view_match)
+        pictures = images.load_picture(self.query), images.load_picture(self.match)
+        query, tile = (
+            retrieval.describe_picture(
+                model, picture, view, Change(turn, zoom=_zoom(calibration, model, file, picture, view))
+            )
+            for picture, file, view, turn in zip(
+                pictures, (self.query, self.match), views, (self.rotate, 0), strict=True
+            )
+        )
+        csls = None if task is None else _csls(task, query, tile)
         traces = None if query.trace is None or tile.trace is None else (query.trace, tile.trace)
-        evidence = None if traces is None else explain.evidence(*traces, weights)
+        evidence = None if traces is None else explain.evidence(*traces, weights, csls)
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(self.view_query)
         console = wide_console(100)
@@ -84,7 +115,8 @@ class ExplainCommand:
             of |= occlusion.to_dict(cosines, weights, losses, names)
         elif evidence is not None:
             of |= evidence.to_dict(names, model.contract.claim)
-        _show(console, cosines, weights, evidence, names, model.contract.claim)
+        taken = 0.0 if csls is None else float((csls[0] + csls[1]) @ weights)
+        _show(console, cosines, weights, taken, evidence, names, model.contract.claim)
         if evidence is not None:
             console.print(verdicts.describe_evidence(evidence, names, *views), markup=False)
         if self.json is not None:
@@ -111,6 +143,25 @@ def part_values(text: str | None) -> list[float] | None:
         raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
 
 
+def _zoom(calibration: Calibration | None, model: Model, file: Path, picture: UInt8Array, view: View) -> float:
+    """Return a picture's zoom under a calibration: its own where it took part, else the one that is chosen for it."""
+    if calibration is None:
+        return 1.0
+    zooms = {listed.resolve(): zoom for listed, zoom in calibration.zooms.get(view, {}).items()}
+    return zooms.get(file.resolve()) or calibration.own_zoom(model, picture, view)
+
+
+def _csls(task: Task, query: DescribedPicture, tile: DescribedPicture) -> tuple[Float32Array, Float32Array]:
+    """Return what CSLS over a task subtracts from the cosines of a pair for the query and for the tile, (n,) each."""
+    from lpn.retrieval import scoring
+    from lpn.retrieval.csls import CslsTerms, hubness
+
+    queries, tiles = task.sides()
+    of_tile = task.contract.n_parts * hubness(queries, tile.descriptor[None], task.neighbours)
+    cosines = scoring.part_cosines(query.descriptor, tiles)
+    return CslsTerms.of_query(cosines, of_tile, task.neighbours).query, of_tile[0]
+
+
 def _losses(
     model: Model, query: DescribedPicture, view: View, tile: DescribedPicture, console: Console
 ) -> Float32Array:
@@ -130,14 +181,16 @@ def _show(
     console: Console,
     cosines: Float32Array,
     weights: Float32Array,
+    csls: float,
     evidence: Evidence | None,
     names: Sequence[str],
     claim: str,
 ) -> None:
     from rich.table import Table
 
-    score = float(cosines @ weights)
-    table = Table(title=f"score {score:.4f}, squared distance {2 - 2 * score:.4f} ({claim})")
+    score = float(cosines @ weights) - csls
+    taken = f"CSLS takes {csls:.4f}, " if csls else ""
+    table = Table(title=f"score {score:.4f}, {taken}squared distance {2 - 2 * score:.4f} ({claim})")
     sums = () if evidence is None else evidence.part_sums
     several = len(names) > 1
     of_part = ("part", "cosine", "weight", "adds to the score") if several else ("score",)

@@ -69,8 +69,10 @@ class FailuresOfSource(ABC):
         if RANK_A in made.columns:  # two models have a rank each
             del columns["rank"]
         _print(console, made, rows, list(columns), listing.top)
-        if task.calibration is not None:
-            console.print(f"{task.model_name} is {task.calibration.describe()}.", highlight=False, markup=False)
+        scored = [] if task.calibration is None else [task.calibration.describe()]
+        scored += [f"re-ranked by CSLS over {task.neighbours} nearest queries"] if task.neighbours else []
+        if scored:
+            console.print(f"{task.model_name} is {', '.join(scored)}.", highlight=False, markup=False)
         if len(rows):
             _print_breakdown(console, task, rows, listing.top)
         if listing.csv is not None:
@@ -105,7 +107,8 @@ class FailuresCommand(FailuresOfSource):
                     raise InputError(f"{option} needs --beside.")
             return table
         model = replace(self.source.model, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
-        second = open_first_task(replace(self.source, model=model, task=cast(TaskName, task.name)))
+        scored = replace(self.source, calibrate=task.calibration is not None)  # alike, whatever ships for either
+        second = open_first_task(replace(scored, model=model, task=cast(TaskName, task.name)))
         return table.with_columns(compared_ranks(table, second.outcomes.rank))
 
 

@@ -122,11 +122,12 @@ class Answer:
             raise InputError(f"There is no rank {rank}; the gallery has ranks 1 to {len(self.pictures)}.")
         if self.query.trace is None:
             raise InputError(f"{verdicts.no_cells(self.model.contract)} Its answers have no figure.")
-        picture = self.pictures[int(self.ranking.order[rank - 1])].load()
+        index = int(self.ranking.order[rank - 1])
+        picture = self.pictures[index].load_zoomed()
         tile = retrieval.describe_picture(self.model, picture, self.views[1])
         assert tile.trace is not None  # cells are of the model, not of a view
         return (
-            explain.evidence(self.query.trace, tile.trace, self.ranking.weights),
+            explain.evidence(self.query.trace, tile.trace, self.ranking.weights, self.ranking.csls_of(index)),
             tile,
             (self.query.trace, tile.trace),
         )

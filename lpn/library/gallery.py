@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
@@ -18,49 +18,87 @@ from lpn.datasets import Picture
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.library.answer import Answer
 from lpn.models.base import Model
-from lpn.retrieval import scoring
+from lpn.retrieval import calibration, scoring
+from lpn.retrieval.calibration import Calibration
+from lpn.retrieval.csls import CslsTerms
+from lpn.retrieval.csls import hubness as hubness_of
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Gallery:
     """Pictures of one view with their descriptors; its length is their number.
 
     Attributes:
-        model: it describes the queries.
+        model: it describes the queries, calibrated as the gallery is.
         view: of the pictures.
         pictures: in the order of their paths.
         descriptors: of the pictures, (G, n, D).
+        calibration: the model's; None without one.
+        neighbours: K of CSLS; 0 ranks without it.
+        hubness: the pictures' terms of CSLS, see `CslsTerms`, (G, n); None without it.
     """
 
     model: Model
     view: View
     pictures: tuple[Picture, ...]
     descriptors: Float32Array
+    calibration: Calibration | None = None
+    neighbours: int = 0
+    hubness: Float32Array | None = None
 
     @classmethod
-    def of_folder(cls, folder: str | Path, model: Model | str | Path, view: View = "satellite") -> Self:
+    def of_folder(
+        cls,
+        folder: str | Path,
+        model: Model | str | Path,
+        view: View = "satellite",
+        queries: str | Path | None = None,
+        query_view: View = "drone",
+        calibrate: bool | None = None,
+        csls: int = 0,
+    ) -> Self:
         """Describe all pictures below a folder; their descriptors are kept in the user's cache.
 
         Args:
             folder: it is searched to any depth; a picture's name is its path below it.
             model: a model, or what `lpn.load` opens, such as the name of one that ships.
             view: of the pictures, "satellite", "street", or "drone".
+            queries: a folder of pictures such as will be searched for, which `calibrate` and `csls` take; no labels are needed.
+            query_view: of those.
+            calibrate, csls: see `lpn.open_task`; nothing ships with a folder.
 
         Raises:
             DataError: if there is no such folder, or it holds no picture.
             PictureError: if pictures are broken.
-            InputError: if the model lacks the view.
+            InputError: if the model lacks a view, or the queries are missing, not needed, or too few.
             StoreError: if the cache cannot be written.
             LPNError: if the model cannot be opened, see `lpn.load`.
         """
         opened = model if isinstance(model, Model) else lpn.load(model)
-        bound = opened.in_role(view, "gallery" if opened.contract.roles == "role" else None)
-        files = descriptors.pictures_below(folder)
-        pictures = [Picture(file, label, file.relative_to(folder).as_posix()) for label, file in enumerate(files)]
-        return cls(opened, view, tuple(pictures), descriptors.cached_descriptors(bound, pictures, view))
+        pictures = _listed(folder)
+        if (queries is not None) != bool(calibrate or csls):
+            raise InputError(
+                "calibrate and csls take pictures such as will be searched for, and nothing else does; give their folder as "
+                "queries with one of both, or leave all three out."
+            )
+        if queries is None:
+            bound = opened.in_role(view, "gallery" if opened.contract.roles == "role" else None)
+            return cls(opened, view, tuple(pictures), descriptors.cached_descriptors(bound, pictures, view))
+        bound, asked, made = opened.for_task(query_view, view), _listed(queries), None
+        if calibrate:
+            made = calibration.calibrate(bound, {query_view: [asked], view: [pictures]})
+        read = descriptors.cached_descriptors if made is None else made.read
+        tiles = read(bound, pictures, view)
+        hubness = bound.n_parts * hubness_of(read(bound, asked, query_view), tiles, csls) if csls else None
+        if made is not None:
+            opened, pictures = made.applied(opened), made.pictures(view, pictures)
+        return cls(opened, view, tuple(pictures), tiles, made, csls, hubness)
 
     def __len__(self) -> int:
         return len(self.pictures)
+
+    def __repr__(self) -> str:
+        return f"<Gallery of {len(self):,} {self.view} pictures, {self.model.describe()}>"
 
     def search(
         self,
@@ -78,8 +116,8 @@ class Gallery:
             change: applied to the picture first; a number turns it by that many degrees counter-clockwise.
 
         Raises:
-            InputError: if the picture has another shape, the model lacks the view, there are not n weights, or the change
-                leaves nothing of the picture.
+            InputError: if the picture has another shape, the model lacks the view, the gallery is calibrated for another, there
+                are not n weights, or the change leaves nothing of the picture.
         """
         if not isinstance(picture, np.ndarray) or picture.dtype != np.uint8 or picture.shape[2:] != (3,):
             kind = f"{picture.dtype} {picture.shape}" if isinstance(picture, np.ndarray) else type(picture).__name__
@@ -87,6 +125,17 @@ class Gallery:
         self.model.check_view(view)
         model = self.model.for_task(view, self.view)
         part_weights = scoring.part_weights(model.n_parts, weights)
-        query = retrieval.describe_picture(model, picture, view, change)
-        cosines = scoring.part_cosines(query.descriptor, self.descriptors)
-        return Answer(model, (view, self.view), query, self.pictures, retrieval.rank(cosines, part_weights))
+        change, zoom = change if isinstance(change, Change) else Change(rotate=change), 1.0
+        if self.calibration is not None:
+            zoom = self.calibration.own_zoom(model, picture, view)
+        query = retrieval.describe_picture(model, picture, view, replace(change, zoom=zoom))
+        cosines, terms = scoring.part_cosines(query.descriptor, self.descriptors), None
+        if self.hubness is not None:
+            terms = CslsTerms.of_query(cosines, self.hubness, self.neighbours)
+        return Answer(model, (view, self.view), query, self.pictures, retrieval.rank(cosines, part_weights, csls=terms))
+
+
+def _listed(folder: str | Path) -> list[Picture]:
+    """Return the pictures below a folder, each with a label of its own."""
+    files = descriptors.pictures_below(folder)
+    return [Picture(file, label, file.relative_to(folder).as_posix()) for label, file in enumerate(files)]

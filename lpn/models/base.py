@@ -75,6 +75,9 @@ class Model(ABC):
         precision = "" if self.precision == "float32" else f", {self.precision}"
         return self.contract.title + precision + ("" if self.device == "cpu" else f", on {self.device}")
 
+    def __repr__(self) -> str:
+        return f"<{self.describe()}>"
+
     @property
     def n_parts(self) -> int:
         """The number of parts n of a descriptor."""

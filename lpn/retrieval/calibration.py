@@ -134,7 +134,14 @@ class Calibration:
 
         Args:
             model: with or without the calibration.
+
+        Raises:
+            InputError: if pictures of the view took no part.
         """
+        if view not in self.zooms:
+            raise InputError(
+                f"The calibration is for {' and '.join(self.zooms)} pictures, and this one is of {view}; change the view."
+            )
         if view != "drone" or not self.levels:
             return next(iter(self.zooms[view].values()))
         plain, best, most = model.centred({}), 1.0, -np.inf

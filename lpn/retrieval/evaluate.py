@@ -24,6 +24,7 @@ from lpn.descriptors.weather import CLEAR
 from lpn.models.base import Model
 from lpn.retrieval import csls, field_metrics, metrics, transfer
 from lpn.retrieval.calibration import Calibration
+from lpn.retrieval.per_query import PerQuery
 from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
 from lpn.retrieval.published_results import PublishedResult
 from lpn.retrieval.sides import TaskPictures
@@ -92,7 +93,8 @@ class Result:
         groups: the same figures for each group of the data set's pictures, such as each height; see `Dataset.group_name`.
         group_name: what the groups are; empty without groups.
         measures: the field's further metrics by their keys, see `field_figures`; empty where the data set has none.
-        calibration: the model's, if the protocol asks for one.
+        calibration: the model's; None without one.
+        per_query: what `evaluate` ranked for each query, if it was asked to.
     """
 
     galleries: tuple[Figures, ...]
@@ -108,6 +110,7 @@ class Result:
     group_name: str = ""
     measures: Mapping[str, float] = field(default_factory=dict)
     calibration: Calibration | None = None
+    per_query: PerQuery | None = None
 
     @property
     def recall(self) -> dict[str, float]:
@@ -186,12 +189,16 @@ def evaluate(
     task: str,
     protocol: Protocol | None = None,
     read: descriptors.Reader = descriptors.cached_descriptors,
+    calibration: Calibration | None = None,
+    depth: int = 0,
 ) -> Result:
     """Evaluate one task, such as "drone-to-satellite".
 
     Args:
         protocol: the published protocol by default.
         read: returns descriptors; by default from the user's cache, which receives new ones.
+        calibration: the model's, see `lpn.tasks.opening.task_calibration`; None ranks plain.
+        depth: number of nearest tiles of each query in `Result.per_query`; 0 for none.
 
     Raises:
         InputError: when the data set lacks the task, the model a view, or a part does not exist.
@@ -227,15 +234,14 @@ def evaluate(
     gallery_change = Change(released=protocol.released)
     if _falls_on_gallery(pictures.views):
         change, gallery_change = replace(change, weather=CLEAR), replace(gallery_change, weather=change.weather)
-    if protocol.calibrate and (protocol.branch or protocol.centre or protocol.released):
+    if calibration is not None and (protocol.branch or protocol.centre or protocol.released):
         raise InputError(
             "A calibration centres each view, takes its own branch, and is ours; leave --centre, another branch, and the "
             "released protocol out."
         )
     if protocol.released and truth is not None and task == "street-to-street":
         return _carried(model, pictures, truth, protocol, started)
-    sides = pictures.described(model, read, change, gallery_change, protocol.branch, protocol.calibrate)
-    query, tiles, calibration = sides.query, sides.gallery, sides.calibration
+    query, tiles = pictures.described(model, read, change, gallery_change, protocol.branch, calibration)
     if protocol.centre:
         query, tiles = centred(query), centred(tiles)
     cropped = any(picture.box for picture in queries)
@@ -273,6 +279,9 @@ def evaluate(
         group_name=dataset.group_name,
         measures=measures,
         calibration=calibration,
+        per_query=PerQuery.of(retrieval, *protocol.compared(query, tiles), labels[1], truth, depth)
+        if depth and not protocol.average
+        else None,
     )
 
 
@@ -453,10 +462,10 @@ def evaluate_descriptors(
     """
     started = time.perf_counter()
     protocol = protocol or Protocol()
-    if protocol.change or protocol.branch or protocol.calibrate or protocol.released:
+    if protocol.change or protocol.branch or protocol.released:
         raise InputError(
-            "These are descriptors, not pictures: weather, rotation, shift, scale, branch, the released protocol, and "
-            "calibration need a model and a data set; leave them out."
+            "These are descriptors, not pictures: weather, rotation, shift, scale, branch, and the released protocol need a "
+            "model and a data set; leave them out."
         )
     query, tiles = (centred(side) for side in sides) if protocol.centre else sides
     stated = [*clauses, *([CENTRED] if protocol.centre else [])]

@@ -26,7 +26,6 @@ class Protocol:
         branch: the branch that describes both sides, None for each view's own (Table VI).
         average: average the queries of one place into one.
         centre: subtract the mean of the queries' descriptors from each query, and that of the gallery's from each tile.
-        calibrate: subtract the mean of each view, and choose the zoom, see `lpn.retrieval.calibration`.
         csls: the number of nearest queries by which CSLS re-ranks, see `lpn.retrieval.csls`; 0 for no re-ranking.
         released: read and rotate pictures as the released test code does, see `Change.released`, and carry features over to
             landmarks as released, see `lpn.retrieval.transfer`.
@@ -37,7 +36,6 @@ class Protocol:
     branch: View | None = None
     average: bool = False
     centre: bool = False
-    calibrate: bool = False
     csls: int = 0
     released: bool = False
 

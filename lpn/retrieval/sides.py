@@ -11,7 +11,7 @@ from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, labels_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.retrieval.calibration import Calibration, calibrate
+from lpn.retrieval.calibration import Calibration
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,46 +59,26 @@ class TaskPictures:
         change: Change = UNCHANGED,
         gallery_change: Change = UNCHANGED,
         branch: View | None = None,
-        calibrated: bool = False,
-    ) -> Sides:
-        """Read the descriptors of both sides.
+        calibration: Calibration | None = None,
+    ) -> tuple[Float32Array, Float32Array]:
+        """Read the descriptors of both sides, (Q, n, D) and (G, n, D).
 
         Args:
             model: that of the task, see `Model.for_task`, unless there is a branch.
             read: returns descriptors.
             change, gallery_change: applied to each query, and to each gallery picture.
             branch: describes both sides; None for each view's own.
-            calibrated: calibrate the model on these pictures as they are first, see `lpn.retrieval.calibration`.
+            calibration: the model's, which has a branch for each view; None for none.
 
         Raises:
-            InputError: when a calibration is not possible.
             LPNError: when a picture cannot be read.
         """
-        if not calibrated:
-            query_branch, gallery_branch = (branch or view for view in self.views)
-            return Sides(
-                read(model, self.queries, query_branch, change),
-                read(model, self.gallery, gallery_branch, gallery_change),
+        if calibration is not None:
+            return (
+                calibration.read(model, self.queries, self.views[0], read, change),
+                calibration.read(model, self.gallery, self.views[1], read, gallery_change),
             )
-        lists: dict[View, list[Sequence[Picture]]] = {}
-        for view, pictures in zip(self.views, (self.queries, self.gallery), strict=True):
-            lists.setdefault(view, []).append(pictures)
-        calibration = calibrate(model, lists, read)
-        return Sides(
-            calibration.read(model, self.queries, self.views[0], read, change),
-            calibration.read(model, self.gallery, self.views[1], read, gallery_change),
-            calibration,
+        query_branch, gallery_branch = (branch or view for view in self.views)
+        return read(model, self.queries, query_branch, change), read(
+            model, self.gallery, gallery_branch, gallery_change
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Sides:
-    """The descriptors of queries and gallery, (Q, n, D) and (G, n, D).
-
-    Attributes:
-        calibration: the model's; None without one.
-    """
-
-    query: Float32Array
-    gallery: Float32Array
-    calibration: Calibration | None = None

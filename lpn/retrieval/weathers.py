@@ -13,6 +13,7 @@ from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
 from lpn.descriptors.weather import WEATHERS, Weather, WeatherName
 from lpn.models.base import Model
+from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.evaluate import Result, check_weather, evaluate
 from lpn.retrieval.protocol import Protocol
 
@@ -80,12 +81,14 @@ def evaluate_weathers(
     dataset: Dataset,
     tasks: Sequence[str],
     protocol: Protocol | None = None,
+    calibration: Calibration | None = None,
 ) -> WeatherResult:
     """Evaluate tasks in each of `WEATHERS`; descriptors come from the data set or the user's cache.
 
     Args:
         tasks: such as "drone-to-satellite" and its reverse; weather falls on the pictures that are no satellite tiles.
         protocol: the published protocol by default; its weather is replaced.
+        calibration: see `evaluate`.
 
     Raises:
         InputError: if a task compares tiles with tiles, or `evaluate` refuses it.
@@ -97,5 +100,6 @@ def evaluate_weathers(
     results: dict[WeatherName, dict[str, Result]] = {}
     for name in WEATHERS:
         change = replace(protocol.change, weather=Weather(name))
-        results[name] = {task: evaluate(model, dataset, task, replace(protocol, change=change), read) for task in tasks}
+        changed = replace(protocol, change=change)
+        results[name] = {task: evaluate(model, dataset, task, changed, read, calibration) for task in tasks}
     return WeatherResult(results)

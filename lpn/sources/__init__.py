@@ -10,6 +10,8 @@ from __future__ import annotations
 from lpn.sources.opened import OpenedSource
 from lpn.sources.sources import (
     Arrays,
+    CalibrateOption,
+    CslsOption,
     Data,
     Flown,
     Indexed,
@@ -22,6 +24,7 @@ from lpn.sources.sources import (
     model_names,
     of_each,
     open_data,
+    shipped_model,
 )
 
 # The sources that a word behind a command names; without a word, it is a data set.
@@ -30,6 +33,8 @@ NAMED = (Published, Arrays, Indexed, Flown)
 __all__ = [
     "NAMED",
     "Arrays",
+    "CalibrateOption",
+    "CslsOption",
     "Data",
     "Flown",
     "Indexed",
@@ -43,4 +48,5 @@ __all__ = [
     "model_names",
     "of_each",
     "open_data",
+    "shipped_model",
 ]

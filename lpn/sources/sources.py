@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -47,6 +47,35 @@ ProviderOption = Annotated[
         "Runtime's, such as coreml."
     ),
 ]
+
+CalibrateOption = Annotated[
+    bool | None,
+    tyro.conf.DisallowNone,
+    tyro.conf.arg(
+        help="Calibrate the model on the pictures of all tasks, without labels: choose the zoom at which drone pictures and "
+        "tiles show the same ground, and subtract each view's mean (docs/evaluation.md). By default only where a calibration "
+        "ships with the data set.",
+        help_behavior_hint="",
+    ),
+]
+CslsOption = Annotated[
+    int,
+    tyro.conf.arg(
+        help="Re-rank by CSLS over this many nearest queries of each tile, such as 3: tiles that are near to all queries move "
+        "away. It needs no labels, but all queries together (docs/evaluation.md). 0 for none."
+    ),
+]
+# The model of a command that names none.
+SHIPPED_MODEL = Path("city-lpn")
+
+
+def shipped_model() -> Path:
+    """Return the model of a command that names none, and say so on the terminal."""
+    from lpn.core.consoles import terminal
+
+    sentence = f"The model is {SHIPPED_MODEL}, which ships and knows a rendered city alone; --model takes another."
+    terminal().print(sentence, highlight=False, markup=False, soft_wrap=True)
+    return SHIPPED_MODEL
 
 
 def no_progress(stage: str, done: int, total: int) -> None:
@@ -91,8 +120,8 @@ def of_each(option: str, values: Sequence[str], count: int, models: str) -> list
 class ModelOptions:
     """A trained model."""
 
-    model: Path
-    """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models."""
+    model: Path | None = None
+    """Trained model: .onnx (needs no torch), .safetensors, .pth, or a name of lpn models; by default city-lpn, which ships."""
     kind: KindOption = None
     pooling: PoolingOption = None
     provider: ProviderOption = "auto"
@@ -100,13 +129,18 @@ class ModelOptions:
     @property
     def name(self) -> str:
         """The file's name and the pooling of its tokens, to display."""
-        return model_names([self.model], [self.pooling])[0]
+        return model_names([self.file], [self.pooling])[0]
+
+    @property
+    def file(self) -> Path:
+        """The model that is named, or the one that ships."""
+        return self.model or SHIPPED_MODEL
 
     def load(self) -> Model:
         """Open the model, see `lpn.load` for the errors."""
         import lpn
 
-        return lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
+        return lpn.load(self.model or shipped_model(), self.provider, kind=self.kind, pooling=self.pooling)
 
 
 def _file_names(*files: Path) -> str:
@@ -151,7 +185,8 @@ def open_data(
     model_name: str,
     dataset: Dataset,
     task: str | None = None,
-    calibrate: bool = False,
+    calibrate: bool | None = None,
+    csls: int = 0,
     every: bool = False,
     names: Sequence[str] = (),
     weights: Sequence[float] | None = None,
@@ -161,6 +196,7 @@ def open_data(
 
     Args:
         model_name: the model's name to display.
+        calibrate, csls: see `lpn.open_task`.
         every: open every task that model and data set offer, in place of one.
         names, weights: see `TaskSource.open`.
         on_progress: see `lpn.tasks.opening.describe_task`, once for each task.
@@ -169,20 +205,17 @@ def open_data(
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
     """
     from lpn.core.views import views_of
-    from lpn.tasks.opening import calibrated, choose_task, describe_task, offered_tasks
+    from lpn.tasks.opening import choose_task, describe_task, offered_tasks, task_calibration
 
     first = choose_task(model, dataset, task)
     if names:
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
-    calibration = calibrated(model, dataset) if calibrate else None
+    calibration = task_calibration(model, dataset, calibrate)
     tasks = [
-        describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress)
+        describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress, csls)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
-    if calibration is None:
-        return OpenedSource(tasks, model, model)
-    note = f"{printable(model_name)} is {calibration.describe()}."
-    return OpenedSource(tasks, calibration.applied(model), model, notes=[note])
+    return OpenedSource(tasks, model if calibration is None else calibration.applied(model), model)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,16 +226,15 @@ class Data(TaskSource):
 
     data: Path
     """Data set in any layout of docs/data.md."""
-    model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+    model: Annotated[ModelOptions, tyro.conf.arg(name="")] = field(default_factory=ModelOptions)
     task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
     """Views of query and gallery, by default the first task of the data set that the model supports."""
-    calibrate: bool = False
-    """Choose the zoom at which drone pictures and tiles show the same ground, and subtract each view's mean. It needs no labels,
-    and makes up for cameras, heights, and places that differ from those of the training; see docs/evaluation.md."""
+    calibrate: CalibrateOption = None
+    csls: CslsOption = 0
 
     @property
     def title(self) -> str:
-        return _file_names(self.model.model, self.data)
+        return _file_names(self.model.file, self.data)
 
     def open(
         self,
@@ -215,7 +247,14 @@ class Data(TaskSource):
         del on_progress
         dataset = open_dataset(self.data)
         return open_data(
-            self.model.load(), self.model.name, dataset, self.task, self.calibrate, names=names, weights=weights
+            self.model.load(),
+            self.model.name,
+            dataset,
+            self.task,
+            self.calibrate,
+            self.csls,
+            names=names,
+            weights=weights,
         )
 
 
@@ -310,7 +349,7 @@ class Indexed(TaskSource):
 
     index: str
     """Index of tiles, made by lpn index: a folder, or milvus://host:port/collection."""
-    model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+    model: Annotated[ModelOptions, tyro.conf.arg(name="")] = field(default_factory=ModelOptions)
     data: Path | None = None
     """Data set of the queries; beside --pictures the folder that the tiles' names are relative to."""
     pictures: Path | None = None
@@ -324,7 +363,7 @@ class Indexed(TaskSource):
 
     @property
     def title(self) -> str:
-        return f"{_file_names(self.model.model)} and the index"
+        return f"{_file_names(self.model.file)} and the index"
 
     def open(
         self,
@@ -381,11 +420,11 @@ class Flown(TaskSource):
     """Map under the flight: a folder of lpn map, or a georeferenced picture."""
     flight: Path
     """Flight over the map: a folder of lpn flight, or one of photos."""
-    model: Annotated[ModelOptions, tyro.conf.arg(name="")]
+    model: Annotated[ModelOptions, tyro.conf.arg(name="")] = field(default_factory=ModelOptions)
 
     @property
     def title(self) -> str:
-        return _file_names(self.model.model, self.map, self.flight)
+        return _file_names(self.model.file, self.map, self.flight)
 
     def open(
         self,

@@ -9,8 +9,12 @@ import numpy as np
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
+from lpn.datasets import Dataset
+from lpn.models.base import Model
+from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.evaluate import FULL, Figures, Result, evaluate_descriptors
 from lpn.retrieval.protocol import Protocol
+from lpn.tasks.opening import task_calibration
 from lpn.tasks.task import Task
 
 
@@ -44,6 +48,14 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
     )
     changed = protocol is not None and (protocol.average or protocol.csls or protocol.centre or protocol.parts)
     return result if changed else replace(result, errors=_errors(task))
+
+
+def protocol_calibration(
+    model: Model, dataset: Dataset, protocol: Protocol, calibrate: bool | None = None
+) -> Calibration | None:
+    """Choose as `task_calibration` does; by default none for a protocol that centres descriptors or takes its own branch."""
+    own = protocol.centre or protocol.branch or protocol.released
+    return task_calibration(model, dataset, False if calibrate is None and own else calibrate)
 
 
 def _evaluate_searches(task: Task, protocol: Protocol) -> Result:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
@@ -19,14 +19,14 @@ from lpn.models.base import Model
 from lpn.models.contract import Role
 from lpn.retrieval import scoring
 from lpn.retrieval.calibration import MIN_PICTURES, Calibration, calibrate
-from lpn.retrieval.csls import NEIGHBOURS
+from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks import notes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.notes import Note
-from lpn.tasks.shipped_calibration import read_calibration
+from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
 
 _ROLES: tuple[Role, Role] = ("query", "gallery")
 
@@ -40,6 +40,7 @@ def describe_task(
     tags_and_notes: Mapping[str, Note] | None = None,
     calibration: Calibration | None = None,
     on_progress: CountProgress | None = None,
+    neighbours: int = 0,
 ) -> GalleryTask:
     """Describe queries and gallery of a task, or read their stored descriptors.
 
@@ -48,12 +49,13 @@ def describe_task(
         name: the task, see `choose_task`.
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
-        calibration: see `calibrated`; its zooms and means are applied to `model`, which is that before the calibration.
+        calibration: see `task_calibration`; its zooms and means are applied to `model`, which is that before the calibration.
         on_progress: receives the numbers of described and of all pictures, with a calibration of each list; by default the
             terminal shows them.
+        neighbours: K of CSLS; 0 ranks without it.
 
     Raises:
-        InputError: when model and data set do not offer the task, or the weights are invalid.
+        InputError: when model and data set do not offer the task, or weights or neighbours are invalid.
         LPNError: when pictures, positions, truth, or stores cannot be read.
     """
     name, offered = choose_task(model, dataset, name), offered_tasks(model, dataset)
@@ -64,6 +66,8 @@ def describe_task(
     views = pictures.views
     model = model.for_task(*views)
     queries, gallery = pictures.queries, pictures.gallery
+    if neighbours:
+        check_neighbours(neighbours, len(queries))
     geometry = GalleryGeometry.of_dataset(dataset, queries, gallery)
     try:
         if calibration is None:
@@ -106,6 +110,7 @@ def describe_task(
         notes=tags_and_notes,
         columns=dataset.columns(queries),
         calibration=calibration,
+        neighbours=neighbours,
     )
 
 
@@ -121,13 +126,14 @@ def scored_tasks(
     calibration: Calibration,
     names: Sequence[str],
     on_progress: CountProgress | None = None,
+    neighbours: int = NEIGHBOURS,
 ) -> list[GalleryTask]:
     """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
 
     Args:
         model: before the calibration.
         names: of the tasks.
-        on_progress: see `describe_task`.
+        on_progress, neighbours: see `describe_task`.
 
     Raises:
         LPNError: as `describe_task`.
@@ -136,7 +142,43 @@ def scored_tasks(
         describe_task(model, model_name, dataset, name, calibration=calibration, on_progress=on_progress)
         for name in names
     ]
-    return tasks + [replace(task, neighbours=NEIGHBOURS) for task in tasks if len(task.queries) >= NEIGHBOURS]
+    return tasks + by_csls(tasks, neighbours)
+
+
+def by_csls(tasks: Iterable[GalleryTask], neighbours: int) -> list[GalleryTask]:
+    """Return those of some tasks that have K queries or more, re-ranked by CSLS."""
+    return [replace(task, neighbours=neighbours) for task in tasks if len(task.queries) >= neighbours]
+
+
+def task_calibration(
+    model: Model, dataset: Dataset, calibrate: bool | None = None, on_progress: CountProgress | None = None
+) -> Calibration | None:
+    """Choose the calibration that ranks the tasks of a data set, for the library, every command, and the page; no label counts.
+
+    Args:
+        calibrate: True for the calibration that ships with the data set, or else a new one, see `calibrated`; False for none;
+            None for the one that ships, if any.
+        on_progress: see `calibrated`.
+
+    Returns:
+        None to rank plain.
+
+    Raises:
+        InputError: when `calibrate` is something else, or a new calibration is impossible.
+        LPNError: when pictures cannot be read.
+    """
+    if calibrate is not None and not isinstance(calibrate, bool):
+        raise InputError(f"calibrate is {printable(repr(calibrate))}; expected True, False, or None.")
+    shipped = None if calibrate is False else shipped_calibration(model, dataset)
+    return calibrated(model, dataset, on_progress) if calibrate and shipped is None else shipped
+
+
+def alike_calibrations(
+    models: Sequence[Model], dataset: Dataset, calibrate: bool | None = None
+) -> list[Calibration | None]:
+    """Choose as `task_calibration` does for models that are compared; they stay plain unless all of them are calibrated."""
+    chosen = [task_calibration(model, dataset, calibrate) for model in models]
+    return chosen if all(chosen) else [None] * len(chosen)
 
 
 def no_calibration(model: Model, dataset: Dataset) -> str:
@@ -156,6 +198,8 @@ def no_calibration(model: Model, dataset: Dataset) -> str:
 
 def shipped_calibration(model: Model, dataset: Dataset) -> Calibration | None:
     """Return the calibration of a model that ships with a data set; None without one."""
+    if not (dataset.root / FOLDER / NAME).is_file():
+        return None  # do not list the pictures
     return read_calibration(model, dataset.root, _lists(model, dataset))
 
 

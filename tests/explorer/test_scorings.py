@@ -28,11 +28,11 @@ from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
-from lpn.datasets import open_dataset
+from lpn.core.demo import DEMO, DEMO_MODEL
+from lpn.datasets import labels_of, open_dataset
 from lpn.drawing import verdicts
 from lpn.retrieval.csls import NEIGHBOURS
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.opening import calibrated
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
@@ -73,8 +73,8 @@ def state_of(workspace: Workspace, scoring: Scoring, **fields: object) -> Sessio
 
 @pytest.mark.parametrize("scoring", SCORINGS)
 def test_figures_are_those_of_evaluate(workspace: Workspace, wide: Path, model_file: Path, scoring: Scoring) -> None:
-    protocol = Protocol(calibrate=scoring != "plain", csls=NEIGHBOURS if scoring == "csls" else 0)
-    measured = evaluate(lpn.load(model_file), open_dataset(wide), TASK, protocol)
+    csls = NEIGHBOURS if scoring == "csls" else 0
+    measured = lpn.evaluate(model_file, wide, TASK, calibrate=scoring != "plain", csls=csls)
     ranking = workspace.rankings[state_of(workspace, scoring).ranking_key]
     assert ranking.result is not None
     assert {f"recall@{k}": value for k, value in measured.recall.items()}.items() <= ranking.results.items()
@@ -205,12 +205,48 @@ def test_links_bring_the_scoring_back_and_one_without_it_is_plain(workspace: Wor
     assert problems == ["scoring=best: it is ranked plain or calibrated or csls here."]
 
 
-def test_the_switch_names_what_each_scoring_brings_and_the_best_is_the_default(workspace: Workspace) -> None:
+@pytest.mark.parametrize(
+    ("calibrate", "csls", "expected"),
+    [(None, 0, "plain"), (False, 0, "plain"), (True, 0, "calibrated"), (True, 5, "csls"), (None, 5, "csls")],
+)
+def test_labels_never_choose_the_scoring_that_opens(
+    calibrate: bool | None, csls: int, expected: str, wide: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recalls = []
+    for order in (slice(None), slice(None, None, -1), np.random.default_rng(3).permutation(22)):
+        # The labels of the queries alone are in another order, so that other scorings are the best by them.
+        moved = lambda of, order=order: (of[0][order], of[1])  # noqa: E731
+        with monkeypatch.context() as patch:
+            plain = TaskPictures.labels.fget
+            patch.setattr(TaskPictures, "labels", property(lambda one, plain=plain, moved=moved: moved(plain(one))))
+            opened = open_model(wide, model_file, calibrate=calibrate, csls=csls)
+        assert opened.default_scoring(TASK) == expected
+        shown = opened.rankings[state_of(opened, opened.default_scoring(TASK)).ranking_key]
+        assert (shown.task.neighbours, shown.task.calibration is not None) == (csls, calibrate is True)
+        recalls.append(shown.results["recall@1"])
+    assert len(set(recalls)) > 1, "other labels, other figures"
+
+
+@pytest.mark.parametrize(("calibrate", "expected"), [(None, "calibrated"), (False, "plain")])
+def test_the_demo_opens_by_the_calibration_that_ships_whatever_the_labels(
+    calibrate: bool | None, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
+    assert opened.default_scoring(TASK) == expected
+    recalls = {one.scoring: round(one.recall or 0, 1) for one in scorings.choices(opened.rankings, TASK)}
+    assert recalls == {"plain": 70.1, "calibrated": 84.7, "csls": 87.0}
+    monkeypatch.setattr(
+        TaskPictures, "labels", property(lambda of: (labels_of(of.queries)[::-1], labels_of(of.gallery)))
+    )
+    reversed_labels = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
+    assert reversed_labels.default_scoring(TASK) == expected
+    assert [one.ready for one in scorings.choices(reversed_labels.rankings, TASK)] == [True] * 3
+
+
+def test_the_switch_names_what_each_scoring_brings(workspace: Workspace) -> None:
     offered = scorings.choices(workspace.rankings, TASK)
     assert [(one.scoring, one.ready) for one in offered] == [(one, True) for one in SCORINGS]
     recalls = {one.scoring: one.recall or 0 for one in offered}
-    best = workspace.default_scoring(TASK)
-    assert recalls[best] == max(recalls.values())
     for scoring in SCORINGS:
         header = pages.header(workspace, workspace.rankings[state_of(workspace, scoring).ranking_key].task)
         assert all(f"{recall:.1f} %" in header for recall in recalls.values())
@@ -245,7 +281,7 @@ def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace:
     def labels() -> dict[str, Mock]:
         commands: dict[str, Mock] = {}
         gui.add_command.side_effect = lambda label, **_: commands.setdefault(label, Mock())
-        shortcuts.add(gui, workspace, panels, Mock(), Mock(), [], Mock(), shown.append)
+        shortcuts.add(gui, workspace, panels, Mock(), Mock(), [], shown.append)
         return {label: one for label, one in commands.items() if label.startswith("Ranking: ")}
 
     found = labels()

@@ -66,7 +66,7 @@ def test_the_library_s_page_is_one_screen() -> None:
 def test_help_of_the_library_runs_as_it_says(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(desk)
     lpn.Gallery.of_folder("tiles", "city-lpn")  # before the examples, which would have the progress bar in their output
-    lpn.evaluate(lpn.load("city-lpn"), lpn.open_dataset("ROOT"), "drone-to-satellite")
+    lpn.evaluate("city-lpn", "ROOT", "drone-to-satellite")
     examples = doctest.DocTestParser().get_doctest(str(lpn.__doc__), {}, "lpn", None, None)
     said: list[str] = []
     outcome = doctest.DocTestRunner().run(examples, out=said.append)
@@ -105,6 +105,11 @@ def test_without_torch_a_file_that_is_no_model_is_told_first(
 def test_an_unknown_name_is_an_attribute_error() -> None:
     with pytest.raises(AttributeError, match="'lpn' has no attribute 'nothing'"):
         _ = lpn.nothing  # type: ignore[attr-defined]
+
+
+def test_dir_lists_what_there_is() -> None:
+    assert dir(lpn) == sorted(lpn.__all__)
+    assert {"Gallery", "evaluate", "open_task"} <= {*dir(lpn)}
 
 
 def test_import_needs_neither_numpy_nor_torch() -> None:

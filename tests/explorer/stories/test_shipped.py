@@ -103,8 +103,8 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
             assert is_found(shown) is found, step.caption
             for text in said(shown):
                 assert text in step.caption
-            # By the best scoring, or, where that tells another story, by the plain one, which the first step names.
-            assert shown.task.scoring == (workspace.default_scoring(state.task) if told.name != "A twin" else "plain")
+            # By CSLS, or, where that tells another story, by the plain scoring, which the first step names.
+            assert shown.task.scoring == ("csls" if told.name != "A twin" else "plain")
     assert "Compared as they are, without adjusting" in stories[1].steps[0].caption
     parts_off = [step.shows.partition("off=")[2] for told in stories for step in told.steps if "off=" in step.shows]
     assert parts_off == ["2", "1,2", "1,3,4", "1,3"]

@@ -19,6 +19,7 @@ from lpn.report import build_leaderboard
 from lpn.retrieval.protocol import Protocol
 from lpn.sources import Data, ModelOptions
 from lpn.sources.opened import open_first_task
+from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
 
@@ -60,6 +61,31 @@ def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_f
     assert values["models"][name]["milliseconds"] > 0
 
 
+@pytest.mark.slow
+def test_a_page_is_ranked_as_its_options_say(model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:
+    data = small_worlds.make_dataset(tmp_path / "places", train=1, test=24)
+    out, files = tmp_path / "page.json", [str(model_file), str(one_part_model_file)]
+    options = ["--calibrate", "--csls", "3", "--turns", "90", "--resamples", "20"]
+    pages = ["--page", str(tmp_path / "page.md"), "--json", str(out)]
+    assert main(["compare", *files, "--data", str(data), *options, *pages]) == 0
+    values = json.loads(out.read_text("utf-8"))
+    stem = model_file.name.removesuffix(".onnx")
+    name = next(one for one in values["models"] if stem in one)
+    assert all(one.endswith(", calibrated, CSLS") for one in values["models"])
+    for figures, protocol in (
+        (values["parts"][TASK][name]["all"], Protocol()),
+        (values["parts"][TASK][name]["2"], Protocol(parts=(2,))),
+        (values["turns"][TASK][name]["90.0"], Protocol(Change(rotate=90.0))),
+    ):
+        alone = lpn.evaluate(model_file, data, TASK, protocol, calibrate=True, csls=3)
+        assert figures == [alone.recall["1"], alone.ap]
+    assert values["models"][name]["megabytes"] == model_file.stat().st_size / 1e6
+    table = next(one for one in values["tables"] if one["task"] == TASK)
+    assert [row["R@1"]["value"] for row in table["models"] if row["name"] == name] == pytest.approx(
+        [lpn.evaluate(model_file, data, TASK, calibrate=True, csls=3).recall["1"]]
+    )
+
+
 def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: Path, data: Path) -> None:
     model, dataset = lpn.load(model_file), lpn.open_dataset(data)
     task = open_first_task(Data(data=data, model=ModelOptions(model=model_file)))
@@ -99,7 +125,7 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
     ("options", "message"),
     [
         (["--turns", "90"], "belong to a page"),
-        (["--page", "{}/page.md", "--calibrate"], "ranked plainly"),
+        (["--page", "{}/page.md", "--task", "drone-to-satellite"], "all tasks and galleries"),
         (["--page", "{}/page.md"], "takes two models or more; found 1."),
         (["--page", "{}/page.md", "--table", "{}/table.csv"], "leave one of them out"),
     ],

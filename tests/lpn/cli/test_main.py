@@ -4,10 +4,12 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from explorer.cli import Explore
 from lpn.cli import main
 from lpn.datasets.base import TASKS
 from lpn.descriptors import open_store
@@ -33,13 +35,32 @@ def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_pat
         *("branch", "averaged", "calibration", "csls", "cropped", "junk", "protocol", "seconds"),
     ]
     assert (whole["task"], whole["parts"], whole["queries"]) == ("drone-to-satellite", [1, 2, 3, 4], 14)
-    changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5", "--centre"]
+    changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5"]
     assert main.main([*common, "--task", "satellite-to-drone", *changes, "--parts", "2,4"]) == 0
     turned = json.loads(out.read_text())
-    for said in ("turned 90°", "3 px to the left", "scaled by 1.5", "parts 2, 4 of 4", "the mean of the queries"):
+    for said in ("turned 90°", "3 px to the left", "scaled by 1.5", "parts 2, 4 of 4"):
         assert said in turned["protocol"]
     assert (turned["task"], turned["rotate"], turned["parts"]) == ("satellite-to-drone", 90, [2, 4])
     assert turned["ap"] != whole["ap"]
+
+
+def test_without_a_model_the_one_that_ships_is_measured_and_named(
+    data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    figures = []
+    for options, said in (([], True), (["--model", "city-lpn"], False)):
+        out = tmp_path / f"{len(options)}.json"
+        assert main.main(["evaluate", "--data", str(data), *options, "--json", str(out)]) == 0
+        printed = capsys.readouterr()
+        assert ("The model is city-lpn, which ships and knows a rendered city alone" in printed.err) is said
+        assert "city-lpn (LPN" in printed.out
+        figures.append({key: value for key, value in json.loads(out.read_text()).items() if key != "seconds"})
+    assert figures[0] == figures[1]
+    capsys.readouterr()
+    opens = Explore(data=data).opens_data()
+    assert isinstance(opens, partial)
+    assert opens.args[1] == Path("city-lpn")
+    assert "The model is city-lpn" in capsys.readouterr().err
 
 
 def test_torch_and_onnx_models_evaluate_alike(data: Path, model_file: Path, tmp_path: Path) -> None:
@@ -87,6 +108,7 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
             "lpn evaluate published and lpn evaluate arrays have it",
         ),
         (["evaluate", "--data", "DATA", "--saved", "x.mat"], "lpn evaluate published"),
+        (["evaluate", "--data", "DATA", "--centre"], "lpn evaluate published and lpn evaluate arrays have it"),
         (["evaluate", "published", "--saved", "x.mat"], "no saved result at x.mat"),
         (["evaluate", "published", "--saved", "x.mat", "--n-parts", "0"], "number of parts is 0"),
         (["explore", "published", "--saved", "x.mat", "--data", "DATA"], "no saved result at x.mat"),

@@ -32,6 +32,7 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
         (SEARCH, "--json", "s.csv", ".json"),
         (["evaluate", *MODEL], "--json", "e.csv", ".json"),
         (["evaluate", *MODEL, "--weather", "all"], "--json", "e.csv", ".json"),
+        (["evaluate", *MODEL], "--per-query", "q.json", ".csv"),
         (["evaluate", "flight", *FLOWN], "--json", "e.csv", ".json"),
         (SURVEYED, "--residuals", "r.json", ".csv"),
         (COMPARED, "--json", "t.csv", ".json"),

@@ -20,6 +20,7 @@ from lpn import report
 from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.cli.main import main
 from lpn.core import images
+from lpn.core.demo import DEMO
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
@@ -31,7 +32,7 @@ from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
-from lpn.tasks.opening import calibrated, describe_task
+from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, task_calibration
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -163,17 +164,18 @@ def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
 
 def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    plain, moved = evaluate(model, dataset, TASK), evaluate(model, dataset, TASK, Protocol(calibrate=True))
+    calibration = task_calibration(model, dataset, True)
+    plain, moved = evaluate(model, dataset, TASK), evaluate(model, dataset, TASK, calibration=calibration)
     assert moved.recall["1"] > plain.recall["1"]
-    assert "calibrated without labels on 24 drone and 24 satellite pictures" in moved.sentence
+    assert "calibrated without labels on 48 drone and 48 satellite pictures" in moved.sentence
     assert moved.to_dict()["calibration"]["ratio"] == pytest.approx(STEP**2)
     assert plain.to_dict()["calibration"] is None
-    turned = evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, rotate=90), calibrate=True))
+    turned = evaluate(model, dataset, TASK, Protocol(Change(rotate=90)), calibration=calibration)
     assert turned.recall["1"] < moved.recall["1"]
     with pytest.raises(
         InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected"
     ):
-        evaluate(model, dataset, TASK, Protocol(replace(Protocol().change, scale=12), calibrate=True))
+        evaluate(model, dataset, TASK, Protocol(Change(scale=12)), calibration=calibration)
 
 
 @pytest.mark.slow
@@ -190,7 +192,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     rows = json.loads(table.read_bytes())["models"]
     assert [row["name"] for row in rows] == [plain["name"], moved["name"], "model.onnx, calibrated, CSLS"]
     assert rows[1]["R@1"]["value"] == moved["R@1"]["value"]
-    alone = evaluate(lpn.load(model_file), open_dataset(wide), TASK, Protocol(calibrate=True, csls=3))
+    alone = lpn.evaluate(model_file, wide, TASK, calibrate=True, csls=3)
     assert rows[2]["R@1"]["value"] == pytest.approx(alone.recall["1"])
     assert "less half of each tile's mean inner product with its 3 nearest queries (CSLS)" in alone.sentence
     assert main(["compare", str(model_file), "--data", str(wide), "--csls", "-1"]) == 2
@@ -201,7 +203,7 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
     dataset = open_dataset(wide)
     calibration = calibrated(model, dataset)
     task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibration)
-    expected = evaluate(model, dataset, TASK, Protocol(calibrate=True))
+    expected = evaluate(model, dataset, TASK, calibration=calibration)
     assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
     moved = task.model
     assert moved is not None
@@ -228,9 +230,9 @@ def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Pat
     dataset = open_dataset(wide)
     task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibrated(model, dataset))
     own = OwnPicture("mine", task.queries[0].load())
-    case = Cases(task, Options()).make(own, lambda: None)
+    case = Cases(task, Options()).make(own)
     np.testing.assert_array_equal(case.picture, task.queries[0].load_zoomed())
-    assert case.ranking.order.tolist() == Cases(task, Options()).make(0, lambda: None).ranking.order.tolist()
+    assert case.ranking.order.tolist() == Cases(task, Options()).make(0).ranking.order.tolist()
     assert b"calibrated without labels on 48 drone and 48 satellite pictures" in report.build(task, [0])
 
 
@@ -239,7 +241,7 @@ def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
     model_file: Path, one_part_model_file: Path, wide: Path
 ) -> None:
     workspace = open_model(wide, model_file, beside=[one_part_model_file], calibrate=True)
-    assert workspace.asked_scoring == "calibrated"
+    assert workspace.default_scoring(TASK) == "calibrated"
     other = workspace.beside[0].open()
     assert other.wait(60)
     assert other.value is not None
@@ -275,9 +277,90 @@ def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
 
 def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    for protocol in (Protocol(calibrate=True, branch="satellite"), Protocol(calibrate=True, centre=True)):
+    for protocol in (Protocol(branch="satellite"), Protocol(centre=True)):
         with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-            evaluate(model, dataset, TASK, protocol)
+            lpn.evaluate(model, dataset, TASK, protocol, calibrate=True)
+        assert lpn.evaluate(model, dataset, TASK, protocol).calibration is None
+
+
+def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file: Path, tmp_path: Path) -> None:
+    folders = [wide / "test" / name for name in ("gallery_satellite", "query_drone")]
+    for asked, csls, scoring in (
+        (None, 0, "plain"),
+        (True, 0, "calibrated"),
+        (True, 3, "csls"),
+        (False, 3, "csls"),
+    ):
+        task = lpn.open_task(wide, TASK, model, calibrate=asked, csls=csls)
+        assert (task.scoring, task.calibration is not None) == (scoring, bool(asked))
+        measured = lpn.evaluate(model_file, wide, TASK, calibrate=asked, csls=csls)
+        assert task.metrics["recall@1"] == pytest.approx(measured.recall["1"])
+        queries = folders[1] if asked or csls else None
+        gallery = lpn.Gallery.of_folder(folders[0], model, queries=queries, calibrate=asked, csls=csls)
+        for query, weights in ((0, None), (5, [1, 2, 0, 1])):
+            answer = gallery.search(task.queries[query].load(), weights=weights)
+            expected = task.search(query, weights)
+            np.testing.assert_allclose(answer.ranking.scores, expected.scores, atol=1e-5)
+            first = answer.top(1)[0]
+            assert first.contributions.sum() == pytest.approx(first.distance2, abs=1e-5)
+            assert answer.evidence().score == pytest.approx(first.score, abs=1e-4)
+        tile, given = folders[0] / first.name, ["--weights", "1,2,0,1", "--json", str(tmp_path / "why.json")]
+        given += [f"--{'' if asked else 'no-'}calibrate", "--csls", str(csls), "--data", str(wide)]
+        pair = ["--query", str(task.queries[5].path), "--match", str(tile)]
+        assert main(["explain", "--model", str(model_file), *pair, *given]) == 0
+        explained = json.loads((tmp_path / "why.json").read_text())
+        assert explained["score"] == pytest.approx(first.score, abs=1e-5)
+        assert ("csls" in explained) == bool(csls)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"calibrate": "yes"}, "calibrate is 'yes'; expected True, False, or None"),
+        ({"csls": 25}, "over 25 nearest queries, and there are 24; expected 1 to 24"),
+        ({"csls": -1}, "over -1 nearest queries, and there are 24"),
+        ({"csls": "many"}, "over 'many' nearest queries"),
+        ({"task": 7}, "The task is 7; with this model, places has the tasks drone-to-satellite"),
+        ({"data": 7}, "The data set is of the type int; expected its folder"),
+        ({"model": 7}, "The model is of the type int; expected a model, its file, or a name"),
+    ],
+)
+def test_a_wrong_argument_is_told_in_one_sentence(
+    options: dict[str, object], message: str, model: Model, wide: Path
+) -> None:
+    given = {"model": model, "data": wide, "task": TASK, **options}
+    for function in (lpn.evaluate, lpn.open_task):
+        with pytest.raises(InputError, match=message):
+            function(**given)  # type: ignore[operator]
+    with pytest.raises(InputError, match="The protocol is of the type str"):
+        lpn.evaluate(model, wide, TASK, "published")  # type: ignore[arg-type]
+
+
+def test_the_demo_is_ranked_by_the_calibration_that_ships(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lpn.tasks.opening.calibrated", None)  # nothing is calibrated anew
+    for asked, scoring, recall in ((None, "calibrated", 84.7), (True, "calibrated", 84.7), (False, "plain", 70.1)):
+        task = lpn.open_task(DEMO, TASK, calibrate=asked)
+        assert (task.scoring, round(task.metrics["recall@1"], 1)) == (scoring, recall)
+    # No calibration of the other model ships: compared models are ranked alike.
+    models = [lpn.load(DEMO / name) for name in ("lpn.onnx", "baseline.onnx")]
+    assert alike_calibrations(models, open_dataset(DEMO)) == [None, None]
+    assert alike_calibrations(models[:1], open_dataset(DEMO)) != [None]
+
+
+def test_pictures_of_queries_come_with_a_calibration_or_csls(model: Model, wide: Path) -> None:
+    tiles, drones = (wide / "test" / name for name in ("gallery_satellite", "query_drone"))
+    for options in ({"calibrate": True}, {"csls": 3}, {"queries": drones}):
+        with pytest.raises(InputError, match="give their folder as queries with one of both, or leave all three out"):
+            lpn.Gallery.of_folder(tiles, model, **options)  # type: ignore[arg-type]
+    gallery = lpn.Gallery.of_folder(tiles, model, queries=drones, calibrate=True)
+    assert repr(gallery) == f"<Gallery of 24 satellite pictures, {gallery.model.describe()}>"
+    assert repr(gallery.model) == f"<{gallery.model.describe()}>"
+    assert "calibrated" in repr(gallery)
+    assert gallery.calibration is not None
+    with pytest.raises(
+        InputError, match="is for drone and satellite pictures, and this one is of street; change the view"
+    ):
+        gallery.calibration.own_zoom(model, np.zeros((8, 8, 3), np.uint8), "street")
 
 
 @pytest.mark.slow
