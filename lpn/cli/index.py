@@ -48,8 +48,6 @@ class IndexCommand:
     """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in shards."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
-    precision: Literal["float32", "float16", "int8"] = "float32"
-    """Precision of the copy that exact scans, with equal results: float16 and int8 are for vectors that exceed the memory."""
     structure: Literal["flat", "ivf", "hnsw"] | None = None
     """For milvus: flat (default) compares every vector; ivf and hnsw are approximate, and faster on many tiles."""
     replace: bool = False
@@ -72,7 +70,7 @@ class IndexCommand:
         tiles = open_tiles(self.descriptors, self.data)
         added = read = 0
         with (
-            create_index(self.out, tiles.kind, self.engine, self.precision, structure=self.structure) as index,
+            create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index,
             counting_bar("Indexing") as progress,
         ):
             progress(0, tiles.count)
@@ -118,7 +116,7 @@ class IndexCommand:
             )
         kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding)
         with (
-            create_index(self.out, kind, self.engine, self.precision, structure=self.structure) as index,
+            create_index(self.out, kind, self.engine, structure=self.structure) as index,
             counting_bar("Describing windows") as progress,
         ):
             added = index_windows(

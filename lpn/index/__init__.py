@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Literal, get_args
 
 from lpn.core.errors import InputError, StoreError
-from lpn.descriptors.store import Precision
 from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex
@@ -62,7 +61,6 @@ def create_index(
     where: str | Path,
     kind: DescriptorKind,
     engine: IndexEngine | None = None,
-    precision: Precision = "float32",
     codes: Codes | None = None,
     structure: Structure | None = None,
 ) -> Index:
@@ -71,7 +69,6 @@ def create_index(
     Args:
         where: a folder, or milvus://host:port/collection.
         engine: by default milvus for its addresses, and exact for folders.
-        precision: precision of the copy that `exact` scans.
         codes: codes of `faiss`; by default pq, or sq8 for descriptors that pq cannot encode.
         structure: index structure of `milvus`; by default flat.
 
@@ -87,18 +84,13 @@ def create_index(
         raise InputError(
             f"The engine {engine} does not go with this place; milvus takes milvus://host:port/collection, others a folder."
         )
-    options = (
-        ("exact", "precision", None if precision == "float32" else precision),
-        ("faiss", "codes", codes),
-        ("milvus", "structure", structure),
-    )
-    for option_engine, what, value in options:
+    for option_engine, what, value in (("faiss", "codes", codes), ("milvus", "structure", structure)):
         if value is not None and engine != option_engine:
             raise InputError(
                 f"The engine {engine} has no {what} to choose; leave {value} out, or use the engine {option_engine}."
             )
     if engine == "exact":
-        return ExactIndex.create(where, kind, precision)
+        return ExactIndex.create(where, kind)
     if engine == "faiss":
         return FaissIndex.create(where, kind, codes)
     return MilvusIndex.create(str(where), kind, structure or "flat")
@@ -141,7 +133,6 @@ __all__ = [
     "Index",
     "IndexEngine",
     "MilvusIndex",
-    "Precision",
     "SearchResult",
     "Structure",
     "check_effort",

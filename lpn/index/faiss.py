@@ -24,7 +24,7 @@ from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError, StoreError
 from lpn.core.files import unreadable_error
 from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
-from lpn.index.folder import Candidates, FolderIndex, IndexManifest, IndexSnapshot, create
+from lpn.index.folder import FolderIndex, IndexManifest, IndexSnapshot, create
 from lpn.index.segments import Segment
 
 Codes = Literal["flat", "sq8", "pq"]
@@ -110,7 +110,7 @@ class FaissIndex(FolderIndex):
                 places = self._places(state, wanted.astype(np.float32), k, box)
             except _ReplacedError:
                 continue
-            return self._result(state.segments, Candidates.of(state.segments, places, wanted), k)
+            return self._result(state.segments, places, wanted, k)
 
     def close(self) -> None:
         """See `Index.close`."""
@@ -139,7 +139,7 @@ class FaissIndex(FolderIndex):
         depth = min(size, max(k * self.depth, k))
         if segment.rows <= self.plain or size <= max(_FEW, depth):
             # Single precision reorders only ties in its last digits.
-            scores = (segment.small if rows is None else segment.vectors[rows]) @ wanted
+            scores = (segment.in_order if rows is None else segment.vectors[rows]) @ wanted
             first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
             return first if rows is None else rows[first]
         index = self._index(state, segment)

@@ -31,7 +31,7 @@ import numpy as np
 import numpy.typing as npt
 from msgspec.structs import replace
 
-from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import (
@@ -43,7 +43,6 @@ from lpn.core.files import (
     write_atomic,
 )
 from lpn.core.formats import decode_json
-from lpn.descriptors.store import Precision
 from lpn.index.base import (
     DegreeBox,
     DescriptorKind,
@@ -91,7 +90,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     Attributes:
         engine: "exact" or "faiss".
         fingerprint, n_parts, embedding: the descriptors, see `DescriptorKind`.
-        precision: precision of the scanned copy of the vectors.
         settings: settings of the engine.
         next: number of the next folder or file to be written.
         segments: oldest first.
@@ -105,7 +103,6 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     fingerprint: str
     n_parts: int
     embedding: int
-    precision: Precision = "float32"
     settings: dict[str, str] = {}
     next: int = 1
     segments: tuple[ManifestEntry, ...] = ()
@@ -183,7 +180,7 @@ def verify(folder: Path) -> IndexContents:
         segment = folder / entry.name
         changed = changed_files(segment)
         try:
-            tiles += Segment(segment, manifest.kind, manifest.precision, entry.rows, entry.dead).size
+            tiles += Segment(segment, manifest.kind, entry.rows, entry.dead).size
             if entry.dead is not None and zlib.crc32((segment / entry.dead).read_bytes()) != entry.dead_crc:
                 changed.append(entry.dead)
         except FileNotFoundError as error:
@@ -259,7 +256,6 @@ class FolderIndex(Index):
         raise_open_file_limit()
         self._state = self._read()
         self.kind = self._state.manifest.kind
-        self.precision = self._state.manifest.precision
         if self._state.manifest.engine != self.engine:
             raise StoreError(
                 f"{self.folder} is an index of the engine {self._state.manifest.engine}; open it with that engine, not with "
@@ -360,25 +356,30 @@ class FolderIndex(Index):
             state = self._state = self._read(state.segments)
         return state
 
-    def _result(self, segments: list[Segment], candidates: Candidates, k: int) -> SearchResult:
-        """Return the k best of scored candidates."""
-        if not len(candidates.places):
-            return SearchResult(
-                [], np.zeros(0), np.zeros((0, self.kind.n_parts, self.kind.embedding), np.float32), np.zeros((0, 2))
-            )
-        chosen = best(candidates.scores, candidates.places, k)
-        places = candidates.places[chosen]
-        vectors = gather([segment.vectors for segment in segments], places)
+    def _result(self, segments: list[Segment], places: Int64Array, wanted: Float64Array, k: int) -> SearchResult:
+        """Score candidates, by their places (C,) among the rows of all segments, and return the k best."""
         starts = np.cumsum([0, *(segment.rows for segment in segments)])
-        owners = np.searchsorted(starts, places, "right") - 1
+        # Read rows in the order in which they lie on disk.
+        places = np.sort(places)
+        scores = np.empty(len(places))
+        ends = np.searchsorted(places, starts)
+        for segment, start, first, last in zip(segments, starts, ends, ends[1:], strict=False):
+            for i in range(first, last, _ROWS_PER_READ):
+                some = slice(i, min(i + _ROWS_PER_READ, last))
+                scores[some] = scores_of(segment.vectors[places[some] - start], wanted)
+        chosen = best(scores, places, k)
+        places, scores = places[chosen], scores[chosen]
         names = [""] * len(places)
-        for number, segment in enumerate(segments):
-            mine = np.flatnonzero(owners == number)
-            for position, name in zip(mine.tolist(), segment.names(places[mine] - starts[number]), strict=True):
+        vectors = np.empty((len(places), self.kind.numbers), np.float32)
+        positions = np.empty((len(places), 2))
+        for segment, start in zip(segments, starts, strict=False):
+            mine = np.flatnonzero((places >= start) & (places < start + segment.rows))
+            rows = places[mine] - start
+            vectors[mine], positions[mine] = segment.vectors[rows], segment.positions[rows]
+            for position, name in zip(mine.tolist(), segment.names(rows), strict=True):
                 names[position] = name
-        positions = gather([segment.positions for segment in segments], places)
         shaped = vectors.reshape(len(places), self.kind.n_parts, self.kind.embedding)
-        return SearchResult(names, candidates.scores[chosen], shaped, positions)
+        return SearchResult(names, scores, shaped, positions)
 
     def _stamp(self) -> tuple[int, ...]:
         """Identify the version of the manifest's file; empty if there is none."""
@@ -413,7 +414,7 @@ class FolderIndex(Index):
         folder = self.folder / entry.name
         if held is not None and (held.rows, held.dead, held.identity) == (entry.rows, entry.dead, identity_of(folder)):
             return held
-        return Segment(folder, manifest.kind, manifest.precision, entry.rows, entry.dead)
+        return Segment(folder, manifest.kind, entry.rows, entry.dead)
 
     def _write(self, batch: TileBatch) -> IndexManifest:
         """Write the files of an add, and return the manifest that lists them."""
@@ -473,7 +474,7 @@ class FolderIndex(Index):
 
     def _segment(self, number: int, batches: Iterator[TileBatch], rows: int) -> ManifestEntry:
         name = f"{number:07d}"
-        write_segment(self.folder / name, self.kind, self.precision, batches, rows)
+        write_segment(self.folder / name, self.kind, batches, rows)
         self._finish(self.folder / name, rows)
         write_checksums(self.folder / name)
         return ManifestEntry(name, rows)
@@ -517,47 +518,8 @@ class FolderIndex(Index):
         return named and file.is_file() and not file.is_symlink()
 
 
-@dataclass(frozen=True, eq=False)
-class Candidates:
-    """Candidate tiles: their places among the rows of all segments, (C,), and their scores, (C,)."""
-
-    places: Int64Array
-    scores: Float64Array
-
-    @classmethod
-    def of(cls, segments: list[Segment], places: Int64Array, wanted: Float64Array) -> Candidates:
-        """Read the vectors of candidates and score them."""
-        # Read rows in the order in which they lie on disk.
-        places = np.sort(places)
-        scores = np.empty(len(places))
-        for start in range(0, len(places), _ROWS_PER_READ):
-            some = slice(start, start + _ROWS_PER_READ)
-            scores[some] = scores_of(gather([segment.vectors for segment in segments], places[some]), wanted)
-        return cls(places, scores)
-
-    def merged_with(self, other: Candidates, k: int) -> Candidates:
-        """Return the k best of both."""
-        places, scores = np.concatenate([self.places, other.places]), np.concatenate([self.scores, other.scores])
-        chosen = best(scores, places, k)
-        return Candidates(places[chosen], scores[chosen])
-
-
-def gather(arrays: Sequence[AnyArray], places: Int64Array) -> AnyArray:
-    """Read the rows at `places` of the concatenation of the arrays."""
-    if len(arrays) == 1:
-        return np.asarray(arrays[0][places])
-    starts = np.cumsum([0, *(len(array) for array in arrays)])
-    gathered = np.empty((len(places), *arrays[0].shape[1:]), arrays[0].dtype)
-    owner = np.searchsorted(starts, places, "right") - 1
-    for position, array in enumerate(arrays):
-        mine = owner == position
-        if mine.any():
-            gathered[mine] = array[places[mine] - starts[position]]
-    return gathered
-
-
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:
-    for name in ("engine", "kind", "precision", "settings"):
+    for name in ("engine", "kind", "settings"):
         if getattr(existing, name) != getattr(wanted, name):
             present, new = (_describe(manifest, name) for manifest in (existing, wanted))
             raise StoreError(
@@ -572,7 +534,6 @@ def _describe(manifest: IndexManifest, name: str) -> str:
     texts = {
         "engine": f"the engine {manifest.engine}",
         "kind": f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}",
-        "precision": f"precision {manifest.precision}",
         "settings": f"settings {manifest.settings}",
     }
     return texts[name]

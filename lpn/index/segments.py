@@ -1,7 +1,6 @@
 """A segment: an immutable folder of tiles, whose vectors, names, and positions are memory-mapped.
 
     vectors.npy             (N, n D) float32
-    small.npy               (N, n D) float16 or int8, with scales.npy (N,) and errors.npy (N, n), unless the scan is float32
     positions.npy           (N, 2) float64, NaN for a tile without a position
     names.bin, ends.npy     the names in UTF-8, concatenated, and where each ends, (N,) int64
     keys.npy, rows.npy      64-bit hashes of the names, sorted, (N,) uint64, and the row of each, (N,) int64
@@ -26,13 +25,11 @@ import numpy.typing as npt
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int64Array, UInt64Array
 from lpn.core.errors import StoreError
 from lpn.core.files import open_memmap, unreadable_error
-from lpn.descriptors.store import Precision
 from lpn.index.base import DegreeBox, DescriptorKind, covers, overlaps, within
-from lpn.index.scan import small_copy
 
 DEAD = re.compile(r"dead-\d{7,}\.npy")
 # The files of a segment.
-FILES = re.compile(rf"(vectors|small|scales|errors|positions|ends|keys|rows)\.npy|names\.bin|{DEAD.pattern}")
+FILES = re.compile(rf"(vectors|positions|ends|keys|rows)\.npy|names\.bin|{DEAD.pattern}")
 # Rows copied at once.
 _BLOCK = 2048
 
@@ -58,26 +55,19 @@ class Segment:
         identity: identifies the files; another segment later written to this folder has another identity.
         size: number of tiles that were not replaced.
         vectors: of all tiles, (N, n D) float32, for rows here and there.
-        small: of all tiles in the precision of the scan, (N, n D), to be read from the first to the last.
+        in_order: the same vectors, to be read from the first to the last.
 
     Raises:
         StoreError: when a file is damaged, does not fit the others, or cannot be read.
         FileNotFoundError: when a file is missing, for example because another process replaced the segment.
     """
 
-    def __init__(self, folder: Path, kind: DescriptorKind, precision: Precision, rows: int, dead: str | None) -> None:
+    def __init__(self, folder: Path, kind: DescriptorKind, rows: int, dead: str | None) -> None:
         self.folder, self.rows, self.dead = folder, rows, dead
         self.identity = identity_of(folder)
-        self._shape = rows, kind.numbers
-        self.vectors: Float32Array = self._mapped("vectors", self._shape, np.float32, at_random=True)
-        self.scales: Float32Array | None = None
-        self.errors: Float32Array | None = None
-        if precision == "float32":
-            self.small: AnyArray = self._mapped("vectors", self._shape, np.float32)
-        else:
-            self.small = self._mapped("small", self._shape, precision)
-            self.scales = self._mapped("scales", (rows,), np.float32)
-            self.errors = self._mapped("errors", (rows, kind.n_parts), np.float32)
+        shape = rows, kind.numbers
+        self.vectors: Float32Array = self._mapped("vectors", shape, np.float32, at_random=True)
+        self.in_order: Float32Array = self._mapped("vectors", shape, np.float32)
         self.positions: Float64Array = self._mapped("positions", (rows, 2), np.float64)
         self._ends: Int64Array = self._mapped("ends", (rows,), np.int64)
         self._keys: UInt64Array = self._mapped("keys", (rows,), np.uint64)
@@ -96,11 +86,6 @@ class Segment:
         if dead is not None:
             self.alive = ~self._mapped(dead.removesuffix(".npy"), (rows,), np.bool_)
         self.size = rows if self.alive is None else int(self.alive.sum())
-
-    def compact(self, rows: slice | Int64Array) -> tuple[AnyArray, Float32Array | None, Float32Array | None]:
-        """Return `small`, `scales`, and `errors` of some rows."""
-        scales, errors = (None if values is None else values[rows] for values in (self.scales, self.errors))
-        return self.small[rows], scales, errors
 
     def chosen(self, box: DegreeBox | None) -> Int64Array | None:
         """Return the rows to be searched, ascending; None for all."""
@@ -140,13 +125,12 @@ class Segment:
 
     def batches(self, alive: BoolArray | None) -> Iterator[TileBatch]:
         """Yield the tiles of a mask, in blocks; None for all tiles."""
-        vectors = self._mapped("vectors", self._shape, np.float32)
         for start in range(0, self.rows, _BLOCK):
             rows = np.arange(start, min(start + _BLOCK, self.rows))
             if alive is not None:
                 rows = rows[alive[rows]]
             if len(rows):
-                yield TileBatch(self.names(rows), vectors[rows], self.positions[rows])
+                yield TileBatch(self.names(rows), self.in_order[rows], self.positions[rows])
 
     @cached_property
     def extent(self) -> tuple[DegreeBox, bool]:
@@ -187,9 +171,7 @@ def identity_of(folder: Path) -> tuple[int, int]:
     return stat.st_ino, stat.st_mtime_ns
 
 
-def write_segment(
-    folder: Path, kind: DescriptorKind, precision: Precision, batches: Iterable[TileBatch], rows: int
-) -> None:
+def write_segment(folder: Path, kind: DescriptorKind, batches: Iterable[TileBatch], rows: int) -> None:
     """Write tiles into a new folder, which no manifest names yet.
 
     Args:
@@ -201,10 +183,6 @@ def write_segment(
         "vectors": ((rows, kind.numbers), np.float32),
         "positions": ((rows, 2), np.float64),
     }
-    if precision != "float32":
-        shapes["small"] = (rows, kind.numbers), precision
-        shapes["scales"] = (rows,), np.float32
-        shapes["errors"] = (rows, kind.n_parts), np.float32
     lengths: list[int] = []
     keys: list[UInt64Array] = []
     with ExitStack() as files:
@@ -217,11 +195,6 @@ def write_segment(
             text.write(b"".join(encoded))
             lengths += map(len, encoded)
             keys.append(keys_of(batch.names))
-            if precision != "float32":
-                for start in range(0, len(batch.vectors), _BLOCK):
-                    copied = small_copy(batch.vectors[start : start + _BLOCK], kind, precision)
-                    for name, values in zip(("small", "scales", "errors"), copied, strict=True):
-                        arrays[name].write(values)
     every = np.concatenate(keys)
     order = np.argsort(every, kind="stable")
     np.save(folder / "ends.npy", np.cumsum(lengths, dtype=np.int64))

@@ -1,9 +1,9 @@
 """One query against a gallery: `python -m tools.bench.search`.
 
 The peers are NumPy's product with the whole gallery and a partial sort, and faiss's flat index. Ours is
-`lpn.index.ExactIndex`, memory-mapped, in the three precisions, with equal and with other part weights; it gives names, scores,
+`lpn.index.ExactIndex`, memory-mapped, with equal and with other part weights; it gives names, scores,
 and the vectors of the top 100, as the peers do. The limit is reading the vectors once, by the quickest of a few ways to
-read them; float16 and int8 have no target. All take turns in one process, and the tables give medians.
+read them. All take turns in one process, and the tables give medians.
 
 Descriptors are drawn about centres, as those of places are, and positions uniformly over a rectangle, of which a box holds a
 hundredth; there, NumPy picks out the tiles within and scores these.
@@ -19,20 +19,18 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.resources import usable_cores
-from lpn.descriptors import Precision
 from lpn.index import DegreeBox, DescriptorKind, ExactIndex, base
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.bench import figures as measuring
 from tools.bench.figures import Figure, below, show, within
 
-PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 KIND = DescriptorKind("bench", 4, 512)
 TILES = (951, 51_355)
 # Tiles up to which a search is to take a millisecond at most.
@@ -147,33 +145,31 @@ def compare(count: int, folder: Path, rounds: int) -> list[Figure]:
     gallery = np.concatenate([block for _, block in drawn(count)])
     asked = queries(gallery)
     equal, other = scoring.part_weights(KIND.n_parts), scoring.part_weights(KIND.n_parts, OTHER)
-    indexes = {name: filled(ExactIndex.create(folder / f"{count}-{name}", KIND, name), count) for name in PRECISIONS}
+    index = filled(ExactIndex.create(folder / str(count), KIND), count)
     tasks = readers(gallery) | peers(gallery, asked, equal)
 
-    def search(index: ExactIndex, weights: Float32Array, box: base.DegreeBox | None, number: int) -> object:
+    def search(weights: Float32Array, box: base.DegreeBox | None, number: int) -> object:
         return index.search(asked[number], weights, TOP, box)
 
-    for name, index in indexes.items():
-        for said, weights in (("", equal), (", other weights", other)):
-            tasks[f"{name}{said}"] = partial(search, index, weights, None)
-        tasks[f"{name}, a box of 1 %"] = partial(search, index, equal, BOX)
-    found = medians(tasks, rounds)
-    for index in indexes.values():
-        index.close()
+    ours: dict[str, Task] = {
+        "float32": partial(search, equal, None),
+        "float32, other weights": partial(search, other, None),
+        "float32, a box of 1 %": partial(search, equal, BOX),
+    }
+    found = medians(tasks | ours, rounds)
+    index.close()
     limit = min(value for name, value in found.items() if name.startswith("read"))
     faiss = found.get("faiss flat")
     title = f"search {count:,} x {KIND.numbers}, top {TOP} with vectors"
     made = []
-    for task in (task for task in found if task.startswith(PRECISIONS)):
+    for task in ours:
         what = f"{title}, {task}"
         if task.endswith("1 %"):
             made.append(Figure(f"{what} (peer: NumPy)", found[task], "ms", found["NumPy in a box"]))
         elif count <= SMALL:
             made.append(below(what, found[task], 1, peer=faiss))
-        elif task.startswith("float32"):
-            made.append(within(what, found[task], limit, 1.3, peer=faiss))
         else:
-            made.append(Figure(what, found[task], "ms", faiss, limit))
+            made.append(within(what, found[task], limit, 1.3, peer=faiss))
     made.append(Figure(f"the same by NumPy, {count:,} x {KIND.numbers}", found["NumPy"], "ms", faiss, limit))
     return made
 

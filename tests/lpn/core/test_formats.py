@@ -136,7 +136,7 @@ def test_a_state_of_another_version_says_which_way(tmp_path: Path) -> None:
 def index(tmp_path: Path) -> Path:
     kind = DescriptorKind("0123456789abcdef", 2, 8)
     vectors = np.full((20, 2, 8), 0.25, np.float32)
-    with ExactIndex.create(tmp_path / "index", kind, "int8") as made:
+    with ExactIndex.create(tmp_path / "index", kind) as made:
         made.add([f"tile {i}" for i in range(20)], vectors)
         made.add(["tile 3"], vectors[:1])
     return tmp_path / "index"
@@ -147,7 +147,7 @@ def test_a_later_index_is_neither_read_nor_added_to(index: Path) -> None:
     with pytest.raises(StoreError, match=r"index\.json in .* was written " + LATER):
         open_index(index)
     with pytest.raises(StoreError, match=LATER):
-        ExactIndex.create(index, DescriptorKind("0123456789abcdef", 2, 8), "int8")
+        ExactIndex.create(index, DescriptorKind("0123456789abcdef", 2, 8))
 
 
 def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path: Path) -> None:

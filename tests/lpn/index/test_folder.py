@@ -29,13 +29,13 @@ def unmerged(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ExactIndex, "max_segment_bytes", 1)
 
 
-def regions(path: Path, count: int, precision: Any = "int8") -> tuple[ExactIndex, Tiles]:
+def regions(path: Path, count: int) -> tuple[ExactIndex, Tiles]:
     """An index of so many segments, each of a region two degrees wide, 10 degrees east of the one before."""
     tiles = Tiles.draw(EACH * count)
     rng = np.random.default_rng(2)
     corners = np.stack([np.full(count, 40.0), -170.0 + 10 * np.arange(count)], 1).repeat(EACH, 0)
     tiles.positions = corners + rng.uniform(0, 2, (len(corners), 2))
-    index = ExactIndex.create(path, KIND, precision)
+    index = ExactIndex.create(path, KIND)
     tiles.add_to(index, EACH)
     return index, tiles
 
@@ -78,7 +78,7 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
     tiles, place = Tiles.draw(300), tmp_path / "index"
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere" / "vectors.npy").write_bytes(b"not ours")
-    with ExactIndex.create(place, KIND, "int8") as index:
+    with ExactIndex.create(place, KIND) as index:
         index.add(tiles.names[:10], tiles.descriptors[:10], tiles.positions[:10])
         own = ["0000003/photo.jpg", "0000004/keys.npy/photo.jpg", "0000001/photo.jpg", "0000001/dead-x.npy"]
         own += ["0000005", "00007/vectors.npy", "index.json.mine.part", "notes.txt"]
@@ -141,7 +141,7 @@ def test_an_index_made_anew_in_the_same_place_is_read_anew(tmp_path: Path) -> No
         shutil.rmtree(tmp_path / "index")
         with pytest.raises(StoreError, match=r"has no index\.json"):
             index.count()
-        with ExactIndex.create(tmp_path / "index", KIND, "int8") as again:
+        with ExactIndex.create(tmp_path / "index", KIND) as again:
             other.add_to(again, EACH)
         other.check(index.search(other.descriptors[5], None, 7), other.descriptors[5], None, 7, None)
 
@@ -198,12 +198,12 @@ def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_what_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
-    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
         Tiles.draw(50).add_to(index)
         index.add(["0/tile 0.jpg"], Tiles.draw(1).descriptors)
     (dead,) = (tmp_path / "index").glob("*/dead-*.npy")
     files = [*dead.parent.iterdir(), tmp_path / "index" / "index.json"]
-    assert len(files) == 12
+    assert len(files) == 9
     for file in files:
         whole = file.read_bytes()
         file.unlink()
@@ -221,11 +221,10 @@ def test_what_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("unmerged")
-@pytest.mark.parametrize("precision", ["float32", "int8"])
 def test_a_box_reads_the_positions_of_segments_on_its_border_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, precision: Any
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    index, tiles = regions(tmp_path / "index", 6, precision)
+    index, tiles = regions(tmp_path / "index", 6)
     read: list[int] = []
     original = segments.within
     monkeypatch.setattr(segments, "within", lambda *given: read.append(1) or original(*given))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,7 +20,6 @@ from lpn import descriptors
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError, StoreError
-from lpn.descriptors.store import Precision
 from lpn.index import (
     DegreeBox,
     DescriptorKind,
@@ -31,9 +30,9 @@ from lpn.index import (
     exact,
     folder,
     open_index,
-    scan,
     segment_checksums,
 )
+from lpn.index.base import scores_of
 from lpn.models.base import normalise
 from lpn.retrieval import scoring
 from tools.fixtures import small_worlds
@@ -114,9 +113,7 @@ def _faiss(path: Path, codes: Any) -> Index:
 
 
 MAKERS: dict[str, Callable[[Path], Index]] = {
-    "float32": lambda path: ExactIndex.create(path, KIND, "float32"),
-    "float16": lambda path: ExactIndex.create(path, KIND, "float16"),
-    "int8": lambda path: ExactIndex.create(path, KIND, "int8"),
+    "exact": lambda path: ExactIndex.create(path, KIND),
     "faiss flat": lambda path: _faiss(path, "flat"),
     "faiss sq8": lambda path: _faiss(path, "sq8"),
     "faiss pq": lambda path: _faiss(path, "pq"),
@@ -219,33 +216,34 @@ def test_every_index_refuses_what_it_cannot_keep(make: Callable[[], Index]) -> N
         assert index.count() == 2
 
 
-@pytest.mark.parametrize("precision", ["float16", "int8"])
 @pytest.mark.parametrize("spread", [1e-4, 0.02, 1.0])
-def test_a_small_copy_changes_no_answer(tmp_path: Path, precision: Precision, spread: float) -> None:
+def test_an_exact_index_orders_tiles_as_a_scan_in_float64_does(tmp_path: Path, spread: float) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(1500, spread=spread, kind=kind)
     # Equal tiles tie exactly, and keep the order of insertion; others differ from them in one last bit.
     tiles.descriptors[700:710] = tiles.descriptors[5]
     tiles.descriptors[800:810] = np.nextafter(tiles.descriptors[5], np.float32(1))
-    with ExactIndex.create(tmp_path / "a", kind) as whole, ExactIndex.create(tmp_path / "b", kind, precision) as small:
-        tiles.add_to(whole)
-        tiles.add_to(small, 400)
+    with ExactIndex.create(tmp_path / "a", kind) as whole, ExactIndex.create(tmp_path / "b", kind) as parted:
+        tiles.add_to(whole, 1500)
+        tiles.add_to(parted, 400)
         for query in tiles.descriptors[[5, 77, 1234]]:
             for weights in WEIGHTS:
+                scores = scores_of(tiles.descriptors.reshape(1500, -1), kind.rescaled(query, weights))
+                order = np.argsort(-scores, kind="stable")
                 for k in (1, 12, 700):
-                    one, other = whole.search(query, weights, k), small.search(query, weights, k)
-                    assert one.ids == other.ids
-                    np.testing.assert_array_equal(one.scores, other.scores)
-        found = small.search(tiles.descriptors[5], [1, 0, 0, 0], 11)
+                    for index in (whole, parted):
+                        found = index.search(query, weights, k)
+                        assert found.ids == [tiles.names[i] for i in order[:k]]
+                        np.testing.assert_array_equal(found.scores, scores[order[:k]])
+        found = parted.search(tiles.descriptors[5], [1, 0, 0, 0], 11)
         ties = [name for name, score in zip(found.ids, found.scores, strict=True) if score == found.scores[0]]
         assert ties == sorted(ties, key=tiles.names.index)
 
 
-@pytest.mark.parametrize("precision", get_args(Precision))
-def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path, precision: Precision) -> None:
+def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path) -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(200, kind=kind)
-    with ExactIndex.create(tmp_path / "a", kind, precision) as index:
+    with ExactIndex.create(tmp_path / "a", kind) as index:
         tiles.add_to(index)
         query = tiles.descriptors[7].astype(np.float64)
         once = index.search(query, None, 5)
@@ -255,38 +253,29 @@ def test_a_query_of_any_length_finds_the_same_tiles(tmp_path: Path, precision: P
             np.testing.assert_allclose(found.scores, once.scores * length, rtol=1e-6)
 
 
-@pytest.mark.parametrize("precision", get_args(Precision))
-def test_no_score_is_above_its_bound_and_few_bounds_are_far_above(precision: Precision) -> None:
+def test_no_float32_score_is_off_by_more_than_its_bound_which_is_small() -> None:
     kind = DescriptorKind("f", 4, 64)
     tiles = Tiles.draw(2000, kind=kind)
     vectors = kind.checked(tiles.descriptors)
-    rows: Any = (vectors, None, None) if precision == "float32" else scan.small_copy(vectors, kind, precision)
     for weights in (*WEIGHTS, [0, 0, 0, 1]):
         wanted = kind.rescaled(tiles.descriptors[3] * 3 - tiles.descriptors[4], weights)
-        lower, upper = scan.score_bounds(kind, wanted, *rows)
-        scores = vectors.astype(np.float64) @ wanted
-        assert (lower <= scores).all()
-        over = upper - scores
+        scores = (vectors @ wanted.astype(np.float32)).astype(np.float64)
+        bound = exact.rounding_bound(wanted)
+        off = scores - vectors.astype(np.float64) @ wanted
+        assert (scores - bound <= scores - off).all()
+        over = bound + off
         assert (over >= 0).all()
-        allowed = {"float32": 1e-4, "float16": 2e-3, "int8": 4e-2}[precision]
-        assert over.max() < allowed * np.linalg.norm(wanted)
-    if precision == "int8":  # rows along what the rounding of a query loses, which a copy in 8 bits holds exactly
-        wanted = kind.rescaled(tiles.descriptors[3], None)
-        lost = wanted / np.abs(wanted).max() * 127 % 1
-        along = np.where((lost < 0.5) & (lost > 0), 1.0, -1.0).astype(np.float32).reshape(1, 4, 64) / 16
-        exact_copy: Any = scan.small_copy(kind.checked(along), kind, precision)
-        _, upper = scan.score_bounds(kind, wanted, *exact_copy)
-        assert (upper - kind.checked(along).astype(np.float64) @ wanted >= 0).all()
+        assert over.max() < 1e-4 * np.linalg.norm(wanted)
 
 
-def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_scan_scores_few_vectors_in_float64(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     tiles = Tiles.draw(4000)
     read: list[int] = []
     original = folder.scores_of
     monkeypatch.setattr(
         folder, "scores_of", lambda vectors, wanted: read.append(len(vectors)) or original(vectors, wanted)
     )
-    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
         tiles.add_to(index)
         for query in tiles.descriptors[:10]:
             index.search(query, None, 10)
@@ -296,7 +285,7 @@ def test_a_scan_in_int8_reads_few_vectors_in_full(tmp_path: Path, monkeypatch: p
 def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exact, "_BLOCK", 1 << 14)
     tiles = Tiles.draw(100_000)
-    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
         tiles.add_to(index, 50_000)
         index.search(tiles.descriptors[0], None, 10)
         tracemalloc.start()
@@ -311,9 +300,8 @@ def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-@pytest.mark.parametrize("precision", get_args(Precision))
-def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(tmp_path: Path, precision: Precision) -> None:
-    with ExactIndex.create(tmp_path / "index", KIND, precision) as index:
+def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(tmp_path: Path) -> None:
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
         Tiles.draw(50).add_to(index, 50)
         maps = Path("/proc/self/smaps").read_text()
     at_random: dict[str, set[bool]] = {}
@@ -324,14 +312,12 @@ def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(tmp_path:
         elif line.startswith("VmFlags:"):
             at_random.setdefault(name, set()).add("rr" in line.split())
             name = ""
-    scanned = "vectors.npy" if precision == "float32" else "small.npy"
-    assert at_random["vectors.npy"] == ({True, False} if precision == "float32" else {True})
-    assert False in at_random[scanned]
+    assert at_random["vectors.npy"] == {True, False}
 
 
 def test_many_small_adds_leave_few_segments(tmp_path: Path) -> None:
     tiles = Tiles.draw(120)
-    with ExactIndex.create(tmp_path / "index", KIND, "int8") as index:
+    with ExactIndex.create(tmp_path / "index", KIND) as index:
         for i in range(120):
             index.add(tiles.names[i : i + 1], tiles.descriptors[i : i + 1], tiles.positions[i : i + 1])
         held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
@@ -356,7 +342,7 @@ class Killed(BaseException):
     """In place of the process's end."""
 
 
-@pytest.mark.parametrize("engine", ["int8", "faiss flat"])
+@pytest.mark.parametrize("engine", ["exact", "faiss flat"])
 def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, engine: str
 ) -> None:
@@ -421,7 +407,7 @@ for start in range(0, len(vectors), 25):
 def test_a_process_that_is_killed_while_it_adds_loses_nothing_it_had_added(tmp_path: Path) -> None:
     tiles = Tiles.draw(2500)
     np.save(tmp_path / "vectors.npy", tiles.descriptors)
-    ExactIndex.create(tmp_path / "index", KIND, "float16").close()
+    ExactIndex.create(tmp_path / "index", KIND).close()
     rng = np.random.default_rng(0)
     for _ in range(3):
         command = [sys.executable, "-c", ADDING, str(tmp_path / "index"), str(tmp_path / "vectors.npy")]
@@ -485,12 +471,8 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
         open_index(tmp_path / "index", "fedc")
     with pytest.raises(StoreError, match="choose another folder"):
         create_index(tmp_path / "index", DescriptorKind("fedc", 4, 16))
-    with pytest.raises(StoreError, match="holds an index with precision float32, but the new one has precision int8"):
-        create_index(tmp_path / "index", KIND, precision="int8")
     with pytest.raises(InputError, match="does not go with this place"):
         create_index(tmp_path / "other", KIND, "milvus")
-    with pytest.raises(InputError, match="no precision to choose"):
-        create_index(tmp_path / "other", KIND, "faiss", "int8")
     with pytest.raises(InputError, match="engine exact has no codes to choose; leave pq out, or use the engine faiss"):
         create_index(tmp_path / "other", KIND, codes="pq")
     with pytest.raises(InputError, match="leave ivf out, or use the engine milvus"):
@@ -506,7 +488,7 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
     (tmp_path / "own" / "photo.jpg").write_bytes(b"")
     with pytest.raises(StoreError, match="other files, such as photo"):
         create_index(tmp_path / "own", KIND)
-    index = ExactIndex.create(tmp_path / "index", KIND, "int8")
+    index = ExactIndex.create(tmp_path / "index", KIND)
     Tiles.draw(50).add_to(index)
     segment = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
     for file in sorted(path for path in segment.iterdir() if path.name != segment_checksums.NAME):
@@ -583,7 +565,7 @@ def test_a_store_is_indexed_and_a_picture_found(
 ) -> None:
     making = [
         "index",
-        *_options(descriptors=described.store, data=described.data, out=tmp_path / "i", precision="int8"),
+        *_options(descriptors=described.store, data=described.data, out=tmp_path / "i"),
     ]
     assert main(making) == 0
     assert "holds 14 tiles, 14 of them added now" in capsys.readouterr().out
