@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
 from functools import partial
@@ -22,6 +22,7 @@ from lpn.cli.locate import MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
 from lpn.models.adapters import Kind
 from lpn.sources import (
@@ -31,6 +32,7 @@ from lpn.sources import (
     Flown,
     Indexed,
     KindOption,
+    ModelOptions,
     PoolingOption,
     ProviderOption,
     Published,
@@ -123,7 +125,31 @@ class ExploreNamed(ExploreSource):
 
 
 @dataclass(kw_only=True)
-class ExploreFlight(ExploreSource):
+class ModelsBeside:
+    """Models to compare with."""
+
+    beside: tuple[Path, ...] = ()
+    """Other trained models to compare on every query (key Y, tab Two models), such as those with other parts or input sizes."""
+    beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
+    """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
+    beside_pooling: tuple[str, ...] = ()
+    """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
+
+    def models_beside(self, provider: ProviderName) -> list[ModelOptions]:
+        """Return these models; InputError unless there is a kind or a pooling for each, or none at all."""
+        given = {"--beside-kind": self.beside_kind, "--beside-pooling": self.beside_pooling}
+        for option, values in given.items():
+            if values and not self.beside:
+                raise InputError(f"{option} needs --beside.")
+        options = (of_each(option, values, len(self.beside), "models of --beside") for option, values in given.items())
+        return [
+            ModelOptions(model=file, kind=cast("Kind | None", kind), pooling=pooling, provider=provider)
+            for file, kind, pooling in zip(self.beside, *options, strict=True)
+        ]
+
+
+@dataclass(kw_only=True)
+class ExploreFlight(ModelsBeside, ExploreSource):
     """Open a flight over its map in a browser."""
 
     source: Flown
@@ -132,32 +158,20 @@ class ExploreFlight(ExploreSource):
     map_error: MapError = None
     query: str | None = None
     """Name of the frame to open with, as the picker shows it; by default the first that can be read."""
-    beside: tuple[Path, ...] = ()
-    """Other trained models to compare on every frame (key Y, tab Two models)."""
-    beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
-    """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
-    beside_pooling: tuple[str, ...] = ()
-    """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
 
     def workspaces(self) -> Workspaces:
         from explorer.opening import open_flight_over
 
-        kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
         source, model = self.source, self.source.model
         return Workspaces(
             partial(
                 open_flight_over,
                 source.map,
                 source.flight,
-                model.model or shipped_model(),
+                model,
                 self.query,
-                self.beside,
+                self.models_beside(model.provider),
                 self.register,
-                model.provider,
-                kind=model.kind,
-                beside_kinds=kinds,
-                pooling=model.pooling,
-                beside_poolings=poolings,
                 map_error=self.map_error,
             )
         )
@@ -197,7 +211,7 @@ class ExploreLive(LiveInput):
 
 
 @dataclass(kw_only=True)
-class Explore(ExploreSource):
+class Explore(ModelsBeside, ExploreSource):
     """Open the explorer in a browser."""
 
     SOURCES: ClassVar[dict[str, type[ExploreSource | ExploreLive]]] = {
@@ -218,14 +232,8 @@ class Explore(ExploreSource):
     csls: CslsOption = 0
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
-    beside: tuple[Path, ...] = ()
-    """Other trained models to compare on every query (key Y, tab Two models), such as those with other parts or input sizes."""
-    beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
-    """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
     beside_weather: tuple[WeatherName, ...] = ()
     """Weathers in which to compare the model with itself, such as fog rain, where models of --beside are compared."""
-    beside_pooling: tuple[str, ...] = ()
-    """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
 
     @staticmethod
     def in_background(
@@ -267,7 +275,7 @@ class Explore(ExploreSource):
         for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
             if given is not None and self.model is None:
                 raise InputError(f"{option} needs --model.")
-        kinds, poolings = _of_beside(self.beside, self.beside_kind, self.beside_pooling)
+        beside = self.models_beside(self.provider)
         if self.data is None and not DEMO.is_dir():
             raise InputError(
                 "The demo's files are missing from this installation; install lpn-explorer again, or give a data set with "
@@ -280,14 +288,12 @@ class Explore(ExploreSource):
             self.data or DEMO,
             self.model or (DEMO_MODEL if self.data is None else shipped_model()),
             query,
-            self.beside,
+            beside,
             baseline,
             self.provider,
             self.kind,
-            kinds,
             self.calibrate,
             self.pooling,
-            poolings,
             self.beside_weather,
             self.csls,
         )
@@ -333,20 +339,6 @@ class Explore(ExploreSource):
 
 _LABELS = {DATA: "a computer-generated city", "place": "a real flight", "flight": "a computer-generated flight"}
 _REAL = "real photos of a place that the model was not trained on, over a map of the flight's other photos"
-
-
-def _of_beside(
-    beside: Sequence[Path], kinds: Sequence[Kind | Literal["auto"]], poolings: Sequence[str]
-) -> tuple[list[Kind | None], list[str | None]]:
-    """Return kind and pooling of each model beside; InputError unless there is one for each, or none at all."""
-    for option, given in (("--beside-kind", kinds), ("--beside-pooling", poolings)):
-        if given and not beside:
-            raise InputError(f"{option} needs --beside.")
-    count, models = len(beside), "models of --beside"
-    return (
-        cast("list[Kind | None]", of_each("--beside-kind", kinds, count, models)),
-        of_each("--beside-pooling", poolings, count, models),
-    )
 
 
 @dataclass(kw_only=True)

@@ -9,7 +9,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-import lpn
 from explorer.compute.background_jobs import ReportProgress
 from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
@@ -59,14 +58,12 @@ def open_model(
     data: Path,
     model: Path | Model,
     query: str | None = None,
-    beside: Sequence[Path] = (),
+    beside: Sequence[ModelOptions] = (),
     baseline: Path | None = None,
     provider: ProviderName = "auto",
     kind: Kind | None = None,
-    beside_kinds: Sequence[Kind | None] = (),
     calibrate: bool | None = None,
     pooling: str | None = None,
-    beside_poolings: Sequence[str | None] = (),
     beside_weathers: Sequence[WeatherName] = (),
     csls: int = 0,
 ) -> Workspace:
@@ -80,48 +77,47 @@ def open_model(
         baseline: the model of one part to offer for comparison without others; it is opened when a browser asks for it.
         provider: what computes the networks, see `lpn.load`.
         kind: the method of `model`, see `lpn.load`.
-        beside_kinds: those of `beside`; None for models that tell theirs.
         calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
         pooling: of the tokens of `model`, see `lpn.load`.
-        beside_poolings: those of `beside`; None for models that have parts of their own.
         beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
 
     Raises:
         LPNError: when a model or the data set cannot be used, a model or a weather is given twice, or there is no such query.
     """
-    kinds, poolings = beside_kinds or [None] * len(beside), beside_poolings or [None] * len(beside)
-    _check_different(
-        [] if isinstance(model, Model) else [(model, kind, pooling)], zip(beside, kinds, poolings, strict=True)
+    own = (
+        model if isinstance(model, Model) else ModelOptions(model=model, kind=kind, pooling=pooling, provider=provider)
     )
-    name, names = _names(model, (kind, pooling), beside, kinds, poolings)
+    names = _names([own, *beside] if isinstance(own, ModelOptions) else beside)
+    name = printable(own.contract.method) if isinstance(own, Model) else names.pop(0)
     _check_weathers(beside_weathers)
-    if beside_weathers and not isinstance(model, Model):
-        model = lpn.load(model, provider, kind=kind, pooling=pooling)
+    if beside_weathers and isinstance(own, ModelOptions):
+        own = own.load()
     scoring = calibrate, csls
-    workspace, dataset = _open_one(data, model, provider, name, kind, scoring, pooling=pooling)
+    workspace, dataset = _open_one(data, own, name, scoring)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
     opens = []
-    for file, other_name, other_kind, other_pooling in zip(beside, names, kinds, poolings, strict=True):
-        other = lpn.load(file, provider, kind=other_kind, pooling=other_pooling)
+    for options, other_name in zip(beside, names, strict=True):
+        other = options.load()
         choose_task(other, dataset)
-        opens.append(_opens(data, other, provider, other_name, scoring))
+        opens.append(_opens(data, other, other_name, scoring))
     _put_beside(workspace, names, opens)
     for weather in map(Weather, beside_weathers):
-        assert isinstance(model, Model)
+        assert isinstance(own, Model)
         label = f"{workspace.model_name} {weather.describe()}"
-        workspace.beside.append(LazyWorkspace(label, partial(_in_weather, workspace, model, weather, label)))
+        workspace.beside.append(LazyWorkspace(label, partial(_in_weather, workspace, own, weather, label)))
     if baseline is not None and not beside:
-        opens_it = _naming_files([baseline], _opens(data, baseline, provider, baseline.name, scoring))
+        options = ModelOptions(model=baseline, provider=provider)
+        opens_it = _naming_files([baseline], _opens(data, options, baseline.name, scoring))
         workspace.beside.append(LazyWorkspace("the baseline (n = 1)", opens_it))
     return workspace
 
 
 def _opens(
-    data: Path, model: Path | Model, provider: ProviderName, name: str, scoring: tuple[bool | None, int]
+    data: Path, model: ModelOptions | Model, name: str, scoring: tuple[bool | None, int]
 ) -> Callable[[ReportProgress | None], Workspace]:
     """Return what opens a model on a data set, see `_open_one`."""
-    return lambda report: _open_one(data, model, provider, name, None, scoring, report)[0]
+    return lambda report: _open_one(data, model, name, scoring, report)[0]
 
 
 def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str, report: ReportProgress) -> Workspace:
@@ -155,31 +151,26 @@ def _put_beside(
         workspace.beside[0].open()
 
 
-def _check_different(
-    own: Sequence[tuple[Path, Kind | None, str | None]], beside: Iterable[tuple[Path, Kind | None, str | None]]
-) -> None:
-    """Refuse a model that is given twice, as a file with its kind and pooling: a copy of itself has nothing to compare."""
-    given = [(file.absolute(), *options) for file, *options in own]
-    for file, *options in beside:
-        if (file.absolute(), *options) in given:
-            raise InputError(f"{printable(file.name)} is given twice; --model and --beside need different models.")
-        given.append((file.absolute(), *options))
+def _names(models: Sequence[ModelOptions]) -> list[str]:
+    """Return names of models to display; a file that is given twice with its kind and pooling has nothing to compare."""
+    given = [(one.file.absolute(), one.kind, one.pooling) for one in models]
+    for i, one in enumerate(models):
+        if given[i] in given[:i]:
+            raise InputError(f"{printable(one.file.name)} is given twice; --model and --beside need different models.")
+    return model_names([one.file for one in models], [one.pooling for one in models], [one.kind for one in models])
 
 
 def _open_one(
     data: Path,
-    model: Path | Model,
-    provider: ProviderName,
+    model: ModelOptions | Model,
     model_name: str,
-    kind: Kind | None = None,
-    scoring: tuple[bool | None, int] = (None, 0),
+    scoring: tuple[bool | None, int],
     report: ReportProgress | None = None,
-    pooling: str | None = None,
 ) -> tuple[Workspace, Dataset]:
     """Open one model on a data set, see `open_model`; `scoring` is its calibrate and csls."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
-        opened = model if isinstance(model, Model) else lpn.load(model, provider, kind=kind, pooling=pooling)
+        opened = model if isinstance(model, Model) else model.load()
         dataset = open_dataset(data)
     workspace = _workspace(open_data(opened, model_name, dataset, calibrate=False, every=True, on_progress=report))
     _offer_scorings(workspace, opened, model_name, dataset, *scoring, report)
@@ -229,21 +220,6 @@ def _offer_scorings(
     workspace.opens_with = tuple(scoring for scoring, wanted in opens_with.items() if wanted)
     if calibrate and asked is not None:
         _say(f"{printable(model_name)} is {asked.describe()}.")
-
-
-def _names(
-    model: Path | Model,
-    options: tuple[Kind | None, str | None],
-    beside: Sequence[Path],
-    kinds: Sequence[Kind | None],
-    poolings: Sequence[str | None],
-) -> tuple[str, list[str]]:
-    """Return the display names of a model with its kind and pooling, and of those beside it."""
-    if isinstance(model, Model):
-        return printable(model.contract.method), model_names(beside, poolings, kinds)
-    kind, pooling = options
-    own, *others = model_names([model, *beside], [pooling, *poolings], [kind, *kinds])
-    return own, others
 
 
 def _naming_files(
@@ -299,18 +275,13 @@ def open_tasks(tasks: Sequence[Task], query: str | None = None) -> Workspace:
 def open_flight_over(
     map_path: Path,
     flight_path: Path,
-    model: Path,
+    model: ModelOptions,
     query: str | None = None,
-    beside: Sequence[Path] = (),
+    beside: Sequence[ModelOptions] = (),
     register: bool = True,
-    provider: ProviderName = "auto",
     overlap: float = LocateOptions.overlap,
     report: ReportProgress | None = None,
-    kind: Kind | None = None,
-    beside_kinds: Sequence[Kind | None] = (),
     shipped: Path | None = None,
-    pooling: str | None = None,
-    beside_poolings: Sequence[str | None] = (),
     map_error: float | None = None,
 ) -> Workspace:
     """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
@@ -327,22 +298,15 @@ def open_flight_over(
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
         report: receives the progress of the description; by default the terminal shows it.
-        kind: the method of `model`, see `lpn.load`.
-        beside_kinds: those of `beside`; None for models that tell theirs.
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
-        pooling: of the tokens of `model`, see `lpn.load`.
-        beside_poolings: those of `beside`; None for models that have parts of their own.
         map_error: 1-sigma error of the map's places in metres, which radii hold, see `LocateOptions.map_error`.
 
     Raises:
         LPNError: when map, flight, or a model cannot be used, a model is given twice, or there is no such frame.
     """
-    kinds, poolings = beside_kinds or [None] * len(beside), beside_poolings or [None] * len(beside)
-    _check_different([(model, kind, pooling)], zip(beside, kinds, poolings, strict=True))
-    name, names = _names(model, (kind, pooling), beside, kinds, poolings)
+    name, *names = _names([model, *beside])
     locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
-    options = ModelOptions(model=model, kind=kind, pooling=pooling, provider=provider)
-    source = Flown(map=map_path, flight=flight_path, model=options)
+    source = Flown(map=map_path, flight=flight_path, model=model)
     opened = _open_flown(source, name, overlap, report, shipped)
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
@@ -354,8 +318,7 @@ def open_flight_over(
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)
     workspace.choose_first_query(next(readable, None) if query is None else query)
     opens = []
-    for file, other_name, other_kind, other_pooling in zip(beside, names, kinds, poolings, strict=True):
-        options = ModelOptions(model=file, kind=other_kind, pooling=other_pooling, provider=provider)
+    for options, other_name in zip(beside, names, strict=True):
         loaded = options.load()  # one that cannot be loaded ends the start
         opens.append(_opens_flown(replace(source, model=options), other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
@@ -397,9 +360,8 @@ def open_offered_flight(
     workspace = open_flight_over(
         map_path,
         flight_path,
-        model,
+        ModelOptions(model=model, provider=provider),
         query,
-        provider=provider,
         overlap=OFFERED_OVERLAP,
         report=report,
         shipped=shipped,

@@ -122,7 +122,6 @@ class Index(ABC):
     kind: DescriptorKind
     most: int | None = None
 
-    @abstractmethod
     def add(
         self,
         ids: Sequence[str],
@@ -140,6 +139,14 @@ class Index(ABC):
             InputError: when an argument is not as described.
             StoreError: when the tiles cannot be written.
         """
+        vectors = self.kind.checked(descriptors)
+        names, places = check_names(ids, len(vectors)), check_positions(positions, len(vectors))
+        if names:
+            self._add(names, vectors, places)
+
+    @abstractmethod
+    def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
+        """Add checked tiles, at least one."""
 
     @abstractmethod
     def search(

@@ -28,7 +28,6 @@ from typing import Annotated
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 from msgspec.structs import replace
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
@@ -49,8 +48,6 @@ from lpn.index.base import (
     Index,
     SearchResult,
     best,
-    check_names,
-    check_positions,
     no_such_tile,
     scores_of,
 )
@@ -262,18 +259,9 @@ class FolderIndex(Index):
                 f"{self.engine}."
             )
 
-    def add(
-        self,
-        ids: Sequence[str],
-        descriptors: npt.ArrayLike,
-        positions: Sequence[Sequence[float]] | Float64Array | None = None,
-    ) -> None:
-        """See `Index.add`; atomic, even if the process is killed."""
-        vectors = self.kind.checked(descriptors)
-        names = check_names(ids, len(vectors))
-        batch = TileBatch(names, vectors, check_positions(positions, len(vectors)))
-        if names:
-            self._change(lambda: self._write(batch))
+    def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
+        """Add tiles; atomic, even if the process is killed."""
+        self._change(lambda: self._write(TileBatch(names, vectors, places)))
 
     @property
     def expected_windows(self) -> dict[float, list[float]]:

@@ -46,8 +46,6 @@ from lpn.index.base import (
     best,
     check_box,
     check_count,
-    check_names,
-    check_positions,
     no_such_tile,
     scores_of,
 )
@@ -149,16 +147,8 @@ class MilvusIndex(Index):
             )
         return index
 
-    def add(
-        self,
-        ids: Sequence[str],
-        descriptors: npt.ArrayLike,
-        positions: Sequence[Sequence[float]] | Float64Array | None = None,
-    ) -> None:
-        """See `Index.add`; each message is atomic, so some of the tiles may be there after an error."""
-        vectors = self.kind.checked(descriptors)
-        names = check_names(ids, len(vectors))
-        places = check_positions(positions, len(vectors))
+    def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
+        """Add tiles; each message is atomic, so some of the tiles may be there after an error."""
         places = np.where(np.isnan(places), _NOWHERE, places)
         step = self._step
         for start in range(0, len(names), step):

@@ -258,14 +258,28 @@ class Data(TaskSource):
         )
 
 
-def _without_network(task: Task, names: Sequence[str], weights: Sequence[float] | None) -> OpenedSource:
-    """Return the source of a task of descriptors alone; the arguments are checked as by `TaskSource.open`."""
-    query_positions(names, task.queries, task.data_name)
-    return OpenedSource([weighted(task, weights)])
+class WithoutNetwork(TaskSource):
+    """A source of descriptors alone."""
+
+    @abstractmethod
+    def task(self) -> Task:
+        """Read the task."""
+
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
+        """See `TaskSource.open`."""
+        del on_progress
+        task = self.task()
+        query_positions(names, task.queries, task.data_name)
+        return OpenedSource([weighted(task, weights)])
 
 
 @dataclass(frozen=True, kw_only=True)
-class Published(TaskSource):
+class Published(WithoutNetwork):
     """A result of the published test code on its pictures, without a network."""
 
     WORD = "published"
@@ -281,23 +295,16 @@ class Published(TaskSource):
     def title(self) -> str:
         return _file_names(self.saved, self.data)
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedSource:
+    def task(self) -> Task:
         from lpn.datasets import open_dataset
         from lpn.retrieval.published_results import check_n_parts, load_saved
         from lpn.tasks.published_task import published_task
 
-        del on_progress
-        task = published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
-        return _without_network(task, names, weights)
+        return published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
 
 
 @dataclass(frozen=True, kw_only=True)
-class Arrays(TaskSource):
+class Arrays(WithoutNetwork):
     """Descriptors that any model made, without a network."""
 
     WORD = "arrays"
@@ -320,17 +327,10 @@ class Arrays(TaskSource):
     def title(self) -> str:
         return _file_names(self.queries, self.gallery)
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedSource:
+    def task(self) -> Task:
         from lpn.tasks.array_task import array_task
 
-        del on_progress
-        task = array_task(self.load(), printable(self.queries.name))
-        return _without_network(task, names, weights)
+        return array_task(self.load(), printable(self.queries.name))
 
     def load(self) -> PlainArrays:
         """Read the arrays, see `load_arrays` for the errors."""

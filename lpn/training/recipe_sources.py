@@ -22,10 +22,6 @@ from lpn.training.recipes import OF_BASELINE, find
 PAIRS = (("paper", "released"), ("cvusa-paper", "cvusa-released"), ("safa-paper", "safa-released"))
 _RELEASED = dict(PAIRS)
 
-# Marks a setting on which this paper is silent although `paper` states it.
-_SILENT = ""
-
-
 # By setting: its source by recipe; "*" for all others. Where the text of a paper is silent, its recipe has the source of the
 # released code.
 _SOURCES: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
@@ -45,15 +41,11 @@ _OF_METHOD |= {
 
 # Recipes whose sources are tried in turn, before those of the released code that belongs to a paper.
 _CHAINS: dict[str, tuple[str, ...]] = {
-    "paper": ("paper",),
-    "released": ("released",),
-    "cvusa-paper": ("cvusa-paper", "paper"),
-    "cvusa-released": ("cvusa-released",),
-    "cvusa-released-resnet50": ("cvusa-released-resnet50", "cvusa-released"),
+    **{name: (name,) for pair in PAIRS for name in pair},
     "cvact-released": ("cvact-released",),
     "metric-released": ("metric-released",),
-    "safa-paper": ("safa-paper",),
-    "safa-released": ("safa-released",),
+    "cvusa-paper": ("cvusa-paper", "paper"),
+    "cvusa-released-resnet50": ("cvusa-released-resnet50", "cvusa-released"),
 }
 
 
@@ -69,7 +61,7 @@ def source(recipe: str, setting: str, method: str | None = None) -> str:
     if method is not None and (recipe, method, setting) in _OF_METHOD:
         return _OF_METHOD[recipe, method, setting]
     of = _SOURCES[setting]
-    stated = next((of[name] for name in _CHAINS[recipe] if name in of), _SILENT)
+    stated = next((of[name] for name in _CHAINS[recipe] if name in of), "")
     if stated:
         return stated
     if recipe in _RELEASED and _RELEASED[recipe] in of:

@@ -31,6 +31,7 @@ from lpn.maps import MapPlace
 from lpn.maps.folder import build_map
 from lpn.models.contract import Contract
 from lpn.models.contract_metadata import to_metadata
+from lpn.sources import ModelOptions
 from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, empty_context, started
 from tests.lpn.locate.scenery import land, write_map
 from tools.fixtures import small_models, small_worlds
@@ -329,7 +330,9 @@ def test_no_text_runs_in_the_files_that_leave(
     for name, windows in shows.items():
         workspace = open_model(places, model_file)
         if name == "flight":
-            workspace = open_flight_over(flown["map"], flown["flight"], flown["model"], register=False)
+            workspace = open_flight_over(
+                flown["map"], flown["flight"], ModelOptions(model=flown["model"]), register=False
+            )
         first = next(iter(workspace.tasks.values())).query_names[0]
         steps = [
             Step(urlencode({"query": first} | windows) if number else "", f"{TEXT} {text}")

@@ -70,7 +70,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 @pytest.fixture(scope="module")
 def workspace(files: tuple[Path, Path], model_file: Path) -> Workspace:
-    return open_flight_over(*files, model_file, query="05.png", register=False)
+    return open_flight_over(*files, ModelOptions(model=model_file), query="05.png", register=False)
 
 
 def _state(workspace: Workspace, query: int) -> SessionState:
@@ -141,7 +141,7 @@ def test_registration_replaces_the_flight_when_it_is_done(
 
     monkeypatch.setattr(opening, "registered", register)
     monkeypatch.setattr(opening, "REGISTRATION_WAIT", 0.0)
-    workspace = open_flight_over(*files, model_file, map_error=7.0)
+    workspace = open_flight_over(*files, ModelOptions(model=model_file), map_error=7.0)
     before, job = workspace.flight, workspace.registration
     assert before is not None
     assert job is not None
@@ -276,7 +276,7 @@ def test_a_frame_that_the_flight_lacks_is_refused_after_what_was_noticed(
     files: tuple[Path, Path], model_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(InputError, match="has no query 99"):
-        open_flight_over(*files, model_file, query="99.png", register=False)
+        open_flight_over(*files, ModelOptions(model=model_file), query="99.png", register=False)
     told = capsys.readouterr().err
     assert "1 of 21 photos has no GPS tag" in told
     assert "1 of 21 photos cannot be read" in told

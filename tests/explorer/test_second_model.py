@@ -99,7 +99,7 @@ def test_a_model_given_at_the_start_is_open(
 ) -> None:
     data = shutil.copytree(data, tmp_path / "places")
     (data / "test" / "gallery_satellite" / "0007" / "photo.heic").write_bytes(b"")
-    (second,) = open_model(data, model_file, beside=[one_part_model_file]).beside
+    (second,) = open_model(data, model_file, beside=[ModelOptions(model=one_part_model_file)]).beside
     assert [record.getMessage() for record in caplog.records if record.name == "lpn.datasets.base"] == [
         "places: 1 pictures are not read: test/gallery_satellite/0007/photo.heic (is of a kind that is not read; save it as "
         "JPEG); they are left out."
@@ -239,7 +239,7 @@ def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
     data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path
 ) -> None:
     two = small_worlds.make_model(tmp_path / "two", n_parts=2)
-    workspace = open_model(data, model_file, beside=[one_part_model_file, two])
+    workspace = open_model(data, model_file, beside=[ModelOptions(model=one_part_model_file), ModelOptions(model=two)])
     first, last = workspace.beside
     wait_until(lambda: first.workspace is not None)
     assert (last.workspace, last.opening, last.progress) == (None, False, (0, 0))
@@ -257,10 +257,14 @@ def test_a_model_that_is_given_twice_or_cannot_be_compared_ends_the_start(
 ) -> None:
     for beside in ([model_file], [one_part_model_file, one_part_model_file]):
         with pytest.raises(InputError, match=r"model\.onnx is given twice; --model and --beside need different models"):
-            open_model(data, model_file, beside=beside)
+            open_model(data, model_file, beside=[ModelOptions(model=file) for file in beside])
     (tmp_path / "broken.onnx").write_bytes(b"no model")
     with pytest.raises(ModelFileError, match=r"broken\.onnx"):
-        open_model(data, model_file, beside=[one_part_model_file, tmp_path / "broken.onnx"])
+        open_model(
+            data,
+            model_file,
+            beside=[ModelOptions(model=one_part_model_file), ModelOptions(model=tmp_path / "broken.onnx")],
+        )
     street = replace(RegionModel().contract, views=("satellite", "street"), groups=(), part_names={})
     with pytest.raises(DataError, match="knows only satellite and street pictures"):
         open_model(data, RegionModel(street))

@@ -24,6 +24,7 @@ from lpn.drawing import charts
 from lpn.drawing.charts import ModelPoint
 from lpn.drawing.words import speaking
 from lpn.explain.centre import centre_share
+from lpn.sources import ModelOptions
 from tests.explorer.explain_window.test_window import WindowGui, make_window, wait_until
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import PartsModel, RegionModel
@@ -37,7 +38,7 @@ def workspace(
 ) -> Workspace:
     """A model of four parts beside which stand one of one part, and one of two parts and other pixels."""
     two = small_worlds.make_model(tmp_path_factory.mktemp("two"), n_parts=2, size=96)
-    return open_model(data, model_file, beside=[one_part_model_file, two])
+    return open_model(data, model_file, beside=[ModelOptions(model=one_part_model_file), ModelOptions(model=two)])
 
 
 @pytest.fixture

@@ -32,6 +32,7 @@ from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
 from lpn.retrieval.evaluate import evaluate
 from lpn.retrieval.protocol import Protocol, centred
+from lpn.sources import ModelOptions
 from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, task_calibration
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
@@ -240,7 +241,7 @@ def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Pat
 def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
     model_file: Path, one_part_model_file: Path, wide: Path
 ) -> None:
-    workspace = open_model(wide, model_file, beside=[one_part_model_file], calibrate=True)
+    workspace = open_model(wide, model_file, beside=[ModelOptions(model=one_part_model_file)], calibrate=True)
     assert workspace.default_scoring(TASK) == "calibrated"
     other = workspace.beside[0].open()
     assert other.wait(60)
