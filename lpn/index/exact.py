@@ -9,6 +9,7 @@ M = m + 2 and u = 2^-24.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -72,9 +73,24 @@ class ExactIndex(FolderIndex):
         pass
 
     def _near(self, segments: list[Segment], wanted: Float64Array, k: int, box: DegreeBox | None) -> Int64Array:
-        """Return the places of the searched tiles that may be among the k best."""
-        nearest = _Nearest(k, rounding_bound(wanted))
-        asked = wanted.astype(np.float32)
+        """Return the places of the searched tiles that may be among the k best, holding few others at a time."""
+        slack = 2 * rounding_bound(wanted)
+        held, count, most = [(np.zeros(0, np.int64), np.zeros(0))], 0, _HELD
+        least = -np.inf
+        for places, scores in self._scored(segments, wanted.astype(np.float32), box):
+            near = np.flatnonzero(scores >= least)
+            held.append((places[near], scores[near]))
+            count += len(near)
+            if count > most:
+                held, least = _among_best(held, k, slack)
+                count = len(held[0][0])
+                most = 2 * count + _HELD
+        return _among_best(held, k, slack)[0][0][0]
+
+    def _scored(
+        self, segments: list[Segment], asked: Float32Array, box: DegreeBox | None
+    ) -> Iterator[tuple[Int64Array, Float64Array]]:
+        """Yield the places of the searched tiles and their float32 scores, in blocks."""
         size = max(1, _BLOCK // self.kind.numbers)
         start = 0
         for segment in segments:
@@ -82,17 +98,15 @@ class ExactIndex(FolderIndex):
             if rows is not None and len(rows) * _FEW <= segment.rows:
                 for i in range(0, len(rows), size):
                     some = rows[i : i + size]
-                    nearest.take(start + some, segment.in_order[some] @ asked)
+                    yield start + some, (segment.in_order[some] @ asked).astype(np.float64)
             else:
                 for i in range(0, segment.rows, size):
-                    scores = segment.in_order[i : i + size] @ asked
+                    scores = (segment.in_order[i : i + size] @ asked).astype(np.float64)
                     some = np.arange(i, i + len(scores))
                     if rows is not None:
                         some = rows[slice(*np.searchsorted(rows, (i, i + size)))]
-                        scores = scores[some - i]
-                    nearest.take(start + some, scores)
+                    yield start + some, scores[some - i]
             start += segment.rows
-        return nearest.end()
 
 
 def rounding_bound(wanted: Float64Array) -> float:
@@ -105,36 +119,11 @@ def rounding_bound(wanted: Float64Array) -> float:
     return 1.001 * share / (1 - share) * float(np.linalg.norm(wanted)) * LONGEST + _ROUNDING
 
 
-class _Nearest:
-    """The tiles that may be among the k best, by the float32 scores that are known so far.
-
-    A tile is left out when k others are better even if all scores are wrong by `error`. So few tiles of 10^8 are held at a time.
-    """
-
-    def __init__(self, k: int, error: float) -> None:
-        self._k, self._error, self._count, self._most = k, error, 0, _HELD
-        # The lowest float32 score of a tile that may be among the k best.
-        self._least = -np.inf
-        self._held: list[tuple[Int64Array, Float64Array]] = [(np.zeros(0, np.int64), np.zeros(0))]
-
-    def take(self, places: Int64Array, scores: Float32Array) -> None:
-        """Take tiles with their float32 scores, (B,) each."""
-        wide = scores.astype(np.float64)
-        near = np.flatnonzero(wide >= self._least)
-        self._held.append((places[near], wide[near]))
-        self._count += len(near)
-        if self._count > self._most:
-            self._shrink()
-            self._most = 2 * self._count + _HELD
-
-    def end(self) -> Int64Array:
-        """Return the places of the tiles."""
-        self._shrink()
-        return self._held[0][0]
-
-    def _shrink(self) -> None:
-        places, scores = (np.concatenate(values) for values in zip(*self._held, strict=True))
-        if len(scores) >= self._k:
-            self._least = np.partition(scores, len(scores) - self._k)[len(scores) - self._k] - 2 * self._error
-        near = scores >= self._least
-        self._held, self._count = [(places[near], scores[near])], int(near.sum())
+def _among_best(
+    held: list[tuple[Int64Array, Float64Array]], k: int, slack: float
+) -> tuple[list[tuple[Int64Array, Float64Array]], float]:
+    """Return the tiles whose scores are at most `slack` below the k-th best, as one pair, and the lowest such score."""
+    places, scores = (np.concatenate(values) for values in zip(*held, strict=True))
+    least = np.partition(scores, len(scores) - k)[len(scores) - k] - slack if len(scores) >= k else -np.inf
+    near = scores >= least
+    return [(places[near], scores[near])], least

@@ -451,11 +451,8 @@ class FolderIndex(Index):
             The number of older segments that stay as they are, and the size of the merged one.
         """
         unmerged = len(sizes)
-        while (
-            unmerged
-            and sizes[unmerged - 1] <= 2 * rows
-            and self._bytes(rows + sizes[unmerged - 1]) <= self.max_segment_bytes
-        ):
+        most = self.max_segment_bytes // (4 * self.kind.numbers)
+        while unmerged and sizes[unmerged - 1] <= 2 * rows and rows + sizes[unmerged - 1] <= most:
             unmerged -= 1
             rows += sizes[unmerged]
         return unmerged, rows
@@ -472,9 +469,6 @@ class FolderIndex(Index):
         while os.path.lexists(self.folder / f"{number:07d}"):
             number += 1
         return number
-
-    def _bytes(self, rows: int) -> int:
-        return rows * self.kind.numbers * np.dtype(np.float32).itemsize
 
     def _clear(self) -> None:
         """Delete files that the manifest does not list: merged segments, and leftovers of a killed add.
@@ -507,24 +501,15 @@ class FolderIndex(Index):
 
 
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:
-    for name in ("engine", "kind", "settings"):
-        if getattr(existing, name) != getattr(wanted, name):
-            present, new = (_describe(manifest, name) for manifest in (existing, wanted))
+    kind = "{0.n_parts} x {0.embedding} numbers of model {0.fingerprint}"
+    for text in ("the engine {0.engine}", kind, "settings {0.settings}"):
+        present, new = text.format(existing), text.format(wanted)
+        if present != new:
             raise StoreError(
                 f"{folder} holds an index with {present}, but the new one has {new}; choose another folder, or delete the old "
                 "index."
             )
     return existing
-
-
-def _describe(manifest: IndexManifest, name: str) -> str:
-    kind = manifest.kind
-    texts = {
-        "engine": f"the engine {manifest.engine}",
-        "kind": f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}",
-        "settings": f"settings {manifest.settings}",
-    }
-    return texts[name]
 
 
 def _unwritable(folder: Path, error: OSError | OutputError) -> StoreError:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import hashlib
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import AbstractContextManager, ExitStack
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -179,18 +179,16 @@ def write_segment(folder: Path, kind: DescriptorKind, batches: Iterable[TileBatc
         rows: the number of tiles in all batches.
     """
     folder.mkdir()
-    shapes: dict[str, tuple[tuple[int, ...], npt.DTypeLike]] = {
-        "vectors": ((rows, kind.numbers), np.float32),
-        "positions": ((rows, 2), np.float64),
-    }
     lengths: list[int] = []
     keys: list[UInt64Array] = []
-    with ExitStack() as files:
-        arrays = {name: files.enter_context(_Array(folder / f"{name}.npy", *what)) for name, what in shapes.items()}
-        text = files.enter_context((folder / "names.bin").open("wb"))
+    with (
+        _Array(folder / "vectors.npy", (rows, kind.numbers), np.float32) as vectors,
+        _Array(folder / "positions.npy", (rows, 2), np.float64) as positions,
+        (folder / "names.bin").open("wb") as text,
+    ):
         for batch in batches:
-            arrays["vectors"].write(batch.vectors)
-            arrays["positions"].write(batch.positions)
+            vectors.write(batch.vectors)
+            positions.write(batch.positions)
             encoded = [name.encode() for name in batch.names]
             text.write(b"".join(encoded))
             lengths += map(len, encoded)
