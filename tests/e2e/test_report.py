@@ -18,9 +18,9 @@ from tests.e2e.conftest import empty_context
 
 @pytest.fixture
 def file(data: Path, model_file: Path, tmp_path: Path) -> Path:
-    """A report of two queries with profiles."""
+    """A report of two queries."""
     task = describe_task(lpn.load(model_file), "model.onnx", open_dataset(data))
-    (tmp_path / "report.html").write_bytes(report.build(task, [0, 5], Options(profile=True, step=90)))
+    (tmp_path / "report.html").write_bytes(report.build(task, [0, 5], Options()))
     return tmp_path / "report.html"
 
 

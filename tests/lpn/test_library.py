@@ -31,13 +31,6 @@ def desk(data: Path, tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_core_has_the_errors_that_a_caller_catches_and_the_views() -> None:
-    errors = [LPNError, *(error for error in LPNError.__subclasses__() if error.__module__ == LPNError.__module__)]
-    assert len(errors) > 5
-    assert all(vars(lpn.core).get(error.__name__) is error for error in errors)
-    assert {*(error.__name__ for error in errors), "VIEWS", "TaskName", "View", "views_of"} == set(lpn.core.__all__)
-
-
 def test_readme_snippet_runs(desk: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(desk)
     snippet = (ROOT / "README.md").read_text(encoding="utf-8").partition("```python\n")[2].partition("```")[0]

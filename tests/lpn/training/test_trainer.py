@@ -263,7 +263,7 @@ def test_a_run_of_another_version_is_not_resumed(places: Path, tmp_path: Path) -
     state = torch.load(tmp_path / "run" / "state.pt", weights_only=True)
     del state["format"]
     torch.save(state, tmp_path / "run" / "state.pt")
-    with pytest.raises(ModelFileError, match="has the format None; expected 4, so start anew"):
+    with pytest.raises(ModelFileError, match="has the format None; expected 5, so start anew"):
         trainer(places, tmp_path / "run", replace(QUICK, epochs=1), resume=True)
 
 
