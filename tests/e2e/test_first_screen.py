@@ -554,7 +554,7 @@ def test_an_own_picture_of_the_real_place_is_laid_on_its_map_and_a_foreign_one_i
     foreign = load_picture(DEMO_FLIGHT[1] / "LPN_0086.webp")
     small_worlds.write(tmp_path / "foreign.png", shrink(foreign, 320))
     send(tmp_path / "foreign.png")
-    expect(sentence).to_contain_text("Its details fit nowhere on this map", timeout=3000 * PATIENCE)
+    expect(sentence).to_contain_text("Its details fit nowhere on this map", timeout=6000 * PATIENCE)
     expect(captions).to_have_count(2)
 
 

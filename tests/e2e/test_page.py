@@ -575,8 +575,11 @@ def test_the_focus_follows_windows(explorer: ExplorerPage) -> None:
 
 
 @pytest.mark.slow
-def test_a_panel_that_is_unfolded_repeats_no_call(explorer: ExplorerPage) -> None:
+def test_a_panel_that_is_unfolded_repeats_no_call(
+    explorer: ExplorerPage, data: Path, request: pytest.FixtureRequest
+) -> None:
     page = explorer.page
+    request.addfinalizer(lambda: (data / "stories.json").unlink(missing_ok=True))
     page.evaluate("() => { window.said = []; lpn.say = (text) => said.push(text); }")
     page.keyboard.press("s")
     page.wait_for_function("said.length === 1")

@@ -17,7 +17,9 @@ from tests.e2e.conftest import ExplorerPage, RunningApp, empty_context, outlast,
 def kept_app(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
     """The app on places that tests may keep stories beside."""
     folder = tmp_path_factory.mktemp("stories")
-    shutil.copytree(data, folder / "places")
+    shutil.copytree(
+        data, folder / "places", ignore=shutil.ignore_patterns("stories.json")
+    )  # other tests share the data
     with started(folder / "places", model_file, folder / "cache") as running:
         yield running
 
