@@ -40,12 +40,14 @@ def calls() -> Figures:
     from explorer.app import App
     from explorer.opening import open_model
     from lpn.core.demo import DEMO, DEMO_MODEL
+    from lpn.retrieval.csls import NEIGHBOURS
     from tools.fixtures.websocket_client import WebSocketClient
 
     recorder = _Recorder()
     threading.setprofile(recorder.profile)  # for threads that start from here on
     try:
-        with closing(App(open_model(DEMO, DEMO_MODEL), "127.0.0.1", 0)) as app:
+        # The baseline's page ranked by CSLS; by another scoring, other tiles are drawn for the first time.
+        with closing(App(open_model(DEMO, DEMO_MODEL, csls=NEIGHBOURS), "127.0.0.1", 0)) as app:
             url = f"http://127.0.0.1:{app.server.get_port()}"
             with WebSocketClient(url, origin=url) as client:
                 client.greet()
