@@ -31,7 +31,7 @@ class ConnectionCheck:
     def note(self, request: HttpRequest) -> None:
         """Log what is wrong with a websocket of a browser, with or without its header Upgrade.
 
-        Of the page's own, which try addresses, nothing is logged: another may open.
+        The page's own websockets, which try addresses, are not logged: another may open.
         """
         origin, protocol = request.only("origin"), request.headers.get("sec-websocket-protocol", [])
         if not origin or PROTOCOL in protocol:  # no browser's, such as a port scanner's, or one of the page's own

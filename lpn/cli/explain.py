@@ -152,7 +152,7 @@ def _zoom(calibration: Calibration | None, model: Model, file: Path, picture: UI
 
 
 def _csls(task: Task, query: DescribedPicture, tile: DescribedPicture) -> tuple[Float32Array, Float32Array]:
-    """Return what CSLS over a task subtracts from the cosines of a pair for the query and for the tile, (n,) each."""
+    """Return the terms of CSLS over a task for a pair's query and tile, (n,) each; they are subtracted from its cosines."""
     from lpn.retrieval import scoring
     from lpn.retrieval.csls import CslsTerms, hubness
 

@@ -173,7 +173,7 @@ class PictureRow:
 
     Attributes:
         of: its list, such as "train/drone" or "test/query_drone"; "test/drone" is both queries and gallery.
-        file: its path below the root as it is listed, or the file itself where a folder was read.
+        file: its listed path below the root, or its own path where a folder was read.
         label, name, group, box: see `Picture`.
         true, semi, junk: the `file` of pictures of the gallery, see `Truth`; `true` is None where labels are the truth.
         overlaps: of the query's footprint with the true and half-true ones, by `file`; None where nobody measured them.
@@ -345,7 +345,7 @@ class Dataset:
         return bool(self._listed.get(f"test/{role}_{view}") or self._listed.get(f"test/{view}"))
 
     def lacking(self, role: str, view: str) -> str:
-        """Return what is wrong with a test split without queries or a gallery of a view, as a predicate."""
+        """Return the fault of a test split without queries or without a gallery of a view, as a predicate."""
         what = "test queries" if role == "query" else "test gallery"
         return f"has no {what} of {view} pictures; expected {self.expected}"
 
@@ -525,7 +525,7 @@ def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
 
 
 def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
-    """Return the value in a JSON file of at most so many bytes; errors as for `read_text`, and if it is not JSON."""
+    """Read the value of a JSON file up to a limit of bytes; errors as for `read_text`, and if it is not JSON."""
     try:
         return json.loads(read_text(path, name, most=most))
     except (ValueError, RecursionError) as error:

@@ -1,4 +1,4 @@
-"""What should have been given as a data set: the folder above, one below, or that of an archive."""
+"""The folder to give as a data set: one above, one below, or that of an archive."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _LEVELS = 3
 # A search for a data set below looks into so many folders at most.
 _MOST_FOLDERS = 2000
 
-# What to do with a file that is no picture, by its ending.
+# The advice for a file that is no picture, by its ending.
 _INSTEAD = {
     **dict.fromkeys(
         (".zip", ".tar", ".tgz", ".gz", ".xz", ".7z", ".rar"), "unpack it first, and give the folder that it makes"

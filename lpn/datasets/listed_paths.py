@@ -78,11 +78,11 @@ class FilesBelow:
         self._folders: dict[str, str | None] = {"": ""}
 
     def resolve(self, paths: Iterable[str]) -> dict[str, str]:
-        """Return what each of the plain paths of a list names; those that name nothing are absent."""
+        """Return the file that each plain path of a list names; paths without a file are absent."""
         return {path: name for path in dict.fromkeys(paths) if (name := self.find(path)) is not None}
 
     def find(self, path: str) -> str | None:
-        """Return what a plain path names as it is, or in another case if only one differs from it so; None for nothing."""
+        """Return the file of a plain path, or the only one whose name differs in case alone; None without one."""
         folder, _, name = path.rpartition("/")
         if is_absolute(path) or ".." in (name, *folder.split("/")):
             return None

@@ -292,7 +292,7 @@ def _recall_panel(recalls: Sequence[TaskRecall], top: int, x: Callable[[float], 
 
 
 def _drawn(panel: _Panel, top: int, lines: list[tuple[str, _Series]]) -> dict[str, Any]:
-    """Return what the template draws of a panel that begins at `top`; its points are added."""
+    """Return the template's values for a panel that begins at `top`, and add its points."""
     ticks = [(_heights(panel, [value], top)[0], label) for value, label in panel.ticks]
     return {
         **{"title": panel.title, "top": top, "bottom": top + panel.height, "ticks": ticks, "lines": lines},

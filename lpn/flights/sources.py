@@ -38,7 +38,7 @@ _OWN_TRACKS = {
     ".geojson": re.compile(rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":', re.DOTALL),
     ".gpx": re.compile(rb'.*creator="lpn locate"', re.DOTALL),
 }
-# What to give in place of kinds that are not read.
+# The formats to give in place of kinds that are not read.
 _INSTEAD = {
     **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"),
     **dict.fromkeys((".bag", ".db3", ".mcap"), "CSV, .ulg, .tlog, or .bin"),

@@ -1,4 +1,4 @@
-"""What a retrieval found for each query: rank, average precision, and the nearest tiles."""
+"""The outcome of each query: its rank, average precision, and nearest tiles."""
 
 from __future__ import annotations
 

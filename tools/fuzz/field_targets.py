@@ -1,4 +1,4 @@
-"""What a flight brings, and the maps that it is placed on: readers, and the real files that damaged ones are made from."""
+"""Readers of flights and of maps, and the real files from which damaged ones are made."""
 
 from __future__ import annotations
 

@@ -113,7 +113,7 @@ def complaint(case: FuzzCase, data: bytes) -> str:
     try:
         case.read(data)
     except LPNError as error:
-        # What a person reads is a sentence or two, and no traceback.
+        # A person reads a sentence or two, and no traceback.
         return "" if str(error) and "\n" not in str(error) else f"several lines, or none: {str(error)!r}"
     except Exception as error:
         trace = error.__traceback__

@@ -54,7 +54,7 @@ class SoakClient(ABC):
 
     @abstractmethod
     def _acts(self) -> dict[Callable[[], None], float]:
-        """What a user does, and how often."""
+        """The acts of a user, and the frequency of each."""
 
     @abstractmethod
     def _leave(self) -> None:

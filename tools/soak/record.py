@@ -1,4 +1,4 @@
-"""What the clients record, the server's resources, and the bounds of both."""
+"""The records of the clients, the server's resources, and the bounds of both."""
 
 from __future__ import annotations
 

@@ -259,7 +259,7 @@ def _degrees_of_tile(file: Path) -> tuple[float, float]:
 
 
 def _numbers_in(file: Path, zoom: int, example: str) -> tuple[int, ...]:
-    """Return the four numbers of a tile's name, of which the one at position `zoom` is a zoom."""
+    """Return the four numbers of a tile's name; the number at position `zoom` is its zoom."""
     parts = file.stem.split("_")
     if len(parts) != 4 or not all(part.isdecimal() and len(part) < 7 for part in parts) or int(parts[zoom]) > 30:
         raise DataError(

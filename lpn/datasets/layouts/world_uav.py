@@ -36,7 +36,7 @@ class WorldUAV(Dataset):
     """A folder of World-UAV in one of its splits, or the folder of one region; its only task is "drone-to-satellite".
 
     A tile's label is its number; a drone picture's is that of its first positive. Groups are the regions; in one region they are
-    its flights, of which all are queries.
+    its flights, all of them queries.
     """
 
     kind = "World-UAV"

@@ -1,4 +1,4 @@
-"""What the terminal is told of a page that cannot connect."""
+"""The lines of the terminal about a page that cannot connect."""
 
 from __future__ import annotations
 

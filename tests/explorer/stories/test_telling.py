@@ -1,4 +1,4 @@
-"""What is kept and told, without a browser."""
+"""Keeping and telling stories, without a browser."""
 
 from __future__ import annotations
 
