@@ -36,7 +36,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.views import View
 from lpn.datasets import Picture, Truth, matlab
-from lpn.datasets.base import read_rows
+from lpn.datasets.lists import read_rows
 from lpn.datasets.geo import Position
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 from lpn.models.contract import Role

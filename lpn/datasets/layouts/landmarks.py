@@ -16,8 +16,9 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, PictureRow, Size, files_below, numbered_lines
+from lpn.datasets.base import Dataset, PictureRow, Size, files_below
 from lpn.datasets.integrity import picture_errors
+from lpn.datasets.lists import numbered_lines
 
 PREFIX = "oxc1_"
 TASK = "street-to-street"
@@ -70,7 +71,7 @@ class Landmarks(Dataset):
             )
         if queries[0].prefixed or all(query.picture.startswith("paris_") for query in queries):
             self.kind, self.title = "Oxford5k" if queries[0].prefixed else "Paris6k", ""
-            self.published_sizes, self.paper = FULL[self.kind], ((TASK,), "Table VI", "Table VI")
+            self.published_sizes = FULL[self.kind]
         files = _by_name(self.root)
         for file, why in picture_errors(list(files.values())).items():
             published = self.kind == "Paris6k" and file.stem in CORRUPT

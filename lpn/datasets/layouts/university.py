@@ -44,12 +44,6 @@ class University(Dataset):
     parts = ("train", "test")
     priority = -1
     folders = ("train", "test")
-    recipes: tuple[str, ...] = ("paper", "released", "small", "world")
-    paper: tuple[tuple[str, ...], str, str] | None = (
-        ("drone-to-satellite", "satellite-to-drone"),
-        "Tables I, III, IV, V and Figure 5",
-        "Tables IV and V",
-    )
     # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
     published_sizes = sizes(
         train={"satellite": (701, 701), "drone": (37_854, 701), "street": (None, 701), "google": (21_099, None)},
@@ -62,7 +56,6 @@ class University(Dataset):
         self._read: dict[str, list[Picture]] = {}
         if is_rendered(root):
             self.kind, self.title, self.published_sizes = "world", "a rendered world", {}
-            self.recipes = ("world", "small", "paper", "released")
 
     def pictures(self, name: str) -> list[Picture]:
         if name in LISTS and name not in self._read:
