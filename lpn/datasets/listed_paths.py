@@ -77,10 +77,6 @@ class FilesBelow:
         self._folded: dict[str, dict[str, str | None]] = {}
         self._folders: dict[str, str | None] = {"": ""}
 
-    def resolve(self, paths: Iterable[str]) -> dict[str, str]:
-        """Return the file that each plain path of a list names; paths without a file are absent."""
-        return {path: name for path in dict.fromkeys(paths) if (name := self.find(path)) is not None}
-
     def find(self, path: str) -> str | None:
         """Return the file of a plain path, or the only one whose name differs in case alone; None without one."""
         folder, _, name = path.rpartition("/")

@@ -116,12 +116,12 @@ class TilePairs(Dataset):
                 for tile in row.true or ():
                     drones[tile].append(row.file)
         for file, number in numbers.items():
-            tile = PictureRow("test/gallery_satellite", file, number, Path(file).stem)
-            yield tile
+            row = PictureRow("test/gallery_satellite", file, number, Path(file).stem)
+            yield row
             if number in used:
-                yield replace(tile, of="train/satellite")
+                yield replace(row, of="train/satellite")
             if drones[file]:
-                yield replace(tile, of="test/query_satellite", true=drones[file])
+                yield replace(row, of="test/query_satellite", true=drones[file])
 
     def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
         """Return metres of the map (GTA-UAV), or latitude and longitude in degrees (UAV-VisLoc), (N, 2)."""
