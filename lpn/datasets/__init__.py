@@ -25,13 +25,13 @@ from lpn.datasets.base import (
     Size,
     Truth,
     files_below,
-    hidden_name,
     labels_of,
     unread_below,
     warn_left_out,
 )
 from lpn.datasets.folder import Folder
 from lpn.datasets.layouts.university import University
+from lpn.datasets.listed_paths import hidden_name
 
 __all__ = [
     "Dataset",

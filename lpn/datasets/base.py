@@ -18,14 +18,12 @@ from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_p
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import TASKS, views_of
 from lpn.datasets import geo
-from lpn.datasets.listed_paths import FilesBelow
+from lpn.datasets.listed_paths import FilesBelow, hidden_name
 
 log = logging.getLogger(__name__)
 
 # The published evaluations that measure distances: of DenseUAV, of GTA-UAV, and of UAV-VisLoc in Game4Loc's form.
 PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
-# Folders that macOS's archives, Windows, Synology's servers, and Linux add; pictures in them are no pictures of the user.
-_ADDED_BY_SYSTEMS = frozenset(("__MACOSX", "$RECYCLE.BIN", "System Volume Information", "@eaDir", "lost+found"))
 
 
 @dataclass(frozen=True)
@@ -446,11 +444,6 @@ def _is_there(root: Path, pattern: str) -> bool:
         return any(root.glob(pattern))
     path = os.path.join(root, pattern)  # noqa: PTH118 (a string is quicker)
     return os.path.isdir(path) if pattern.endswith("/") else os.path.isfile(path)  # noqa: PTH112, PTH113
-
-
-def hidden_name(name: str) -> bool:
-    """Return whether a name is hidden (.ipynb_checkpoints, ._a.jpg, .DS_Store), or one that a system adds (__MACOSX)."""
-    return name.startswith(".") or name in _ADDED_BY_SYSTEMS
 
 
 def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:

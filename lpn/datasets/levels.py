@@ -9,7 +9,8 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
-from lpn.datasets.base import Dataset, hidden_name
+from lpn.datasets.base import Dataset
+from lpn.datasets.listed_paths import hidden_name
 
 # The deepest list of a split is three folders below (Testing/150/query_drone).
 _LEVELS = 3

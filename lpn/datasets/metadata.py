@@ -18,6 +18,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
+from typing import Any
 
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import DataError
@@ -110,15 +111,13 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
 
 
 def _building(
-    building: dict[str, object] | None, districts: dict[int, dict[str, object]]
+    building: dict[str, Any] | None, districts: dict[int, dict[str, Any]]
 ) -> tuple[str, str, str, float, str]:
     """Return district, its character, kind, height in metres, and whether the building has twins."""
     if building is None:
         return "", "", "", math.nan, ""
-    district = districts[int(str(building["district"]))]
-    height = float(str(building["height"]))
-    twins = "no" if building["twins"] is None else "yes"
-    return str(district["name"]), str(district["character"]), str(building["kind"]), height, twins
+    district, twins = districts[int(building["district"])], "no" if building["twins"] is None else "yes"
+    return str(district["name"]), str(district["character"]), str(building["kind"]), float(building["height"]), twins
 
 
 def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]:

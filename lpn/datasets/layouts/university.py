@@ -16,7 +16,8 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import linked_folder, printable
 from lpn.core.images import SUFFIXES
-from lpn.datasets.base import Dataset, Picture, hidden_name, sizes
+from lpn.datasets.base import Dataset, Picture, sizes
+from lpn.datasets.listed_paths import hidden_name
 from lpn.datasets.rendered import PLAN, is_rendered
 
 # The lists in the order in which they are shown.
