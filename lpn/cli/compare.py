@@ -30,10 +30,11 @@ from lpn.sources import (
 
 if TYPE_CHECKING:
     from lpn.analysis.leaderboard import Leaderboard
-    from lpn.analysis.model_table import ModelTable, RankedModel
+    from lpn.analysis.model_table import ModelTable
     from lpn.core.consoles import Console
     from lpn.models.base import Model
     from lpn.retrieval.calibration import Calibration
+    from lpn.tasks.measure import RankedModel
 
 
 @dataclass(kw_only=True)
@@ -84,12 +85,13 @@ class ComparisonOfSources(ABC):
 
     def _ranked_sources(self, sources: Sequence[tuple[str, TaskSource]]) -> Iterator[RankedModel]:
         """Rank the first task of each source, under a name that tells it from the others."""
-        from lpn.analysis.model_table import rank_task
+        from dataclasses import replace
+
         from lpn.sources.opened import open_first_task
 
         _check_several(len(sources))
         for name, source in sources:
-            yield rank_task(open_first_task(source), name)
+            yield replace(open_first_task(source), model_name=name).evaluate().ranked()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,14 +138,14 @@ class ComparisonOfPublished(ComparisonOfSources):
     """Data set that they were computed on."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_published
         from lpn.datasets import open_dataset
         from lpn.retrieval.published_results import load_saved
+        from lpn.tasks.published_task import saved_task
 
         _check_several(len(self.results))
         dataset = open_dataset(self.data)
         for name, file in zip(distinct_names(self.results), self.results, strict=True):
-            yield rank_published(load_saved(file), name, dataset)
+            yield saved_task(load_saved(file), dataset, name).evaluate().ranked()
 
 
 @dataclass(kw_only=True)
@@ -309,11 +311,12 @@ class CompareCommand(ComparisonOfSources):
         _write_page(board, page, self.comparison.json)
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_model, rank_published
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
         from lpn.retrieval.published_results import load_saved
-        from lpn.tasks.opening import alike_calibrations
+        from lpn.tasks.changes import by_csls, calibrated
+        from lpn.tasks.opening import alike_calibrations, lazy_task
+        from lpn.tasks.published_task import saved_task
 
         files = self.models.models
         if not files or (len(files) < 2 and not self.calibrate and not self.csls):
@@ -331,8 +334,8 @@ class CompareCommand(ComparisonOfSources):
         tasks = dataset.tasks()
         task = self.task or (tasks[0] if tasks else "drone-to-satellite")
         networks = {name: options.load() for name, options in models.items() if name not in saved}
-        calibrated = alike_calibrations(list(networks.values()), dataset, False if saved else self.calibrate)
-        calibrations = dict(zip(networks, calibrated, strict=True))
+        chosen = alike_calibrations(list(networks.values()), dataset, False if saved else self.calibrate)
+        calibrations = dict(zip(networks, chosen, strict=True))
         read = descriptor_reader(dataset.root)
         for name, options in models.items():
             if name in saved:
@@ -340,7 +343,7 @@ class CompareCommand(ComparisonOfSources):
                     raise InputError(
                         f"{name} holds descriptors and needs no kind; give auto in place of {options.kind}."
                     )
-                result = rank_published(load_saved(options.file), name, dataset, self.gallery)
+                result = saved_task(load_saved(options.file), dataset, name).evaluate().ranked(self.gallery)
                 if result.task != task:
                     raise InputError(f"{name} is a result of {result.task}; expected {task}, so choose it with --task.")
                 yield result
@@ -350,7 +353,8 @@ class CompareCommand(ComparisonOfSources):
                 rows = [scored] if len(models) > 1 else dict.fromkeys([(None, 0), (scored[0], 0), scored])
                 for calibration, csls in rows:
                     title = _scored_name(name, calibration, csls)
-                    yield rank_model(networks[name], title, dataset, task, self.gallery, read, calibration, csls)
+                    opened = lazy_task(networks[name], dataset, task, read, model_name=title)
+                    yield by_csls(calibrated(opened, calibration), csls).evaluate().ranked(self.gallery)
 
 
 def _scored_name(name: str, calibration: Calibration | None, csls: int) -> str:

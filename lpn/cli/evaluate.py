@@ -6,7 +6,7 @@ import logging
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -18,15 +18,13 @@ from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
     from lpn.core.consoles import Console
-    from lpn.datasets import Dataset
+    from lpn.descriptors.transforms import Change
     from lpn.flights import Flight
     from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
     from lpn.maps import Map
-    from lpn.models.base import Model
-    from lpn.retrieval.calibration import Calibration
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
-    from lpn.retrieval.weathers import WeatherResult
+    from lpn.tasks.gallery_task import GalleryTask
+    from lpn.tasks.measure import Result
+    from lpn.tasks.weathers import WeatherResult
 
 log = logging.getLogger(__name__)
 
@@ -49,6 +47,14 @@ class ChangeOptions:
     """Weather of University-WX in drone or street pictures, whichever side they are; all measures the ten of them in both
     directions and prints the leaderboard's table."""
 
+    def change(self) -> Change:
+        """Return the change; InputError if an option is out of range."""
+        from lpn.descriptors.transforms import Change
+        from lpn.descriptors.weather import Weather
+
+        name: WeatherName = "normal" if self.weather == "all" else self.weather
+        return Change(self.rotate, self.shift, self.scale, weather=Weather(name))
+
 
 @dataclass(kw_only=True)
 class RankingOptions:
@@ -57,20 +63,14 @@ class RankingOptions:
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
 
-    def protocol(self, csls: int, changes: ChangeOptions | None = None) -> Protocol:
-        """Return the protocol of these options.
-
-        Raises:
-            InputError: if one of them is out of range.
-        """
-        from lpn.descriptors.transforms import Change
-        from lpn.descriptors.weather import Weather
-        from lpn.retrieval.protocol import Protocol
-
-        parts, changed = _numbers(self.parts), changes or ChangeOptions()
-        name: WeatherName = "normal" if changed.weather == "all" else changed.weather
-        change = Change(changed.rotate, changed.shift, changed.scale, weather=Weather(name))
-        return Protocol(change, None if parts is None else tuple(parts), csls=csls)
+    def numbers(self) -> list[int] | None:
+        """Return the numbers of the parts; None for all."""
+        if self.parts is None:
+            return None
+        try:
+            return [int(item) for item in self.parts.split(",")]
+        except ValueError as error:
+            raise InputError(f"The parts are {self.parts!r}; expected numbers from 1, such as 1,2.") from error
 
 
 @dataclass(kw_only=True)
@@ -82,9 +82,13 @@ class DescriptorOptions(RankingOptions):
     no labels, and makes up for places and cameras that differ from those of the training."""
     csls: CslsOption = 0
 
-    def saved_protocol(self) -> Protocol:
-        """Return the protocol of these options, see `protocol`."""
-        return replace(self.protocol(self.csls), centre=self.centre)
+    def measured(self, task: GalleryTask) -> Result:
+        """Measure a task under these options; InputError if one of them is out of range."""
+        from lpn.tasks.changes import by_csls, centred, with_parts
+        from lpn.tasks.measure import measure
+
+        task = centred(task) if self.centre else task
+        return measure(by_csls(with_parts(task, self.numbers()), self.csls))
 
 
 @dataclass(kw_only=True)
@@ -119,17 +123,16 @@ class EvaluationOfPublished(EvaluationOfSource):
     ranking: DescriptorOptions = field(default_factory=DescriptorOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
-        from lpn.retrieval.evaluate import evaluate_saved
         from lpn.retrieval.published_results import check_n_parts, load_saved
+        from lpn.tasks.published_task import saved_task
 
-        protocol = self.ranking.saved_protocol()
-        if protocol.centre and self.n_parts is None:
+        if self.ranking.centre and self.n_parts is None:
             raise InputError(
                 "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
                 "(1 for a baseline)."
             )
         saved = load_saved(self.saved, check_n_parts(self.n_parts))
-        return saved.name, evaluate_saved(saved, protocol)
+        return saved.name, self.ranking.measured(saved_task(saved))
 
 
 @dataclass(kw_only=True)
@@ -140,9 +143,9 @@ class EvaluationOfArrays(EvaluationOfSource):
     ranking: DescriptorOptions = field(default_factory=DescriptorOptions)
 
     def _evaluate(self) -> tuple[str, Result]:
-        from lpn.retrieval.evaluate import evaluate_descriptors
+        from lpn.tasks.array_task import array_task
 
-        source, protocol = self.source, self.ranking.saved_protocol()
+        source = self.source
         if source.paths is None:
             raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
         arrays = source.load()
@@ -160,16 +163,8 @@ class EvaluationOfArrays(EvaluationOfSource):
                 len(positions),
                 source.paths.name,
             )
-        saved = arrays.result
-        result = evaluate_descriptors(
-            (saved.query, saved.gallery),
-            (saved.query_labels, saved.gallery_labels),
-            arrays.truth(),
-            saved.task,
-            protocol,
-            arrays.all_positions,
-        )
-        return f"{saved.name} on {source.gallery.name}", result
+        name = arrays.result.name
+        return f"{name} on {source.gallery.name}", self.ranking.measured(array_task(arrays, name))
 
 
 @dataclass(kw_only=True)
@@ -179,10 +174,8 @@ class EvaluationOfIndex(EvaluationOfSource):
     source: Indexed
 
     def _evaluate(self) -> tuple[str, Result]:
-        from lpn.tasks.evaluation import evaluate_task
-
         task = open_first_task(self.source)
-        return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)
+        return f"{task.model_name} on {task.data_name}, {task.gallery_description}", task.evaluate()
 
 
 @dataclass(kw_only=True)
@@ -335,53 +328,45 @@ class EvaluateCommand(EvaluationOfSource):
 
     def _run_weathers(self) -> None:
         from lpn.core.files import write_json
-        from lpn.retrieval.weathers import evaluate_weathers
+        from lpn.tasks.weathers import measure_weathers
 
-        model, dataset, tasks, title, protocol, calibration = self._opened()
-        result = evaluate_weathers(model, dataset, tasks, protocol, calibration)
+        title, tasks = self._opened()
+        result = measure_weathers(tasks)
         _print_weathers(title, result)
         if self.json is not None:
             write_json(self.json, result.to_dict())
 
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.core.files import write_atomic
-        from lpn.core.views import views_of
-        from lpn.descriptors import descriptor_reader
-        from lpn.retrieval.evaluate import evaluate
+        from lpn.tasks.measure import measure
 
-        model, dataset, (task, *_), title, protocol, calibration = self._opened()
-        depth = 0 if self.per_query is None else _LISTED
-        result = evaluate(model, dataset, task, protocol, descriptor_reader(dataset.root), calibration, depth)
-        if self.per_query is not None and result.per_query is not None:
-            sides = dataset.queries(views_of(task)[0]), dataset.gallery(views_of(task)[1])
-            names = ([picture.name for picture in side] for side in sides)
-            write_atomic(self.per_query, result.per_query.to_csv(*names))
+        title, (task, *_) = self._opened()
+        result = measure(task, 0 if self.per_query is None else _LISTED)
+        if self.per_query is not None:
+            write_atomic(self.per_query, result.queries_csv())
         return title, result
 
-    def _opened(self) -> tuple[Model, Dataset, list[str], str, Protocol, Calibration | None]:
-        """Open model and data set.
-
-        Returns:
-            Both, the task and, unless one is given, its reverse if offered, the title, the protocol, and the calibration.
-        """
+    def _opened(self) -> tuple[str, list[GalleryTask]]:
+        """Return the title and the task, changed as the options say; of all weathers its reverse, too, unless one is given."""
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset
-        from lpn.tasks.evaluation import protocol_calibration
-        from lpn.tasks.opening import no_task_error, offered_tasks
+        from lpn.descriptors import descriptor_reader
+        from lpn.tasks.changes import by_csls, calibrated, changed, with_parts
+        from lpn.tasks.opening import lazy_task, no_task_error, offered_tasks, task_calibration
 
-        source = self.source
-        protocol = self.ranking.protocol(source.csls, self.changes)
+        source, change, parts = self.source, self.changes.change(), self.ranking.numbers()
         model, dataset = source.model.load(), open_dataset(source.data)
         tasks = offered_tasks(model, dataset)
         if source.task is None and not tasks:
             raise no_task_error(model, dataset)
         task = source.task or tasks[0]
         title = f"{source.model.name} ({model.describe()}) on {source.data.resolve().name}"
-        reverse = [
-            name for name in tasks if source.task is None and views_of(name) == views_of(task)[::-1] != views_of(task)
-        ]
-        calibration = protocol_calibration(model, dataset, protocol, source.calibrate)
-        return model, dataset, [task, *reverse], title, protocol, calibration
+        views = views_of(task)
+        both = self.changes.weather == "all" and source.task is None and views[0] != views[1]
+        reverse = [name for name in tasks if both and views_of(name) == views[::-1]]
+        calibration, read = task_calibration(model, dataset, source.calibrate), descriptor_reader(dataset.root)
+        opened = [calibrated(lazy_task(model, dataset, name, read), calibration) for name in [task, *reverse]]
+        return title, [by_csls(with_parts(changed(one, change), parts), source.csls) for one in opened]
 
 
 def _print_result(title: str, result: Result) -> None:
@@ -389,7 +374,7 @@ def _print_result(title: str, result: Result) -> None:
     from rich.table import Table
 
     from lpn.core.consoles import wide_console
-    from lpn.retrieval.evaluate import WITHOUT
+    from lpn.tasks.measure import WITHOUT
 
     table, of_group = Table(title=title), [result.group_name] if result.groups else []
     for name in ("task", *of_group, "queries", "gallery", *(f"recall@{k}" for k in result.recall), "ap"):
@@ -500,12 +485,3 @@ def _title(key: str) -> str:
         **{f"{group}_recall": f"mean R@{{}} of {group}s" for group in ("region", "flight")},
     }
     return titles.get(name, name).format(depth)
-
-
-def _numbers(text: str | None) -> list[int] | None:
-    if text is None:
-        return None
-    try:
-        return [int(item) for item in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"The parts are {text!r}; expected numbers from 1, such as 1,2.") from error

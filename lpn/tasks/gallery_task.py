@@ -14,7 +14,7 @@ from lpn.retrieval.metrics import Retrieval
 from lpn.tasks import query_outcomes
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.ranking_cache import ResumableRanking
-from lpn.tasks.task import RankUnderWeights, Task
+from lpn.tasks.task import LazyArray, RankUnderWeights, Task
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -25,7 +25,7 @@ class GalleryTask(Task):
         gallery_descriptors: (G, n, D), without part weights.
     """
 
-    gallery_descriptors: Float32Array
+    gallery_descriptors: LazyArray = LazyArray()  # noqa: RUF009 (no default: see the class)
 
     @property
     def tiles(self) -> int:
