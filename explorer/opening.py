@@ -33,9 +33,9 @@ from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
+from lpn.tasks.changes import by_csls, changed
 from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.opening import (
-    by_csls,
     calibrated,
     choose_task,
     no_calibration,
@@ -44,7 +44,6 @@ from lpn.tasks.opening import (
     task_calibration,
 )
 from lpn.tasks.task import Scoring, Task
-from lpn.tasks.turned import changed
 
 log = logging.getLogger(__name__)
 
@@ -211,7 +210,7 @@ def _offer_scorings(
         rank_by(calibrated(model, dataset, on_progress), on_progress)
 
     if csls and asked is None:
-        rank(by_csls(tasks, csls))
+        rank(by_csls(task, csls) for task in tasks if len(task.queries) >= csls)
     if ready is not None:
         rank_by(ready, report)
     why_not = "" if ready is not None else no_calibration(model, dataset)

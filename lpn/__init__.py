@@ -38,6 +38,8 @@ from lpn.core.errors import InputError, LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage

@@ -20,7 +20,7 @@ from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors import cached_descriptors
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.descriptors.weather import CLEAR, WeatherName, Weather
+from lpn.descriptors.weather import CLEAR, Weather, WeatherName
 from lpn.models.base import normalise
 from lpn.retrieval import calibration as calibrations
 from lpn.retrieval.calibration import Calibration

@@ -261,7 +261,7 @@ def measure(task: Task, nearest: int = 0) -> Result:
     task = task.with_fields(weights=None)
     data, known = task.dataset, task.known
     counted = known if known is not None and known.any() else np.ones(len(task.query_labels), bool)
-    placed = task.geometry is not None and all(task.geometry.queries[row] for row in np.flatnonzero(counted))
+    placed = task.geometry is not None and all(task.geometry.queries[row] for row in np.flatnonzero(counted).tolist())
     if not placed:
         task.check_truth()
     groups = list(_groups(task))

@@ -44,7 +44,7 @@ def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str
         pictures, labels = published_pictures(saved, dataset)
     layout: Layout = "cvusa" if dataset is not None and dataset.panoramas else "university"
     views = saved.views or ("drone", "satellite") if dataset is None else pictures.views
-    contract = ModelSpec(tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False).contract()
+    contract = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False).contract()
     root = Path(saved.name) if dataset is None else dataset.root
     return GalleryTask(
         name=pictures.name,

@@ -119,7 +119,7 @@ class Task(ABC):
     gallery: Sequence[Picture]
     query_labels: Int64Array
     gallery_labels: Int64Array
-    query_descriptors: LazyArray = LazyArray()  # noqa: RUF009 (no default: see the class)
+    query_descriptors: LazyArray = LazyArray()
     truth: Sequence[Truth] | None = None
     geometry: GalleryGeometry | None = None
     identity: str = ""
