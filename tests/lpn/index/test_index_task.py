@@ -23,8 +23,8 @@ from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
 from lpn.index.tile_pictures import TilePlaceholder
 from lpn.models.base import Model, normalise
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.opening import describe_task
+from lpn.tasks.task import Task
 from tools.fixtures import layouts, small_worlds
 
 # More tiles than a search returns.
@@ -47,12 +47,12 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def whole(places: Path, model: Model) -> GalleryTask:
+def whole(places: Path, model: Model) -> Task:
     """The task in memory."""
     return describe_task(model, "model.onnx", open_dataset(places), "drone-to-satellite")
 
 
-def _index(where: Path, whole: GalleryTask, engine: IndexEngine = "exact", positions: bool = True) -> SharedIndex:
+def _index(where: Path, whole: Task, engine: IndexEngine = "exact", positions: bool = True) -> SharedIndex:
     """An index of the gallery, as lpn describe of its folder and lpn index make it."""
     index = create_index(where, DescriptorKind(whole.model.fingerprint, 4, 512), engine)  # type: ignore[union-attr]
     folder = whole.root / "test" / "gallery_satellite"
@@ -64,7 +64,7 @@ def _index(where: Path, whole: GalleryTask, engine: IndexEngine = "exact", posit
 
 
 @pytest.fixture(params=["exact", "faiss"])
-def task(request: pytest.FixtureRequest, tmp_path: Path, whole: GalleryTask, model: Model) -> Iterator[IndexTask]:
+def task(request: pytest.FixtureRequest, tmp_path: Path, whole: Task, model: Model) -> Iterator[IndexTask]:
     if request.param == "faiss":
         pytest.importorskip("faiss")
     index = _index(tmp_path / "index", whole, request.param)
@@ -76,7 +76,7 @@ def _analyser(model: Model) -> QueryAnalyser:
     return QueryAnalyser(model, lambda task, index: describe_tile(task, index, model))
 
 
-def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: GalleryTask, model: Model) -> None:
+def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: Task, model: Model) -> None:
     assert (task.name, task.tiles, task.depth) == (whole.name, PLACES, DEPTH)
     assert "to depth 12 of 30 tiles" in task.gallery_description
     by_index, in_memory = _analyser(model), _analyser(model)
@@ -105,7 +105,7 @@ def test_an_index_answers_as_the_gallery_in_memory_does(task: IndexTask, whole: 
     assert beyond
 
 
-def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, whole: GalleryTask) -> None:
+def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, whole: Task) -> None:
     found, wanted = task.outcomes, whole.outcomes
     np.testing.assert_array_equal(found.rank, np.minimum(wanted.rank, DEPTH))
     assert (wanted.rank > DEPTH).any()
@@ -128,7 +128,7 @@ def test_the_outcomes_of_all_queries_are_exact_to_the_depth(task: IndexTask, who
 
 
 def test_a_tile_beyond_the_depth_can_be_compared_and_the_ranking_is_reused(
-    task: IndexTask, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
+    task: IndexTask, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ranking = whole.start_search(0, whole.query_descriptors[0])(whole.part_weights)
     far = whole.gallery[ranking.match(PLACES - 1).index]
@@ -156,7 +156,7 @@ def test_a_tile_beyond_the_depth_can_be_compared_and_the_ranking_is_reused(
     assert searches == 1
 
 
-def test_a_query_is_ranked_alike_in_memory_and_in_an_index(task: IndexTask, whole: GalleryTask) -> None:
+def test_a_query_is_ranked_alike_in_memory_and_in_an_index(task: IndexTask, whole: Task) -> None:
     for changes in ({}, {"weights": (0, 1, 1, 2)}, {"change": Change(rotate=90)}):
         expected, ranking = (of.search(1, **changes) for of in (whole, task))  # type: ignore[arg-type]
         assert [task.tile_name(i) for i in ranking.order[:5]] == [
@@ -170,7 +170,7 @@ def test_a_query_is_ranked_alike_in_memory_and_in_an_index(task: IndexTask, whol
         replace(whole, model=None).search(0, change=Change(rotate=90))
 
 
-def test_positions_in_the_gallery_stay_valid_while_threads_search(task: IndexTask, whole: GalleryTask) -> None:
+def test_positions_in_the_gallery_stay_valid_while_threads_search(task: IndexTask, whole: Task) -> None:
     seen: list[dict[str, int]] = []
 
     def run(start: int) -> None:
@@ -194,7 +194,7 @@ def test_positions_in_the_gallery_stay_valid_while_threads_search(task: IndexTas
 
 
 def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
-    tmp_path: Path, whole: GalleryTask, model: Model, places: Path
+    tmp_path: Path, whole: Task, model: Model, places: Path
 ) -> None:
     index = _index(tmp_path / "index", whole, positions=False)
     pictures = tmp_path / "mine"
@@ -224,7 +224,7 @@ def test_tiles_without_pictures_are_placeholders_with_exact_contributions(
 
 
 def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
-    tmp_path: Path, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert whole.geometry is not None
     degrees = np.array([(place.latitude, place.longitude) for place in whole.geometry.tiles])
@@ -243,7 +243,7 @@ def test_tiles_without_a_position_are_left_off_a_map_that_holds_all_others(
     index.close()
 
 
-def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
+def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, whole: Task, model: Model) -> None:
     index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
     small_worlds.write(tmp_path / "secret.png", small_worlds.place(1))
     names = ["../secret.png", str(tmp_path / "secret.png"), "a\nb.png"]
@@ -258,7 +258,7 @@ def test_names_in_an_index_are_never_paths_out_of_the_folder(tmp_path: Path, who
     index.close()
 
 
-def test_mistakes_get_one_sentence(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
+def test_mistakes_get_one_sentence(tmp_path: Path, whole: Task, model: Model) -> None:
     index = _index(tmp_path / "index", whole)
     queries = dataset_queries(model, open_dataset(whole.root), index)
     with pytest.raises(InputError, match="depth is 5; expected 10 or more"):
@@ -273,7 +273,7 @@ def test_mistakes_get_one_sentence(tmp_path: Path, whole: GalleryTask, model: Mo
         index.index.check_model("another")
 
 
-def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole: GalleryTask, model: Model) -> None:
+def test_an_index_of_other_tiles_leaves_the_places_unknown(tmp_path: Path, whole: Task, model: Model) -> None:
     index = create_index(tmp_path / "index", DescriptorKind(model.fingerprint, 4, 512))
     index.add([f"other/{i}.png" for i in range(12)], whole.gallery_descriptors[:12])
     shared = SharedIndex(index)
@@ -310,7 +310,7 @@ def test_the_described_folder_is_found_among_all_heights(tmp_path: Path, model: 
 
 
 def test_a_tile_that_an_approximate_search_misses_is_not_said_to_be_beyond_the_depth(
-    tmp_path: Path, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     index = _index(tmp_path / "index", whole)
     search, lost = SharedIndex.search, 3
@@ -338,7 +338,7 @@ def test_a_tile_that_an_approximate_search_misses_is_not_said_to_be_beyond_the_d
 
 
 def test_a_search_that_returns_fewer_tiles_than_its_depth_invents_no_rank(
-    tmp_path: Path, whole: GalleryTask, model: Model, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, whole: Task, model: Model, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     index = _index(tmp_path / "index", whole)
     task = index_task(model, "m", index, dataset_queries(model, open_dataset(whole.root), index), DEPTH)
