@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from lpn.flights import Flight
     from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
     from lpn.maps import Map
-    from lpn.tasks.gallery_task import GalleryTask
     from lpn.tasks.measure import Result
+    from lpn.tasks.task import Task
     from lpn.tasks.weathers import WeatherResult
 
 log = logging.getLogger(__name__)
@@ -82,7 +82,7 @@ class DescriptorOptions(RankingOptions):
     no labels, and makes up for places and cameras that differ from those of the training."""
     csls: CslsOption = 0
 
-    def measured(self, task: GalleryTask) -> Result:
+    def measured(self, task: Task) -> Result:
         """Measure a task under these options; InputError if one of them is out of range."""
         from lpn.tasks.changes import by_csls, centred, with_parts
         from lpn.tasks.measure import measure
@@ -169,7 +169,7 @@ class EvaluationOfArrays(EvaluationOfSource):
 
 @dataclass(kw_only=True)
 class EvaluationOfIndex(EvaluationOfSource):
-    """Measure recall of the searches of an index; AP needs all ranks, and a search returns only the first."""
+    """Measure the ranking of an index's tiles for the queries of a data set, of a folder, or of a flight."""
 
     source: Indexed
 
@@ -346,7 +346,7 @@ class EvaluateCommand(EvaluationOfSource):
             write_atomic(self.per_query, result.queries_csv())
         return title, result
 
-    def _opened(self) -> tuple[str, list[GalleryTask]]:
+    def _opened(self) -> tuple[str, list[Task]]:
         """Return the title and the task, changed as the options say; of all weathers its reverse, too, unless one is given."""
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 
@@ -29,33 +29,27 @@ from lpn.tasks.task import Task
 # The turns of Table IV, in degrees counter-clockwise.
 PAPER_TURNS = (0.0, 45.0, 90.0, 180.0, 270.0)
 
-AnyTask = TypeVar("AnyTask", bound=Task)
-
 
 def why_not(task: Task) -> str:
     """Say why queries of a task are not changed, as a sentence about turned ones; empty if they can be."""
     if task.model is None:
         return "These are descriptors without their network, so queries cannot be turned."
-    if not task.lists_gallery:
-        return "The gallery is searched in an index; turned queries are measured with a gallery in memory."
     if any(picture.cut is not None for picture in task.queries):
         return "The queries are cut out of other pictures, so descriptors of turned ones are not kept."
-    if task.known is not None and not task.known.any():
-        return task.no_truth
-    return ""
+    return task.no_truth
 
 
-def turned(task: AnyTask, degrees: float, progress: CountProgress | None = None) -> AnyTask:
+def turned(task: Task, degrees: float, progress: CountProgress | None = None) -> Task:
     """Turn all queries by degrees counter-clockwise, see `changed`."""
     return changed(task, replace(task.change, rotate=float(degrees % 360)), progress)
 
 
-def in_weather(task: AnyTask, weather: WeatherName) -> AnyTask:
+def in_weather(task: Task, weather: WeatherName) -> Task:
     """Draw a weather on all queries, see `changed`."""
     return changed(task, replace(task.change, weather=Weather(weather)))
 
 
-def changed(task: AnyTask, change: Change, progress: CountProgress | None = None) -> AnyTask:
+def changed(task: Task, change: Change, progress: CountProgress | None = None) -> Task:
     """Change all queries, in place of an earlier change of them.
 
     Descriptors are cached by the change, so that a second time takes no network. Weather falls on the gallery where the queries
@@ -98,7 +92,7 @@ def changed(task: AnyTask, change: Change, progress: CountProgress | None = None
     )
 
 
-def calibrated(task: AnyTask, calibration: Calibration | None) -> AnyTask:
+def calibrated(task: Task, calibration: Calibration | None) -> Task:
     """Zoom the pictures as a calibration says, and subtract each view's mean; None leaves the task plain.
 
     Raises:
@@ -135,7 +129,7 @@ def calibrated(task: AnyTask, calibration: Calibration | None) -> AnyTask:
     )
 
 
-def centred(task: AnyTask) -> AnyTask:
+def centred(task: Task) -> Task:
     """Subtract the mean of the queries from each query and that of the gallery from each tile, part by part.
 
     Raises:
@@ -151,7 +145,7 @@ def centred(task: AnyTask) -> AnyTask:
     )
 
 
-def averaged(task: AnyTask) -> AnyTask:
+def averaged(task: Task) -> Task:
     """Average the queries of each place: sum their descriptors, and normalise each part.
 
     Places are in the order of their labels, without positions and groups.
@@ -184,7 +178,7 @@ def averaged(task: AnyTask) -> AnyTask:
     )
 
 
-def with_parts(task: AnyTask, parts: Sequence[int] | None) -> AnyTask:
+def with_parts(task: Task, parts: Sequence[int] | None) -> Task:
     """Compare some parts only (Table V): numbers from 1, without duplicates, in the given order; None for all.
 
     Raises:
@@ -217,28 +211,16 @@ def with_parts(task: AnyTask, parts: Sequence[int] | None) -> AnyTask:
     )
 
 
-def by_csls(task: AnyTask, neighbours: int) -> AnyTask:
+def by_csls(task: Task, neighbours: int) -> Task:
     """Re-rank by CSLS over the K nearest queries of each tile, see `lpn.retrieval.csls`; 0 leaves the task as it is."""
-    if not neighbours:
-        return task
-    _check_listed(task)
-    return task.with_fields(neighbours=neighbours)
+    return task.with_fields(neighbours=neighbours) if neighbours else task
 
 
-def _derived(task: AnyTask, clause: str, **changes: Any) -> AnyTask:
+def _derived(task: Task, clause: str, **changes: Any) -> Task:
     """Return a task whose descriptors are made of those of another, so that no network describes its pictures."""
-    _check_listed(task)
     return task.with_fields(
         **{"model": None, "describe": None, "weights": None, "identity": "", **changes}, clauses=(*task.clauses, clause)
     )
-
-
-def _check_listed(task: Task) -> None:
-    if not task.lists_gallery:
-        raise InputError(
-            "An index compares whole descriptors of queries as they are; evaluate its data set with other parts, changes, or "
-            "re-rankings."
-        )
 
 
 def _of_sides(task: Task, change: Change) -> tuple[Change, Change]:

@@ -36,9 +36,8 @@ class Figures:
 
     Attributes:
         gallery_name: "full gallery", or "without distractors", where the places that no query shows are dropped.
-        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery. NaN where K
-            lies beyond the depth of a search.
-        ap: mean average precision in percent; NaN if a search does not return all ranks.
+        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery.
+        ap: mean average precision in percent.
         queries: number of queries (places, if queries are averaged).
         gallery: number of ranked gallery pictures; of a full gallery all that there are, junk included.
     """
@@ -73,11 +72,10 @@ class RankedModel:
         name: to display.
         task: such as "drone-to-satellite".
         gallery_name: with its size, such as "full gallery, 951".
-        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder; of an index the names of
-            the true tiles, as it does not list the others.
+        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder.
         labels: the place of each query, (Q,).
-        first: 0-based rank of each query's first true match, -1 without one, (Q,); the depth of a search beyond it.
-        precision: average precision of each query, 0 .. 1, (Q,); NaN if a search does not return all ranks.
+        first: 0-based rank of each query's first true match, -1 without one, (Q,).
+        precision: average precision of each query, 0 .. 1, (Q,).
     """
 
     name: str
@@ -261,8 +259,9 @@ def measure(task: Task, nearest: int = 0) -> Result:
     task = task.with_fields(weights=None)
     data, known = task.dataset, task.known
     counted = known if known is not None and known.any() else np.ones(len(task.query_labels), bool)
-    placed = task.geometry is not None and all(task.geometry.queries[row] for row in np.flatnonzero(counted).tolist())
-    if not placed:
+    geometry = task.geometry
+    if geometry is None or any(geometry.queries[row] is None for row in np.flatnonzero(counted).tolist()):
+        geometry = None
         task.check_truth()
     groups = list(_groups(task))
     if task.neighbours:
@@ -273,6 +272,7 @@ def measure(task: Task, nearest: int = 0) -> Result:
         places = data.coordinates(task.queries), data.coordinates(task.gallery)
     found = _ranked(task)
     of_groups = {name: tuple(figures for figures, _ in _ranked(_part(task, *rows))) for name, *rows in groups}
+    errors = None if geometry is None else geometry.answer_errors_m(found[0][1].best)[counted]
     measures: dict[str, float] = {}
     if data is not None and data.measured_by is not None and places is not None:
         measures = field_figures(data.measured_by, *task.compared, *places)
@@ -282,17 +282,14 @@ def measure(task: Task, nearest: int = 0) -> Result:
         recalls = [figures[0].recall for figures in of_groups.values()]
         means = {depth: float(np.mean([recall[depth] for recall in recalls])) for depth in recalls[0]}
         measures |= {f"{data.group_name}_recall@{depth}": mean for depth, mean in means.items()}
-    tiles = task.gallery
-    if not task.lists_gallery:
-        tiles = [task.gallery[i] for i in sorted({i for lists in task.truth or () for i in lists.good.tolist()})]
     return Result(
         name=task.model_name,
         task=task.name,
         galleries=tuple(figures for figures, _ in found),
         rankings=tuple(ranking for _, ranking in found),
         root=task.root,
-        pictures=(task.queries, tiles),
-        labels=(task.query_labels, task.gallery_labels if task.lists_gallery else np.zeros(len(tiles), np.int64)),
+        pictures=(task.queries, task.gallery),
+        labels=(task.query_labels, task.gallery_labels),
         known=known,
         change=task.change,
         parts=task.parts or tuple(range(1, task.contract.n_parts + 1)),
@@ -300,7 +297,7 @@ def measure(task: Task, nearest: int = 0) -> Result:
         listed=task.truth is not None,
         sentence=sentence(task),
         seconds=time.perf_counter() - started,
-        errors=_errors(task, found[0][1])[counted] if placed else None,
+        errors=None if errors is None or np.isnan(errors).any() else errors,
         groups=of_groups,
         group_name="" if data is None else data.group_name,
         measures=measures,
@@ -316,9 +313,7 @@ def sentence(task: Task) -> str:
     clauses = [*task.clauses]
     if task.weights is not None:
         clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
-    if task.depth is not None:
-        clauses += [task.gallery_description, "a query without a true match counts as missed"]
-        return f"Protocol: {'; '.join(clauses)}; ranks beyond the depth, and so AP, are not known."
+    clauses += [f"tiles {task.of_index}"] if task.of_index else []
     clauses.append(
         "ranked by inner product less half of each tile's mean inner product with its "
         f"{task.neighbours} nearest queries (CSLS)"
@@ -400,10 +395,3 @@ def _hit_rate(task: Task) -> float:
 
     queries, tiles = task.compared
     return metrics.retrieve(queries, None, tiles, None, [without(lists) for lists in task.truth or ()]).recall(1)
-
-
-def _errors(task: Task, retrieval: Retrieval) -> Float64Array:
-    """Return metres from each query to its answer, infinite without one, NaN for a query of unknown place, (Q,)."""
-    geometry = task.current().geometry
-    assert geometry is not None
-    return geometry.answer_errors_m(retrieval.best)

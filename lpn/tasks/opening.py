@@ -28,9 +28,9 @@ from lpn.tasks import notes
 from lpn.tasks.changes import by_csls
 from lpn.tasks.changes import calibrated as calibrated_task
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.notes import Note
 from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
+from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 
@@ -45,7 +45,7 @@ def lazy_task(
     branch: View | None = None,
     released: bool = False,
     model_name: str = "",
-) -> GalleryTask:
+) -> Task:
     """List the pictures of a task, which a model describes when their descriptors are first read.
 
     Args:
@@ -88,7 +88,7 @@ def lazy_task(
     def describe(some: Sequence[Picture], view: View, change: Change) -> Float32Array:
         return read(model, some, branch or view, change)
 
-    return GalleryTask(
+    return Task(
         name=name,
         # Pictures that the model describes otherwise are neither changed nor calibrated.
         model=None if branch or carried else model,
@@ -127,7 +127,7 @@ def describe_task(
     calibration: Calibration | None = None,
     on_progress: CountProgress | None = None,
     neighbours: int = 0,
-) -> GalleryTask:
+) -> Task:
     """Describe queries and gallery of a task, or read their stored descriptors.
 
     Args:
@@ -199,7 +199,7 @@ def scored_tasks(
     names: Sequence[str],
     on_progress: CountProgress | None = None,
     neighbours: int = NEIGHBOURS,
-) -> list[GalleryTask]:
+) -> list[Task]:
     """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
 
     Args:

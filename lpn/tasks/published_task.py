@@ -10,13 +10,13 @@ from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.published_results import PublishedResult, published_pictures
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.task import Task
 
 # Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
 
 
-def published_task(saved: PublishedResult, dataset: Dataset) -> GalleryTask:
+def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
     """Return the task of a published result on its pictures, whose parts have the norms of exact contributions.
 
     Raises:
@@ -26,7 +26,7 @@ def published_task(saved: PublishedResult, dataset: Dataset) -> GalleryTask:
     return saved_task(saved, dataset)
 
 
-def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str | None = None) -> GalleryTask:
+def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str | None = None) -> Task:
     """Return the task of a published result, whatever its norms; without a data set, labels tell what is true.
 
     Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
@@ -44,9 +44,11 @@ def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str
         pictures, labels = published_pictures(saved, dataset)
     layout: Layout = "cvusa" if dataset is not None and dataset.panoramas else "university"
     views = saved.views or ("drone", "satellite") if dataset is None else pictures.views
-    contract = ModelSpec(views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False).contract()
+    contract = ModelSpec(
+        views=tuple(dict.fromkeys(views)), n_parts=saved.n_parts, layout=layout, shared=False
+    ).contract()
     root = Path(saved.name) if dataset is None else dataset.root
-    return GalleryTask(
+    return Task(
         name=pictures.name,
         model=None,
         model_name=name or saved.name,
