@@ -1,0 +1,129 @@
+"""A data set, described by a model."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from lpn.core.progress import CountProgress, Progress
+from lpn.sources.opened import OpenedSource, query_positions
+from lpn.sources.options import SourceOptions
+from lpn.sources.recognise import NETWORK, TaskSource, file_names, no_progress
+
+if TYPE_CHECKING:
+    from lpn.datasets import Dataset
+    from lpn.models.base import Model
+    from lpn.retrieval.calibration import Calibration
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.protocol import Protocol
+    from lpn.retrieval.weathers import WeatherResult
+
+
+class DataSource(TaskSource):
+    """A data set, described by a model."""
+
+    noun = "a data set"
+    takes = NETWORK | {"task", "calibrate", "csls", "parts", "shift", "scale", "weather", "per_query", "beside_weather"}
+    takes |= {"beside", "beside_kind", "beside_pooling", "turns", "weathers", "without_distractors"}
+    priority = -1  # `open_dataset` says of anything else what is wrong with it
+
+    @classmethod
+    def recognises(cls, options: SourceOptions) -> bool:
+        return True
+
+    @property
+    def title(self) -> str:
+        return file_names(self.options.file, self.options.path)
+
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
+        from lpn.datasets import open_dataset
+
+        del on_progress
+        options, dataset = self.options, open_dataset(self.options.path)
+        model = options.load()
+        scoring = options.task, options.calibrate, options.csls
+        return open_data(model, options.name, dataset, *scoring, names=names, weights=weights)
+
+    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
+        from lpn.core.views import views_of
+        from lpn.descriptors import descriptor_reader
+        from lpn.retrieval.evaluate import evaluate
+
+        title, model, dataset, (task, *_), calibration = self._prepared(protocol)
+        read = descriptor_reader(dataset.root)
+        result = evaluate(model, dataset, task, protocol, read, calibration, listed)
+        views = views_of(task)
+        sides = dataset.queries(views[0]), dataset.gallery(views[1])
+        queries, gallery = ([picture.name for picture in side] for side in sides)
+        return title, result, (queries, gallery)
+
+    def evaluate_weathers(self, protocol: Protocol) -> tuple[str, WeatherResult]:
+        """Measure the task, and unless one is chosen its reverse, in each weather; returns a title, too."""
+        from lpn.retrieval.weathers import evaluate_weathers
+
+        title, model, dataset, tasks, calibration = self._prepared(protocol)
+        return title, evaluate_weathers(model, dataset, tasks, protocol, calibration)
+
+    def _prepared(self, protocol: Protocol) -> tuple[str, Model, Dataset, list[str], Calibration | None]:
+        """Return a title, model, data set, the task with its reverse unless it is chosen, and the calibration."""
+        from lpn.core.views import views_of
+        from lpn.datasets import open_dataset
+        from lpn.tasks.evaluation import protocol_calibration
+        from lpn.tasks.opening import no_task_error, offered_tasks
+
+        options = self.options
+        model, dataset = options.load(), open_dataset(options.path)
+        tasks = offered_tasks(model, dataset)
+        if options.task is None and not tasks:
+            raise no_task_error(model, dataset)
+        first = options.task or tasks[0]
+        swapped = views_of(first)[::-1]
+        reverse = [
+            name for name in tasks if options.task is None and views_of(name) == swapped and swapped != views_of(first)
+        ]
+        calibration = protocol_calibration(model, dataset, protocol, options.calibrate)
+        title = f"{options.name} ({model.describe()}) on {options.path.resolve().name}"
+        return title, model, dataset, [first, *reverse], calibration
+
+
+def open_data(
+    model: Model,
+    model_name: str,
+    dataset: Dataset,
+    task: str | None = None,
+    calibrate: bool | None = None,
+    csls: int = 0,
+    every: bool = False,
+    names: Sequence[str] = (),
+    weights: Sequence[float] | None = None,
+    on_progress: CountProgress | None = None,
+) -> OpenedSource:
+    """Open a data set under an opened model.
+
+    Args:
+        model_name: the model's name to display.
+        calibrate, csls: see `lpn.open_task`.
+        every: open every task that model and data set offer, in place of one.
+        names, weights: see `TaskSource.open`.
+        on_progress: see `lpn.tasks.opening.describe_task`, once for each task.
+
+    Raises:
+        LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
+    """
+    from lpn.core.views import views_of
+    from lpn.tasks.opening import choose_task, describe_task, offered_tasks, task_calibration
+
+    first = choose_task(model, dataset, task)
+    if names:
+        query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
+    calibration = task_calibration(model, dataset, calibrate)
+    tasks = [
+        describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress, csls)
+        for name in (offered_tasks(model, dataset) if every and task is None else [first])
+    ]
+    return OpenedSource(tasks, model if calibration is None else calibration.applied(model), model)

@@ -1,0 +1,157 @@
+"""Descriptors that another program computed, without their network: a result of the published test code, or plain arrays."""
+
+from __future__ import annotations
+
+import logging
+from abc import abstractmethod
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from lpn.core.errors import InputError
+from lpn.core.files import printable
+from lpn.core.progress import Progress
+from lpn.sources.opened import OpenedSource, query_positions, weighted
+from lpn.sources.options import SourceOptions
+from lpn.sources.recognise import TaskSource, file_names, no_progress
+
+if TYPE_CHECKING:
+    from lpn.retrieval.evaluate import Result
+    from lpn.retrieval.plain_arrays import PlainArrays
+    from lpn.retrieval.protocol import Protocol
+    from lpn.retrieval.published_results import PublishedResult
+    from lpn.tasks.gallery_task import GalleryTask
+
+log = logging.getLogger(__name__)
+
+_TAKEN = frozenset(("data", "n_parts", "csls", "centre", "parts"))
+
+
+class SavedSource(TaskSource):
+    """A source of descriptors alone."""
+
+    @abstractmethod
+    def task(self) -> GalleryTask:
+        """Read the task."""
+
+    def open(
+        self,
+        names: Sequence[str] = (),
+        weights: Sequence[float] | None = None,
+        on_progress: Progress = no_progress,
+    ) -> OpenedSource:
+        from lpn.retrieval.csls import check_neighbours
+
+        del on_progress
+        task = self.task()
+        query_positions(names, task.queries, task.data_name)
+        if self.options.csls:
+            check_neighbours(self.options.csls, len(task.queries))
+            task = replace(task, neighbours=self.options.csls)
+        return OpenedSource([weighted(task, weights)])
+
+
+class ResultSource(SavedSource):
+    """A result of the published test code on its pictures."""
+
+    noun = "a result of the published test code"
+    takes = _TAKEN | {"without_distractors"}
+
+    @classmethod
+    def recognises(cls, options: SourceOptions) -> bool:
+        return options.path.suffix.lower() == ".mat" and options.gallery is None
+
+    @property
+    def title(self) -> str:
+        return file_names(*(path for path in (self.options.path, self.options.data) if path is not None))
+
+    def task(self) -> GalleryTask:
+        from lpn.datasets import open_dataset
+        from lpn.tasks.published_task import published_task
+
+        if self.options.data is None:
+            raise InputError(
+                f"{printable(self.options.path.name)} holds no pictures; give the data set that it was computed on as --data."
+            )
+        return published_task(self.load(), open_dataset(self.options.data))
+
+    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
+        from lpn.retrieval.evaluate import evaluate_saved
+
+        del listed
+        if protocol.centre and self.options.n_parts is None:
+            raise InputError(
+                "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
+                "(1 for a baseline)."
+            )
+        saved = self.load()
+        return saved.name, evaluate_saved(saved, protocol), ([], [])
+
+    def load(self) -> PublishedResult:
+        """Read the result, see `load_saved` for the errors."""
+        from lpn.retrieval.published_results import check_n_parts, load_saved
+
+        return load_saved(self.options.path, check_n_parts(self.options.n_parts))
+
+
+class ArraySource(SavedSource):
+    """Descriptors that any model made."""
+
+    noun = "arrays of descriptors"
+    takes = _TAKEN | {"gallery", "paths", "order", "without_distractors"}
+
+    @classmethod
+    def recognises(cls, options: SourceOptions) -> bool:
+        return options.path.suffix.lower() in (".npy", ".npz") or options.gallery is not None
+
+    @property
+    def title(self) -> str:
+        return file_names(*(path for path in (self.options.path, self.options.gallery) if path is not None))
+
+    def task(self) -> GalleryTask:
+        from lpn.tasks.array_task import array_task
+
+        return array_task(self.load(), printable(self.options.path.name))
+
+    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
+        from lpn.retrieval.evaluate import evaluate_descriptors
+
+        del listed
+        paths, gallery = self.options.paths, self.options.gallery or self.options.path
+        if paths is None:
+            raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
+        arrays = self.load()
+        by_metres = not arrays.labelled.any() and arrays.all_positions is not None
+        if not (by_metres or arrays.labelled.all()):
+            raise InputError(
+                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {paths.name} that "
+                "tells what is right; add their labels."
+            )
+        positions = [*arrays.query_positions, *arrays.positions]
+        if 0 < (unknown := positions.count(None)) < len(positions):
+            log.warning(
+                "%d of %d pictures in %s have no position, so there are no errors in metres.",
+                unknown,
+                len(positions),
+                paths.name,
+            )
+        saved = arrays.result
+        result = evaluate_descriptors(
+            (saved.query, saved.gallery),
+            (saved.query_labels, saved.gallery_labels),
+            arrays.truth(),
+            saved.task,
+            protocol,
+            arrays.all_positions,
+        )
+        return f"{saved.name} on {gallery.name}", result, ([], [])
+
+    def load(self) -> PlainArrays:
+        """Read the arrays, see `load_arrays` for the errors."""
+        from lpn.retrieval.plain_arrays import load_arrays
+        from lpn.retrieval.published_results import check_n_parts
+
+        options = self.options
+        n_parts = None if options.n_parts is None else check_n_parts(options.n_parts)
+        gallery = options.path if options.gallery is None else options.gallery
+        return load_arrays(options.path, gallery, options.paths, n_parts, options.order, options.data)
