@@ -31,7 +31,6 @@ from lpn.sources import (
 if TYPE_CHECKING:
     from lpn.analysis.leaderboard import Leaderboard
     from lpn.analysis.model_table import ModelTable, RankedModel
-    from lpn.core.consoles import Console
     from lpn.models.base import Model
     from lpn.retrieval.calibration import Calibration
 
@@ -44,9 +43,12 @@ class ComparisonOptions:
     """Seed of the bootstrap."""
     resamples: int = 1000
     """Number of bootstrap resamples."""
+    group: tuple[str, ...] = ()
+    """Group of each model in their order, such as LPN LPN LPN SAFA SAFA SAFA for three runs (seeds) of either: they are one row
+    with mean and standard deviation, and groups are compared; by default each model by itself."""
     table: Path | None = None
     """File to write the printed figures and paired tests to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its
-    package booktabs), or one line a model (.csv)."""
+    package booktabs), HTML (.html), or numbers alone (.csv)."""
     json: Path | None = None
     """File to write everything to, as JSON."""
 
@@ -59,24 +61,15 @@ class ComparisonOfSources(ABC):
 
     def run(self) -> None:
         from lpn.analysis.model_table import compare
-        from lpn.analysis.text_tables import latex_page
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_atomic, write_json
+        from lpn.core.files import check_outputs
 
         options = self.comparison
-        check_outputs((options.table, ".md", ".tex", ".csv"), (options.json, ".json"))
-        table = compare(list(self._ranked()), options.seed, options.resamples)
-        _print(table, wide_console())
-        if options.table is not None:
-            match options.table.suffix.lower():
-                case ".md":
-                    write_atomic(options.table, table.to_markdown().encode())
-                case ".tex":
-                    write_atomic(options.table, latex_page([table.section]).encode())
-                case _:
-                    write_atomic(options.table, table.to_csv())
-        if options.json is not None:
-            write_json(options.json, table.to_dict())
+        check_outputs((options.table, ".md", ".tex", ".csv", ".html", ".htm"), (options.json, ".json"))
+        table = compare(list(self._ranked()), options.seed, options.resamples, options.group)
+        for one in table.printed:
+            one.print(wide_console())
+        _write(table, options.table, options.json)
 
     @abstractmethod
     def _ranked(self) -> Iterator[RankedModel]:
@@ -210,7 +203,7 @@ class ComparisonOfFlights(ComparisonOfSources):
     """Flight over the map: a folder of lpn flight, or one of photos."""
     page: Path | None = None
     """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML, Markdown,
-    or LaTeX, as the name ends in .html, .md, or .tex."""
+    LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
 
     def run(self) -> None:
         if self.page is None:
@@ -226,7 +219,9 @@ class ComparisonOfFlights(ComparisonOfSources):
                 source = Flown(map=self.map, flight=self.flight, model=options)
                 tasks[name] = source.locate(on_progress=on_progress, loaded=models[name]).task
         title = f"{self.flight.resolve().name} over {self.map.resolve().stem}"
-        board = task_leaderboard(title, models, sizes, tasks, self.comparison.seed, self.comparison.resamples)
+        board = task_leaderboard(
+            title, models, sizes, tasks, self.comparison.seed, self.comparison.resamples, self.comparison.group
+        )
         _write_page(board, self.page, self.comparison.json)
 
     def _ranked(self) -> Iterator[RankedModel]:
@@ -262,7 +257,7 @@ class CompareCommand(ComparisonOfSources):
     csls: CslsOption = 0
     page: Path | None = None
     """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
-    Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
+    Markdown, LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -305,6 +300,7 @@ class CompareCommand(ComparisonOfSources):
                 on_progress,
                 dict(zip(models, calibrations, strict=True)),
                 self.csls,
+                self.comparison.group,
             )
         _write_page(board, page, self.comparison.json)
 
@@ -372,52 +368,40 @@ def _networks(
     if saved:
         raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
     _check_several(len(models))
-    check_outputs((page, ".html", ".htm", ".md", ".tex"), (options.json, ".json"))
+    check_outputs((page, ".html", ".htm", ".md", ".tex", ".csv"), (options.json, ".json"))
     files = {name: model_file(model.file) for name, model in models.items()}
     sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
     return {name: model.load() for name, model in models.items()}, sizes
 
 
 def _write_page(board: Leaderboard, page: Path, json: Path | None) -> None:
-    """Write a page as HTML, LaTeX, or Markdown, and its figures as JSON."""
-    from lpn.analysis.text_tables import latex_page
-    from lpn.core.files import write_atomic, write_json
-    from lpn.report import build_leaderboard
-
-    match page.suffix.lower():
-        case ".html" | ".htm":
-            written = build_leaderboard(board)
-        case ".tex":
-            written = latex_page(board.sections()).encode()
-        case _:
-            written = board.to_markdown().encode()
-    write_atomic(page, written)
-    if json is not None:
-        write_json(json, board.to_dict())
+    """Write a page, see `_write`, and say so."""
+    _write(board, page, json)
     tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
     print(f"{page}: {len(board.facts)} models, {tables}")
+
+
+def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:
+    """Write tables as HTML, LaTeX, CSV, or Markdown, and their figures as JSON."""
+    from lpn.core.files import write_atomic, write_json
+    from lpn.core.text_tables import latex_page, markdown_page
+    from lpn.report import table_page
+
+    if page is not None:
+        match page.suffix.lower():
+            case ".html" | ".htm":
+                written = table_page(result.title, result.printed)
+            case ".tex":
+                written = latex_page(result.printed).encode()
+            case ".csv":
+                written = result.to_csv()
+            case _:
+                written = markdown_page(result.printed, result.title).encode()
+        write_atomic(page, written)
+    if json is not None:
+        write_json(json, result.to_dict())
 
 
 def _check_several(models: int) -> None:
     if models < 2:
         raise InputError(f"A comparison takes two models or more; found {models}.")
-
-
-def _print(comparison: ModelTable, console: Console) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=f"{comparison.task}, {comparison.gallery_name}")
-    names = list(comparison.figures[0])
-    for name in ("model", *names):
-        table.add_column(name, justify="left" if name == "model" else "right")
-    for one, figures in zip(comparison.models, comparison.figures, strict=True):
-        table.add_row(Text(one.name), *map(str, figures.values()))
-    tests = Table(title="Queries that only one of two models finds first")
-    for name in ("A", "B", "only A", "only B", "both", "neither", "p"):
-        tests.add_column(name, justify="left" if name in "AB" else "right")
-    for test in comparison.tests:
-        counts = (test.only_first, test.only_second, test.both, test.neither)
-        tests.add_row(Text(test.first), Text(test.second), *map(str, counts), f"{test.p:.3g}")
-    console.print(table, tests)
-    console.print(comparison.sentence, markup=False, highlight=False)

@@ -386,22 +386,19 @@ class EvaluateCommand(EvaluationOfSource):
 
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
-    from rich.table import Table
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
     from lpn.retrieval.evaluate import WITHOUT
 
-    table, of_group = Table(title=title), [result.group_name] if result.groups else []
-    for name in ("task", *of_group, "queries", "gallery", *(f"recall@{k}" for k in result.recall), "ap"):
-        table.add_column(name, justify="right", no_wrap=True)
+    of_group, rows = [result.group_name] if result.groups else [], []
     for group, galleries in [("all", result.galleries), *result.groups.items()]:
         for figures in galleries:
             values = map(_figure, (*figures.recall.values(), figures.ap))
             names = (result.task, *([group] if of_group else []))
-            table.add_row(*names, str(figures.queries), figures.name, *values)
+            rows.append((*names, str(figures.queries), figures.name, *values))
+    head = ("task", *of_group, "queries", "gallery", *(f"recall@{k}" for k in result.recall), "ap")
     console = wide_console()
-    console.print(table)
-    console.print(result.sentence)
+    TextTable(head, rows, title, result.sentence, align="r").print(console)
     if any(figures.gallery_name == WITHOUT for figures in result.galleries):
         console.print(
             f"The rows {WITHOUT} drop the gallery pictures of places that no query shows, as Sample4Geo, DAC, and CAMP do; LPN, "
@@ -423,37 +420,25 @@ def _print_result(title: str, result: Result) -> None:
 
 def _print_weathers(title: str, result: WeatherResult) -> None:
     """Print University-WX's table: a row for each weather, and their mean."""
-    from rich.table import Table
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
 
-    table = Table(title=title)
-    table.add_column("weather", no_wrap=True)
-    for task in result.tasks:
-        table.add_column(f"{task}\nR@1", justify="right")
-        table.add_column("\nAP", justify="right")
-    for name, figures in result.rows():
-        if name == result.MEAN:
-            table.add_section()
-        table.add_row(name, *(_figure(value) for pair in figures for value in pair))
-    console = wide_console()
-    console.print(table)
-    console.print(result.sentence)
+    head = ("weather", *(name for task in result.tasks for name in (f"{task}\nR@1", "\nAP")))
+    rows = [(name, *(_figure(value) for pair in figures for value in pair)) for name, figures in result.rows()]
+    TextTable(head, rows, title, result.sentence, ruled=(len(rows) - 1,)).print(wide_console())
 
 
 def _print_surveyed(
     errors: Mapping[str, Mapping[SurveyedPoint, SurveyedErrors]], remarks: Sequence[str], console: Console
 ) -> None:
     """Print the errors of each stage and point, a column each, and sentences on them."""
-    from rich.table import Table
-
     from lpn.core.numbers import SIGMA
+    from lpn.core.text_tables import TextTable
     from lpn.locate.measures import RIGHT_CALIBRATION
 
     columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
     if columns:
-        table = Table("", *columns, title="Against surveyed positions: answer minus survey, in metres")
         figures = {
             "mean east": "bias_east",
             "mean north": "bias_north",
@@ -467,14 +452,14 @@ def _print_surveyed(
             "CE95": "ce95",
             "largest": "largest",
         }
-        table.add_row("photos", *(f"{one.photos}" for one in columns.values()))
-        for name, key in figures.items():
-            table.add_row(name, *(_figure(getattr(one, key)) for one in columns.values()))
-        table.add_row("photos with a radius", *(f"{one.radii}" for one in columns.values()))
+        rows = [("photos", *(f"{one.photos}" for one in columns.values()))]
+        rows += [(name, *(_figure(getattr(one, key)) for one in columns.values())) for name, key in figures.items()]
+        rows.append(("photos with a radius", *(f"{one.radii}" for one in columns.values())))
         for k in RIGHT_CALIBRATION:
             shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for one in columns.values()]
-            table.add_row(f"within {k} {'radius' if k == 1 else 'radii'}", *shares)
-        console.print(table)
+            rows.append((f"within {k} {'radius' if k == 1 else 'radii'}", *shares))
+        title = "Against surveyed positions: answer minus survey, in metres"
+        TextTable(("", *columns), rows, title, align="l").print(console)
         right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
         sentences = [
             "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 and CE95 are "

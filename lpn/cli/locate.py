@@ -244,43 +244,23 @@ def unverified_sentence(track: Sequence[TrackPoint], file: Path) -> str:
 
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, and the findings below it."""
-    from rich.table import Table
-
+    from lpn.core.text_tables import TextTable
     from lpn.locate.pose_errors import pose_errors
 
     summaries = located.summaries()
-    table = Table(
-        title=f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
-    )
-    columns = (
-        "stage",
-        "accepted",
-        "median m",
-        "p90 m",
-        "p95 m",
-        "<= 5 m",
-        "<= 10 m",
-        "<= 25 m",
-        "<= 50 m",
-        "<= 100 m",
-        "no false",
-    )
-    for name in columns:
-        table.add_column(name, justify="left" if name == "stage" else "right")
+    rows = []
     for stage, summary in summaries.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
         shares = [_share(summary.within[m]) for m in sorted(summary.within)]
         numbers = ["-"] * 3
         if summary.answered:
             numbers = [f"{summary.median:.1f}", upper_bound(summary.p90), upper_bound(summary.p95)]
-        table.add_row(
-            stage,
-            "not verified" if stage == "retrieval" else f"{accepted}",
-            *numbers,
-            *shares,
-            _share(summary.coverage_at_zero),
-        )
-    console.print(table)
+        number = "not verified" if stage == "retrieval" else f"{accepted}"
+        rows.append((stage, number, *numbers, *shares, _share(summary.coverage_at_zero)))
+    within = (f"<= {metres} m" for metres in (5, 10, 25, 50, 100))
+    head = ("stage", "accepted", "median m", "p90 m", "p95 m", *within, "no false")
+    title = f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
+    TextTable(head, rows, title).print(console)
     console.print(_truth_sentence(located, any(summary.frames for summary in summaries.values())), soft_wrap=True)
     for stage, summary in summaries.items():
         if (sentence := summary.calibration_sentence(stage)) is not None:
