@@ -34,6 +34,9 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
     from lpn.retrieval.calibration import Calibration
 
+# Of files of tables.
+_ENDINGS = (".md", ".tex", ".csv", ".html", ".htm")
+
 
 @dataclass(kw_only=True)
 class ComparisonOptions:
@@ -65,7 +68,7 @@ class ComparisonOfSources(ABC):
         from lpn.core.files import check_outputs
 
         options = self.comparison
-        check_outputs((options.table, ".md", ".tex", ".csv", ".html", ".htm"), (options.json, ".json"))
+        check_outputs((options.table, *_ENDINGS), (options.json, ".json"))
         table = compare(list(self._ranked()), options.seed, options.resamples, options.group)
         for one in table.printed:
             one.print(wide_console())
@@ -368,7 +371,7 @@ def _networks(
     if saved:
         raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
     _check_several(len(models))
-    check_outputs((page, ".html", ".htm", ".md", ".tex", ".csv"), (options.json, ".json"))
+    check_outputs((page, *_ENDINGS), (options.json, ".json"))
     files = {name: model_file(model.file) for name, model in models.items()}
     sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
     return {name: model.load() for name, model in models.items()}, sizes

@@ -63,23 +63,23 @@ class TextTable:
     @property
     def sides(self) -> str:
         """A letter for each column, see `align`."""
-        return self.align.ljust(len(self.head), self.align[-1])[: len(self.head)]
+        return "".join(self.align[min(column, len(self.align) - 1)] for column in range(len(self.head)))
 
     def print(self, console: Console) -> None:
         """Print the table and the sentences below it on a terminal."""
         from rich.table import Table
         from rich.text import Text
 
-        table = Table(title=Text(self.title, "table.title") if self.title else None)
+        table = Table()
         for name, side in zip(self.head, self.sides, strict=True):
             table.add_column(Text(name), justify="right" if side == "r" else "left")
         for number, row in enumerate(self.rows):
             if number in self.ruled:
                 table.add_section()
             table.add_row(*(Text(printable(cell, "\n")) for cell in row))
-        console.print(table)
-        if self.after:
-            console.print(self.after, markup=False, highlight=False, soft_wrap=True)
+        for text in (self.title, table, self.after):
+            if text:
+                console.print(text, markup=False, highlight=False, soft_wrap=text is not table)
 
     def markdown(self) -> str:
         """Return the table in Markdown under a heading of the second level, with an empty line behind each."""
