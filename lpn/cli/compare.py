@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from lpn.analysis.model_table import ModelTable, RankedModel
     from lpn.retrieval.calibration import Calibration
 
+# Endings of the files that tables are written to.
+_ENDINGS = (".html", ".htm", ".md", ".tex", ".csv")
+
 
 @dataclass(kw_only=True)
 class CompareCommand:
@@ -98,21 +101,18 @@ class CompareCommand:
     def run(self) -> None:
         from lpn.analysis.model_table import compare
         from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_atomic
+        from lpn.core.files import check_outputs
 
         if self.page is not None:
             self._measure_page(self.page)
             return
         if self.turns or self.weathers:
             raise InputError("--turns and --weathers belong to a page; give its file with --page.")
-        check_outputs((self.table, ".md", ".tex", ".csv", ".html"), (self.json, ".json"))
+        check_outputs((self.table, *_ENDINGS), (self.json, ".json"))
         table = compare(list(self._ranked()), self.seed, self.resamples, self.group)
         for one in table.printed:
             one.print(wide_console())
-        csv = self.table is not None and self.table.suffix.lower() == ".csv"
-        if self.table is not None and csv:
-            write_atomic(self.table, table.to_csv())
-        _write(table, None if csv else self.table, self.json)
+        _write(table, self.table, self.json)
 
     def _sources(self) -> dict[str, TaskSource]:
         """Return each source with each model by a name that tells it from the others.
@@ -211,7 +211,7 @@ class CompareCommand:
         if saved := next((name for name, source in sources.items() if "model" not in source.takes), None):
             raise InputError(f"{saved} holds descriptors, and a page needs networks; leave it out.")
         _check_several(len(sources))
-        check_outputs((page, ".html", ".htm", ".md", ".tex"), (self.json, ".json"))
+        check_outputs((page, *_ENDINGS), (self.json, ".json"))
         files = {name: model_file(source.options.file) for name, source in sources.items()}
         sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
         comparison = self.seed, self.resamples

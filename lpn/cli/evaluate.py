@@ -82,22 +82,19 @@ class EvaluateCommand(SourceOptions):
 
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
-    from rich.table import Table
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
     from lpn.retrieval.evaluate import WITHOUT
 
-    table, of_group = Table(title=title), [result.group_name] if result.groups else []
-    for name in ("task", *of_group, "queries", "gallery", *(f"recall@{k}" for k in result.recall), "ap"):
-        table.add_column(name, justify="right", no_wrap=True)
+    of_group, rows = [result.group_name] if result.groups else [], []
     for group, galleries in [("all", result.galleries), *result.groups.items()]:
         for figures in galleries:
             values = map(_figure, (*figures.recall.values(), figures.ap))
             names = (result.task, *([group] if of_group else []))
-            table.add_row(*names, str(figures.queries), figures.name, *values)
+            rows.append((*names, str(figures.queries), figures.name, *values))
+    head = ("task", *of_group, "queries", "gallery", *(f"recall@{k}" for k in result.recall), "ap")
     console = wide_console()
-    console.print(table)
-    console.print(result.sentence)
+    TextTable(head, rows, title, result.sentence, align="r").print(console)
     if any(figures.gallery_name == WITHOUT for figures in result.galleries):
         console.print(
             f"The rows {WITHOUT} drop the gallery pictures of places that no query shows, as Sample4Geo, DAC, and CAMP do; LPN, "
@@ -119,22 +116,12 @@ def _print_result(title: str, result: Result) -> None:
 
 def _print_weathers(title: str, result: WeatherResult) -> None:
     """Print University-WX's table: a row for each weather, and their mean."""
-    from rich.table import Table
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
 
-    table = Table(title=title)
-    table.add_column("weather", no_wrap=True)
-    for task in result.tasks:
-        table.add_column(f"{task}\nR@1", justify="right")
-        table.add_column("\nAP", justify="right")
-    for name, figures in result.rows():
-        if name == result.MEAN:
-            table.add_section()
-        table.add_row(name, *(_figure(value) for pair in figures for value in pair))
-    console = wide_console()
-    console.print(table)
-    console.print(result.sentence)
+    head = ("weather", *(name for task in result.tasks for name in (f"{task}\nR@1", "\nAP")))
+    rows = [(name, *(_figure(value) for pair in figures for value in pair)) for name, figures in result.rows()]
+    TextTable(head, rows, title, result.sentence, ruled=(len(rows) - 1,)).print(wide_console())
 
 
 def _figure(value: float) -> str:

@@ -189,20 +189,20 @@ def _show(
     names: Sequence[str],
     claim: str,
 ) -> None:
-    from rich.table import Table
+    from lpn.core.text_tables import TextTable
 
     score = float(cosines @ weights) - csls
     taken = f"CSLS takes {csls:.4f}, " if csls else ""
-    table = Table(title=f"score {score:.4f}, {taken}squared distance {2 - 2 * score:.4f} ({claim})")
     sums = () if evidence is None else evidence.part_sums
     several = len(names) > 1
     of_part = ("part", "cosine", "weight", "adds to the score") if several else ("score",)
-    for name in (*of_part, *("cells for", "cells against", "constant")[: len(sums)]):
-        table.add_column(name, justify="left" if name == "part" else "right")
+    rows = []
     for part, name in enumerate(names):
         numbers = [signed(number, 4) for number in (cosines[part] * weights[part], *(values[part] for values in sums))]
-        table.add_row(*((name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %") if several else ()), *numbers)
-    console.print(table)
+        rows.append([*((name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %") if several else ()), *numbers])
+    title = f"score {score:.4f}, {taken}squared distance {2 - 2 * score:.4f} ({claim})"
+    head = (*of_part, *("cells for", "cells against", "constant")[: len(sums)])
+    TextTable(head, rows, title, align="lr" if several else "r").print(console)
 
 
 def _short(path: Path) -> str:

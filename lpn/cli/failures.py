@@ -6,18 +6,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from rich.table import Table as Printed
-from rich.text import Text
-
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
+from lpn.core.text_tables import TextTable
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import Advanced, SourceOptions, source_of
 from lpn.sources.opened import open_first_task, open_with_notes
 
 if TYPE_CHECKING:
-    from lpn.analysis.breakdown import Rate
     from lpn.core.consoles import Console
     from lpn.core.tables import Table
     from lpn.tasks.task import Task
@@ -87,13 +84,11 @@ def _print(console: Console, table: Table, rows: Int64Array, names: list[str], t
     """The first rows, with those of some columns in which anything is known."""
     columns = [table.columns[name] for name in names if name in table.columns]
     columns = [column for column in columns if column.name != "false" and column.known[rows].any()]
-    printed = Printed()
-    for column in columns:
-        title = f"{column.name} ({column.unit})" if column.unit else column.name
-        printed.add_column(title, justify="right" if column.kind == "number" else "left")
-    for row in rows[:top]:
-        printed.add_row(*(Text(column.text(row)) for column in columns))
-    console.print(printed, f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed.")
+    head = [f"{column.name} ({column.unit})" if column.unit else column.name for column in columns]
+    cells = [[column.text(row) for column in columns] for row in rows[:top]]
+    after = f"{len(rows)} of {len(table)} queries, {min(top, len(rows))} listed."
+    align = "".join("r" if column.kind == "number" else "l" for column in columns)
+    TextTable(head, cells, after=after, align=align).print(console)
 
 
 def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -> None:
@@ -106,16 +101,18 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
     failures = int(outcomes.failed[rows].sum())
     if failures:
         if len(part_names) > 1:
-            blamed = zip(part_names, breakdown.blame(outcomes, rows).tolist(), strict=True)
-            _print_counts(console, f"The part that lowers the margin most, in {failures} failures:", list(blamed))
+            blamed = [*zip(part_names, map(str, breakdown.blame(outcomes, rows)), strict=True)]
+            title = f"The part that lowers the margin most, in {failures} failures"
+            TextTable(("part", "failures"), blamed, title).print(console)
         pairs = breakdown.confusions(outcomes, task.query_labels, task.gallery_labels, rows)
         truth, answer = table.column("truth"), table.column("answer")
         counts = [
-            (f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}", one.count)
+            (f"{truth.text(one.queries[0]) or one.place} taken for {answer.text(one.queries[0])}", str(one.count))
             for one in pairs[:top]
         ]
         listed = f", {top} listed" if len(pairs) > top else ""
-        _print_counts(console, f"Places taken for others ({len(pairs)} pairs{listed}):", counts)
+        title = f"Places taken for others ({len(pairs)} pairs{listed})"
+        TextTable(("place", "failures"), counts, title).print(console)
     # Among failures alone, every rate is 100 %.
     looked = rows if 0 < failures < len(rows) else table.rows()
     for column in picture_columns(table):
@@ -123,24 +120,10 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
         if column.name not in ("latitude", "longitude") and len(rates) > 1:
             of = f"{'all ' if len(looked) == len(table) else ''}{len(looked)} queries"
             listed = f"; {top} of {len(rates)} values" if len(rates) > top else ""
-            _print_rates(console, f"Failures by {column.name}, of {of}{listed}:", rates[:top])
-
-
-def _print_counts(console: Console, title: str, counts: list[tuple[str, int]]) -> None:
-    printed = Printed(show_header=False)
-    printed.add_column()
-    printed.add_column(justify="right")
-    for name, count in counts:
-        printed.add_row(Text(name), str(count))
-    console.print("", Text(title), printed)
-
-
-def _print_rates(console: Console, title: str, rates: list[Rate]) -> None:
-    printed = Printed()
-    for name in ("", "queries", "failures", "share", "95 % interval"):
-        printed.add_column(name, justify="right" if name else "left")
-    for rate in rates:
-        low, high = rate.interval
-        figures = (f"{100 * rate.share:.1f} %", f"{100 * low:.1f} to {100 * high:.1f} %")
-        printed.add_row(Text(rate.name), str(rate.queries), str(rate.failures), *figures)
-    console.print("", Text(title), printed)
+            figures = []
+            for rate in rates[:top]:
+                low, high = (100 * bound for bound in rate.interval)
+                shares = (f"{100 * rate.share:.1f} %", f"{low:.1f} to {high:.1f} %")
+                figures.append((rate.name, str(rate.queries), str(rate.failures), *shares))
+            head = (column.name, "queries", "failures", "share", "95 % interval")
+            TextTable(head, figures, f"Failures by {column.name}, of {of}{listed}").print(console)

@@ -313,43 +313,23 @@ def unverified_sentence(track: Sequence[TrackPoint], file: Path) -> str:
 
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, and the findings below it."""
-    from rich.table import Table
-
+    from lpn.core.text_tables import TextTable
     from lpn.locate.pose_errors import pose_errors
 
     summaries = located.summaries()
-    table = Table(
-        title=f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
-    )
-    columns = (
-        "stage",
-        "accepted",
-        "median m",
-        "p90 m",
-        "p95 m",
-        "<= 5 m",
-        "<= 10 m",
-        "<= 25 m",
-        "<= 50 m",
-        "<= 100 m",
-        "no false",
-    )
-    for name in columns:
-        table.add_column(name, justify="left" if name == "stage" else "right")
+    rows = []
     for stage, summary in summaries.items():
         accepted = sum(1 for frame in located.frames if stage in frame.stages and frame.stages[stage].accepted)
         shares = [_share(summary.within[m]) for m in sorted(summary.within)]
         numbers = ["-"] * 3
         if summary.answered:
             numbers = [f"{summary.median:.1f}", upper_bound(summary.p90), upper_bound(summary.p95)]
-        table.add_row(
-            stage,
-            "not verified" if stage == "retrieval" else f"{accepted}",
-            *numbers,
-            *shares,
-            _share(summary.coverage_at_zero),
-        )
-    console.print(table)
+        number = "not verified" if stage == "retrieval" else f"{accepted}"
+        rows.append((stage, number, *numbers, *shares, _share(summary.coverage_at_zero)))
+    within = (f"<= {metres} m" for metres in (5, 10, 25, 50, 100))
+    head = ("stage", "accepted", "median m", "p90 m", "p95 m", *within, "no false")
+    title = f"{printable(located.flight.name)} on {printable(located.basemap.name)}: {len(located.frames)} photos"
+    TextTable(head, rows, title).print(console)
     console.print(_truth_sentence(located, any(summary.frames for summary in summaries.values())), soft_wrap=True)
     for stage, summary in summaries.items():
         if (sentence := summary.calibration_sentence(stage)) is not None:
@@ -385,15 +365,13 @@ def _print_surveyed(
     errors: Mapping[str, Mapping[SurveyedPoint, SurveyedErrors]], remarks: Sequence[str], console: Console
 ) -> None:
     """Print the errors of each stage and point, a column each, and sentences on them."""
-    from rich.table import Table
-
     from lpn.core.numbers import SIGMA
+    from lpn.core.text_tables import TextTable
     from lpn.locate.measures import RIGHT_CALIBRATION
 
     columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
     if columns:
-        table = Table("", *columns, title="Against surveyed positions: answer minus survey, in metres")
         figures = {
             "mean east": "bias_east",
             "mean north": "bias_north",
@@ -407,14 +385,14 @@ def _print_surveyed(
             "CE95": "ce95",
             "largest": "largest",
         }
-        table.add_row("photos", *(f"{one.photos}" for one in columns.values()))
-        for name, key in figures.items():
-            table.add_row(name, *(_metres(getattr(one, key)) for one in columns.values()))
-        table.add_row("photos with a radius", *(f"{one.radii}" for one in columns.values()))
+        rows = [("photos", *(f"{one.photos}" for one in columns.values()))]
+        rows += [(name, *(_metres(getattr(one, key)) for one in columns.values())) for name, key in figures.items()]
+        rows.append(("photos with a radius", *(f"{one.radii}" for one in columns.values())))
         for k in RIGHT_CALIBRATION:
             shares = [f"{one.within[k]:.0f} %" if k in one.within else "-" for one in columns.values()]
-            table.add_row(f"within {k} {'radius' if k == 1 else 'radii'}", *shares)
-        console.print(table)
+            rows.append((f"within {k} {'radius' if k == 1 else 'radii'}", *shares))
+        title = "Against surveyed positions: answer minus survey, in metres"
+        TextTable(("", *columns), rows, title, align="l").print(console)
         right = ", ".join(f"{share:.0f} %" for share in RIGHT_CALIBRATION.values())
         sentences = [
             "Each photo counts with its accepted answer of the stage that counts, a contradicted one, too. CE90 and CE95 are "

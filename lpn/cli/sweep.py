@@ -95,30 +95,23 @@ def _subject(profile: SweepResult) -> str:
 
 def _print(profile: SweepResult, title: str, views: tuple[View, View], console: Console) -> None:
     """Print a row for each transform with its score as a bar, and the gain of the best one."""
-    from rich.table import Table
-
+    from lpn.core.text_tables import TextTable
     from lpn.explain.sweeps import swept_label, swept_value
 
     blocks = str(console.encoding).lower().startswith("utf")
     scores = [point.score for point in profile.points]
     low, span = min(scores), (max(scores) - min(scores)) or 1.0
-    table = Table(title=title, caption=f"Score and rank of {_subject(profile)}; * the highest score.")
-    for name in (profile.over, "", "rank", "score"):
-        table.add_column(name, justify="right")
-    table.add_column(f"from {low:.3f} to {max(scores):.3f}", min_width=_BAR)
-    parts = len(profile.points[0].cosines)
-    for part in range(1, parts + 1 if parts > 1 else 1):
-        table.add_column(f"cos {part}", justify="right")
-    table.add_column("top score", justify="right")
+    parts, rows = len(profile.points[0].cosines), []
+    of_parts = [f"cos {part}" for part in range(1, parts + 1 if parts > 1 else 1)]
     for point in profile.points:
         number = swept_label(profile.over, swept_value(profile.over, point.change), 4)
         bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
         cosines = [f"{cosine:.3f}" for cosine in point.cosines if parts > 1]
         mark = "*" if point is profile.best else ""
-        table.add_row(number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}")
-    console.print(table)
-    for line in _sentences(profile, views):
-        console.print(line, highlight=False, soft_wrap=True)
+        rows.append((number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}"))
+    head = (profile.over, "", "rank", "score", f"from {low:.3f} to {max(scores):.3f}", *of_parts, "top score")
+    after = "\n".join([f"Score and rank of {_subject(profile)}; * the highest score.", *_sentences(profile, views)])
+    TextTable(head, rows, title, after, align="rrrrlr").print(console)
 
 
 def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:

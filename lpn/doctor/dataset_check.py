@@ -10,12 +10,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from lpn.core.consoles import Console
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
+from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, geo, metadata
 from lpn.datasets.folder import Folder
@@ -339,13 +338,8 @@ def _below(root: Path, file: Path) -> str:
 def print_report(report: DataSetReport, console: Console) -> None:
     """Print a report with a few names of each kind; `to_dict` has all names."""
     console.print(f"{report.root} is {report.title}.", markup=False, highlight=False)
-    table = Table()
-    for name in ("pictures of", "pictures", "places"):
-        table.add_column(name, justify="left" if name == "pictures of" else "right")
-    for count in report.counts:
-        row = _of(count.pictures, count.full_pictures), _of(count.places, count.full_places)
-        table.add_row(count.name, *row)
-    console.print(table)
+    counts = [(of.name, _of(of.pictures, of.full_pictures), _of(of.places, of.full_places)) for of in report.counts]
+    TextTable(("pictures of", "pictures", "places"), counts).print(console)
     how = "decoded" if report.decoded else "read at both ends"
     good = report.looked_at - len(report.broken)
     lines = [f"{good} of {report.looked_at} pictures can be read ({how})."]

@@ -24,6 +24,7 @@ from lpn.cli import main
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.text_tables import markdown_page
 from lpn.datasets import open_dataset
 from lpn.flights import Flight, Frame, open_flight, write_flight
 from lpn.locate.corrections import Correction, read_corrections, set_correction
@@ -228,7 +229,7 @@ def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_pa
         [rank_model(lpn.load(file), file.name, dataset, "drone-to-satellite") for file in (model, model_file)]
     )
     assert _table(table.to_csv())[1][0] == f"'{model.name}"
-    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in table.to_markdown()
+    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in markdown_page(table.printed)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems allow no such name")

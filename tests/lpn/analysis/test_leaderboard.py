@@ -11,11 +11,11 @@ import pytest
 
 import lpn
 from lpn.analysis.leaderboard import Leaderboard, ModelFacts, task_leaderboard
-from lpn.analysis.text_tables import latex_page
 from lpn.cli.main import main
+from lpn.core.text_tables import latex_page, markdown_page
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
-from lpn.report import build_leaderboard
+from lpn.report import table_page
 from lpn.retrieval.protocol import Protocol
 from lpn.sources import Data, ModelOptions
 from lpn.sources.opened import open_first_task
@@ -112,12 +112,12 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
     facts = ModelFacts("LPN", "exact", (64, 64), 8, None, 1.0, 1.0)
     turns = {TASK: {"<b>.onnx": {90.0: (50.0, 62.5)}}}
     board = Leaderboard("a|b", {"<b>.onnx": facts}, [], {}, turns, {})
-    page = build_leaderboard(board).decode()
+    page = table_page(board.title, board.printed).decode()
     assert page.count('<th scope="row">&lt;b&gt;.onnx</th>') == 2
     assert '<td class="r">50.00 / 62.50</td>' in page
-    assert "| &lt;b&gt;.onnx | 50.00 / 62.50 |" in board.to_markdown()
+    assert "| &lt;b&gt;.onnx | 50.00 / 62.50 |" in markdown_page(board.printed, board.title)
     assert not re.search(r"<script|https?:|<b>", page)
-    _, _, latex = latex_page(board.sections()).partition("Turned queries")
+    _, _, latex = latex_page(board.printed).partition("Turned queries")
     assert r"\textless{}b\textgreater{}.onnx & 50.00 / 62.50 \\" in latex
 
 
