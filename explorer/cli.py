@@ -21,8 +21,8 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
-from lpn.models.adapters import Kind
 from lpn.locate.source import FlightSource
+from lpn.models.adapters import Kind
 from lpn.sources import Advanced, ModelOptions, SourceOptions, of_each, shipped_model, source_of
 from lpn.sources.kinds.data import DataSource
 
@@ -144,7 +144,9 @@ class Stories:
         if self.source is not None and not self.source.is_dir():
             raise InputError(f"There is no folder {printable(str(self.source))!r}; give that of a data set or flight.")
         shipped = {DATA: DEMO, "place": DEMO_PLACE[1], "flight": DEMO_FLIGHT[1]}
-        opened = {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.source is None else {"": self.source}
+        opened = (
+            {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.source is None else {"": self.source}
+        )
         stories = {of: read_all(root) for of, root in opened.items()}
         problems = dict.fromkeys(problem for read in stories.values() for problem in read.errors)
         for problem in problems:

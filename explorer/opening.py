@@ -469,8 +469,8 @@ def _status(text: str) -> AbstractContextManager[object]:
 def _relief(source: OpenedSource) -> CityModel | None:
     """Return the relief of a flight's map; None without a map, or if its heights are damaged, which logs a warning."""
     try:
-        flown = isinstance(source, OpenedFlight) and source.located is not None
-        return relief_model(source.located.basemap) if flown else None
+        located = source.located if isinstance(source, OpenedFlight) else None
+        return None if located is None else relief_model(located.basemap)
     except DataError as error:
         log.warning("The map has no relief: %s", error)
         return None

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 
@@ -60,8 +60,8 @@ class CompareCommand:
     default auto for all (docs/models.md)."""
     provider: ProviderOption = "auto"
     data: Path | None = None
-    """Data set that the queries of indexes are of, or that a .mat was computed on, by default the first source; folder that the paths
-    of --paths are relative to."""
+    """Data set that the queries of indexes are of, or that a .mat was computed on, by default the first source; folder that the
+    paths of --paths are relative to."""
     map: Path | None = None
     """Map under a flight, or whose windows indexes hold: a folder of lpn map, or a georeferenced picture."""
     task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
@@ -77,7 +77,7 @@ class CompareCommand:
     n_parts: Advanced[int | None] = None
     """Number of parts of two-dimensional arrays; 1 by default."""
     without_distractors: bool = False
-    """Leave the gallery's distractors out (as Sample4Geo and DAC do); by default all rank the full gallery (as LPN and FSRA do)."""
+    """Leave the gallery's distractors out, as Sample4Geo and DAC do; by default all rank the full gallery, as LPN and FSRA do."""
     group: tuple[str, ...] = ()
     """Group of each model in their order, such as LPN LPN LPN SAFA SAFA SAFA for three runs (seeds) of either: they are one row
     with mean and standard deviation, and groups are compared; by default each model by itself."""
@@ -140,7 +140,9 @@ class CompareCommand:
         several = sum("model" in kind.takes for kind in kinds) > 1
         found: dict[str, TaskSource] = {}
         for options, kind, name in zip(given, kinds, names, strict=True):
-            unfit = {one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes}
+            unfit: dict[str, Any] = {
+                one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes
+            }
             options = replace(options, **unfit)
             if kind is ResultSource and self.data is None and kinds[0] is DataSource:
                 options.data = given[0].path
@@ -186,7 +188,10 @@ class CompareCommand:
         tasks = [(name, open_first_task(source)) for name, source in sources]
         if len(dict(sources)) > 1 and not all(task.calibration for _, task in tasks):  # models are ranked alike
             tasks = [
-                (name, open_first_task(source_of(replace(source.options, calibrate=False))) if task.calibration else task)
+                (
+                    name,
+                    open_first_task(source_of(replace(source.options, calibrate=False))) if task.calibration else task,
+                )
                 for (name, source), (_, task) in zip(sources, tasks, strict=True)
             ]
         scored = {_scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}

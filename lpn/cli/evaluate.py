@@ -38,8 +38,8 @@ class EvaluateCommand(SourceOptions):
     parts: str | None = None
     """Parts to use, numbered from 1 and separated by commas, such as 1,2 (Table V); by default all parts."""
     centre: Advanced[bool] = False
-    """Of saved descriptors: subtract the mean of all queries from each query, and that of the gallery from each tile, part by part.
-    It needs no labels, and makes up for places and cameras that differ from those of the training."""
+    """Of saved descriptors: subtract the mean of all queries from each query, and that of the gallery from each tile, part by
+    part. It needs no labels, and makes up for places and cameras that differ from those of the training."""
     json: Path | None = None
     """File to write the measures to, as JSON."""
     per_query: Path | None = None

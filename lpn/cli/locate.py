@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from lpn.locate.tracks import TrackPoint
     from lpn.maps import Map
 
+
 @dataclass(kw_only=True)
 class LocateCommand(ModelOptions):
     """Find where each picture of a flight was taken on a map: retrieval, sequence, registration; resumable.
@@ -187,8 +188,10 @@ def _measures(
 ) -> dict[str, Any]:
     """Return the errors of a flight as JSON values."""
     without_lag = located.without_lag() if located.tags_without_lag is not None else None
-    of_stages = [one and {stage: asdict(summary) for stage, summary in one.summaries().items()} for one in (located, without_lag)]
-    result = {
+    of_stages = [
+        one and {stage: asdict(summary) for stage, summary in one.summaries().items()} for one in (located, without_lag)
+    ]
+    result: dict[str, Any] = {
         "frames": len(located.frames),
         "corrected": sum(frame.by_hand is not None for frame in located.frames),
         "stages": of_stages[0],

@@ -182,7 +182,7 @@ def _help() -> str:
             "",
             *lines,
             "",
-            "lpn COMMAND --help lists the options of a command, --help-all those for experts too; lpn --version prints the version.",
+            "lpn COMMAND --help lists the options of a command, --help-all all of them; lpn --version prints the version.",
             f"lpn {log.FLAG} debug COMMAND shows more messages ({', '.join(log.LEVELS)}; or set {log.VARIABLE}).",
         ]
     )

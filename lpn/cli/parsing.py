@@ -6,17 +6,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import MISSING, field, fields, is_dataclass, make_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 from lpn.core.errors import InputError
-from lpn.sources.options import ADVANCED, SourceOptions
+from lpn.sources.options import ADVANCED
 
 HELP, HELP_ALL = "--help", "--help-all"
 # Words that named the kind of a source before it said so itself.
 _FORMER_WORDS = ("data", "published", "arrays", "index", "flight")
+# The mark of an option that help leaves out.
+_SUPPRESSED = get_args(tyro.conf.Suppress[int])[1:]
 # While it is entered, `tyro.cli` lists the words of `Literal[...] | None` in their own order and without None.
 _IN_ORDER = ConstructorRegistry()
 
@@ -53,12 +55,11 @@ def parse(command: type[Any], arguments: Sequence[str], program: str, default: A
     for option, mode in modes(command).items():
         if option in given:
             command, program = mode, f"{program} {option}"
-    if issubclass(command, SourceOptions) and arguments and arguments[0] in _FORMER_WORDS:
-        if not Path(arguments[0]).exists():
-            raise InputError(
-                f"There is nothing at {arguments[0]}; give the path of the source alone, which says itself what it is: "
-                f"{program} SOURCE."
-            )
+    word = arguments[0] if arguments and "source" in {one.name for one in fields(command)} else ""
+    if word in _FORMER_WORDS and not Path(word).exists():
+        raise InputError(
+            f"There is nothing at {word}; give the path of the source, which says itself what it is: {program} SOURCE."
+        )
     description = command.__doc__ or ""
     if HELP_ALL in given:
         arguments = [HELP]
@@ -100,7 +101,7 @@ def options(command: type[Any]) -> Iterator[str]:
     for name, marks, kind in _fields(command):
         if tyro.conf.Suppress in marks or tyro.conf.Positional in marks:
             continue
-        if is_dataclass(kind):
+        if isinstance(kind, type) and is_dataclass(kind):
             yield from options(kind)
         else:
             yield f"--{name.replace('_', '-')}"
@@ -120,7 +121,7 @@ def _brief(command: type[Any]) -> type[Any]:
     hidden = [
         (
             name,
-            tyro.conf.Suppress[hints[name]],
+            Annotated[hints[name], *_SUPPRESSED],
             field(default=one.default)
             if (one := defaults[name]).default_factory is MISSING
             else field(default_factory=one.default_factory),

@@ -146,7 +146,7 @@ class SourceOptions(ModelOptions):
     """Data set in any layout of docs/data.md; pytorch_result.mat of the published test code; arrays of query descriptors (.npy,
     .npz, .mat); index of tiles, a folder or milvus://host:port/collection; or flight, a folder of lpn flight or of photos."""
     data: Path | None = None
-    """Data set that a .mat was computed on, or that the queries of an index are of; folder that the paths of --paths, or the tiles'
+    """Data set that a .mat was computed on, or that the queries of an index are of; folder that the paths of --paths, or tiles'
     names beside --pictures, are relative to."""
     map: Path | None = None
     """Map under a flight, or whose windows an index holds: a folder of lpn map, or a georeferenced picture."""

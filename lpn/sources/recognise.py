@@ -135,7 +135,7 @@ def source_of(options: SourceOptions) -> TaskSource:
         if value != option.default and fitting and option.name not in kind.takes:
             written = f"--{'no-' if value is False else ''}{option.name.replace('_', '-')}"
             raise InputError(
-                f"{printable(options.source)} is {kind.noun}, and {written} fits {listed(fitting)}; leave it out."
+                f"{printable(str(options.source))} is {kind.noun}, and {written} fits {listed(fitting)}; leave it out."
             )
     return kind(options)
 

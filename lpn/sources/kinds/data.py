@@ -29,6 +29,7 @@ class DataSource(TaskSource):
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
+        del options
         return True
 
     @property
