@@ -35,7 +35,6 @@ from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.sources import ModelOptions, OpenedSource, SourceOptions, model_names, source_of
 from lpn.sources.kinds.data import open_data
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.opening import (
     by_csls,
     calibrated,
@@ -197,13 +196,13 @@ def _offer_scorings(
         calibrate, csls: see `open_model`.
         report: receives the progress of a calibration; by default the terminal shows it.
     """
-    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
+    tasks = list(workspace.tasks.values())
     if csls:
         check_neighbours(csls, max(len(task.queries) for task in tasks))
     asked = task_calibration(model, dataset, calibrate, report)
     ready = asked or shipped_calibration(model, dataset)
 
-    def rank(scored: Iterable[GalleryTask]) -> None:
+    def rank(scored: Iterable[Task]) -> None:
         for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
             workspace.rankings[ranking.task.key] = ranking
 

@@ -63,7 +63,7 @@ def options(
         "data": ["--data", data, *model],
         "published": ["published", "--saved", saved, "--data", data, "--n-parts", "4"],
         "arrays": ["arrays", *arrays, "--data", data],
-        "index": ["index", "--index", index, "--data", data, *model, "--depth", "10"],
+        "index": ["index", "--index", index, "--data", data, *model],
         "flight": ["flight", *flown, *model],
     }
     special: dict[tuple[str, str], list[str | Path]] = {
@@ -77,7 +77,7 @@ def options(
             folder / "gallery.npz",
             *arrays[4:],
         ],
-        ("compare", "index"): ["index", index, folder / "again", "--data", data, *model, "--depth", "10"],
+        ("compare", "index"): ["index", index, folder / "again", "--data", data, *model],
         ("compare", "flight"): ["flight", model_file, one_part_model_file, *flown, "--page", folder / "page.html"],
         ("evaluate", "published"): ["published", "--saved", saved, "--n-parts", "4"],
         ("evaluate", "flight"): ["flight", *flown, *model, "--no-register"],

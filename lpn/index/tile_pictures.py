@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,53 +18,25 @@ from lpn.drawing import captions
 from lpn.maps import Map, NamedWindow
 from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 
-_PLACEHOLDER = 256
-
-
-@dataclass(frozen=True)
-class TilePlaceholder:
-    """Stands for the picture of a tile that is not at hand: plain grey with the tile's name and position.
-
-    Attributes:
-        reason: why there is no picture, as a sentence.
-        position: returns the tile's latitude and longitude, (2,), NaN where they are unknown.
-    """
-
-    name: str
-    reason: str
-    position: Callable[[], Float64Array]
-
-    def __call__(self) -> UInt8Array:
-        """Draw the placeholder, (256, 256, 3)."""
-        image, draw = captions.caption(_PLACEHOLDER, _PLACEHOLDER)
-        draw.rectangle((0, 0, _PLACEHOLDER, _PLACEHOLDER), fill=(60, 60, 60))
-        lines = ["no picture", *(self.name[i : i + 22] for i in range(0, min(len(self.name), 66), 22))]
-        latitude, longitude = self.position()
-        if np.isfinite(latitude) and NamedWindow.parse(self.name) is None:
-            lines.append(f"{latitude:.5f}, {longitude:.5f}")
-        for i, line in enumerate(lines):
-            draw.text(
-                (128, 128 + 26 * (i - (len(lines) - 1) / 2)), line, (190, 190, 190), captions.font(20), anchor="mm"
-            )
-        return np.asarray(image)
+_SIDE = 256
 
 
 def tile_picture(
     name: str,
     label: int,
+    degrees: Float64Array,
     root: Path,
     folders: Sequence[Path],
     basemap: Map | None,
     pixels: int,
-    position: Callable[[], Float64Array],
 ) -> Picture:
     """Return the picture of a tile that no data set lists: cut from the map, read from a folder, or a placeholder.
 
     Args:
+        degrees: latitude and longitude, (2,), NaN where they are unknown.
         root: a folder for the paths of pictures that are no files.
         folders: where files of the tile's name are looked for, in this order.
         pixels: side of a picture that is cut from the map.
-        position: see `TilePlaceholder`.
     """
     window, title = NamedWindow.parse(name), printable(name)
     if window is not None and basemap is not None:
@@ -81,4 +53,18 @@ def tile_picture(
                 if (file := folder / listed_path(name, "The index")).is_file():
                     return Picture(file, label, title)
         reason = "no file of this name is at hand; give the folder that was described as --data."
-    return Picture(root / "index" / str(label), label, title, cut=TilePlaceholder(title, reason, position))
+    drawn = partial(_placeholder, title, np.full(2, np.nan) if window else degrees)
+    return Picture(root / "index" / str(label), label, title, cut=drawn, missing=reason)
+
+
+def _placeholder(name: str, degrees: Float64Array) -> UInt8Array:
+    """Draw plain grey with a tile's name and position, (256, 256, 3)."""
+    image, draw = captions.caption(_SIDE, _SIDE)
+    draw.rectangle((0, 0, _SIDE, _SIDE), fill=(60, 60, 60))
+    lines = ["no picture", *(name[i : i + 22] for i in range(0, min(len(name), 66), 22))]
+    if np.isfinite(degrees).all():
+        lines.append(f"{degrees[0]:.5f}, {degrees[1]:.5f}")
+    for i, line in enumerate(lines):
+        at = 128, 128 + 26 * (i - (len(lines) - 1) / 2)
+        draw.text(at, line, (190, 190, 190), captions.font(20), anchor="mm")
+    return np.asarray(image)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +17,8 @@ from lpn.sources.opened import query_positions, weighted
 from lpn.sources.recognise import NETWORK, file_names, no_progress
 
 if TYPE_CHECKING:
+    from lpn.index import Index
     from lpn.index.queries import IndexQueries
-    from lpn.index.shared import SharedIndex
     from lpn.locate.located import LocatedFlight
     from lpn.maps import Map
     from lpn.models.base import Model
@@ -79,16 +79,14 @@ class WindowSource(IndexSource):
         assert self.options.map is not None
         return open_map(self.options.map)
 
-    def queries(self, model: Model, index: SharedIndex, on_progress: Progress) -> IndexQueries:
+    def queries(self, model: Model, index: Index, on_progress: Progress) -> IndexQueries:
         from lpn.flights import open_flight
         from lpn.locate.index_queries import flight_queries
 
         if self.options.index is None:
             return super().queries(model, index, on_progress)
         flight, folder = open_flight(self.options.path), self.options.path
-        return flight_queries(
-            model, flight, self.basemap, index, folder, lambda done, total: on_progress("frames", done, total)
-        )
+        return flight_queries(model, flight, self.basemap, index, folder, partial(on_progress, "frames"))
 
     def open(
         self,

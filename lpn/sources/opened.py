@@ -51,12 +51,18 @@ class OpenedSource:
         return replace(self, tasks=[replace(task, model_name=printable(model_name)) for task in self.tasks])
 
 
-def weighted(task: Task, weights: Sequence[float] | None) -> Task:
-    """Return a task under part weights, equal ones for None; InputError if they are not its parts'."""
-    from lpn.retrieval import scoring
+def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -> Task:
+    """Return a task under part weights, equal ones for None, and under CSLS over K neighbours, without it for 0.
+
+    Raises:
+        InputError: if the weights are not its parts', or there are fewer queries.
+    """
+    from lpn.retrieval import csls, scoring
 
     scoring.part_weights(task.contract.n_parts, weights)
-    return replace(task, weights=weights)
+    if neighbours:
+        csls.check_neighbours(neighbours, len(task.queries))
+    return replace(task, weights=weights, neighbours=neighbours)
 
 
 def open_first_task(source: TaskSource) -> Task:

@@ -167,8 +167,6 @@ class SourceOptions(ModelOptions):
     """Of an index: folder of plain pictures to search for, whose places nobody knows, in place of --data."""
     index: Advanced[str | None] = None
     """Of a flight: index of the map's windows by this model, in place of windows that are described."""
-    depth: Advanced[int] = 100
-    """Of an index: number of tiles that a search returns; ranks beyond it are not known."""
 
     @property
     def path(self) -> Path:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lpn.core.errors import InputError
@@ -13,8 +14,8 @@ from lpn.sources.options import SourceOptions
 from lpn.sources.recognise import NETWORK, TaskSource, file_names, no_progress
 
 if TYPE_CHECKING:
+    from lpn.index import Index
     from lpn.index.queries import IndexQueries
-    from lpn.index.shared import SharedIndex
     from lpn.models.base import Model
 
 
@@ -24,7 +25,7 @@ class IndexSource(TaskSource):
     noun = "an index"
     # The map that windows are cut from; None without one.
     basemap: Any = None
-    takes = NETWORK | {"data", "pictures", "depth"}
+    takes = NETWORK | {"data", "pictures", "csls", "parts", "centre"}
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
@@ -43,24 +44,24 @@ class IndexSource(TaskSource):
         on_progress: Progress = no_progress,
     ) -> OpenedSource:
         from lpn.index import open_index
-        from lpn.index.shared import SharedIndex
         from lpn.index.task import index_task
         from lpn.retrieval import scoring
 
         model = self.options.load()
         scoring.part_weights(model.n_parts, weights)
-        index = SharedIndex(open_index(self.where))
-        queries = self.queries(model, index, on_progress)
-        query_positions(names, queries.pictures, queries.data_name)
-        task = index_task(model, self.options.name, index, queries, self.options.depth, self.basemap)
-        return OpenedSource([weighted(task, weights)], model, model)
+        with open_index(self.where) as index:
+            queries = self.queries(model, index, on_progress)
+            query_positions(names, queries.pictures, queries.data_name)
+            searches = partial(on_progress, "searches")
+            task = index_task(model, self.options.name, index, queries, self.basemap, searches)
+        return OpenedSource([weighted(task, weights, self.options.csls)], model, model)
 
     @property
     def where(self) -> str:
         """The folder or address of the index."""
         return self.options.source or ""
 
-    def queries(self, model: Model, index: SharedIndex, on_progress: Progress) -> IndexQueries:
+    def queries(self, model: Model, index: Index, on_progress: Progress) -> IndexQueries:
         """Open the queries that are searched for."""
         from lpn.datasets import open_dataset
         from lpn.index.queries import dataset_queries, picture_queries

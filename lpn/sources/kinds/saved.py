@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from lpn.core.errors import InputError
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from lpn.retrieval.plain_arrays import PlainArrays
     from lpn.retrieval.protocol import Protocol
     from lpn.retrieval.published_results import PublishedResult
-    from lpn.tasks.gallery_task import GalleryTask
+    from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +30,7 @@ class SavedSource(TaskSource):
     """A source of descriptors alone."""
 
     @abstractmethod
-    def task(self) -> GalleryTask:
+    def task(self) -> Task:
         """Read the task."""
 
     def open(
@@ -40,15 +39,10 @@ class SavedSource(TaskSource):
         weights: Sequence[float] | None = None,
         on_progress: Progress = no_progress,
     ) -> OpenedSource:
-        from lpn.retrieval.csls import check_neighbours
-
         del on_progress
         task = self.task()
         query_positions(names, task.queries, task.data_name)
-        if self.options.csls:
-            check_neighbours(self.options.csls, len(task.queries))
-            task = replace(task, neighbours=self.options.csls)
-        return OpenedSource([weighted(task, weights)])
+        return OpenedSource([weighted(task, weights, self.options.csls)])
 
 
 class ResultSource(SavedSource):
@@ -65,7 +59,7 @@ class ResultSource(SavedSource):
     def title(self) -> str:
         return file_names(*(path for path in (self.options.path, self.options.data) if path is not None))
 
-    def task(self) -> GalleryTask:
+    def task(self) -> Task:
         from lpn.datasets import open_dataset
         from lpn.tasks.published_task import published_task
 
@@ -108,7 +102,7 @@ class ArraySource(SavedSource):
     def title(self) -> str:
         return file_names(*(path for path in (self.options.path, self.options.gallery) if path is not None))
 
-    def task(self) -> GalleryTask:
+    def task(self) -> Task:
         from lpn.tasks.array_task import array_task
 
         return array_task(self.load(), printable(self.options.path.name))
