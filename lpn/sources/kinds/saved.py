@@ -16,9 +16,8 @@ from lpn.sources.recognise import TaskSource, file_names, no_progress
 
 if TYPE_CHECKING:
     from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.plain_arrays import PlainArrays
     from lpn.retrieval.protocol import Protocol
-    from lpn.retrieval.published_results import PublishedResult
+    from lpn.retrieval.saved import PlainArrays, PublishedResult
     from lpn.tasks.task import Task
 
 log = logging.getLogger(__name__)
@@ -83,7 +82,7 @@ class ResultSource(SavedSource):
 
     def load(self) -> PublishedResult:
         """Read the result, see `load_saved` for the errors."""
-        from lpn.retrieval.published_results import check_n_parts, load_saved
+        from lpn.retrieval.saved import check_n_parts, load_saved
 
         return load_saved(self.options.path, check_n_parts(self.options.n_parts))
 
@@ -142,8 +141,7 @@ class ArraySource(SavedSource):
 
     def load(self) -> PlainArrays:
         """Read the arrays, see `load_arrays` for the errors."""
-        from lpn.retrieval.plain_arrays import load_arrays
-        from lpn.retrieval.published_results import check_n_parts
+        from lpn.retrieval.saved import check_n_parts, load_arrays
 
         options = self.options
         n_parts = None if options.n_parts is None else check_n_parts(options.n_parts)
