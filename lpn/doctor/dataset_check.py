@@ -330,7 +330,7 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines += [text for text in (report.gap or report.positions, *report.refused) if text]
     lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
-    for line in (f"{report.root} is {report.title}.", table, *lines):
+    for line in lines:
         console.print(line, markup=False, highlight=False)
 
 
