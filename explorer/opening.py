@@ -35,8 +35,8 @@ from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.sources import ModelOptions, OpenedSource, SourceOptions, model_names, source_of
 from lpn.sources.kinds.data import open_data
+from lpn.tasks.changes import by_csls, changed
 from lpn.tasks.opening import (
-    by_csls,
     calibrated,
     choose_task,
     no_calibration,
@@ -45,7 +45,6 @@ from lpn.tasks.opening import (
     task_calibration,
 )
 from lpn.tasks.task import Scoring, Task
-from lpn.tasks.turned import changed
 
 log = logging.getLogger(__name__)
 
@@ -215,7 +214,7 @@ def _offer_scorings(
         rank_by(calibrated(model, dataset, on_progress), on_progress)
 
     if csls and asked is None:
-        rank(by_csls(tasks, csls))
+        rank(by_csls(task, csls) for task in tasks if len(task.queries) >= csls)
     if ready is not None:
         rank_by(ready, report)
     why_not = "" if ready is not None else no_calibration(model, dataset)

@@ -198,7 +198,7 @@ class Workspace:
         if state.flight and not self.has_flight:
             state = replace(state, flight=False)
         if self.tasks[state.task].query_view == "satellite":
-            state = replace(state, weather="normal")  # a tile has none, see `lpn.retrieval.weathers`
+            state = replace(state, weather="normal")  # a tile has none, see `lpn.tasks.weathers`
         if self.without_cells:
             state = replace(state, heat=False, heat_kind="activation", region=())
         return (

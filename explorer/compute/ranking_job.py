@@ -11,9 +11,9 @@ import numpy as np
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import LPNError
-from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks import ranking_cache
+from lpn.tasks.measure import error_shares
 from lpn.tasks.task import Task
 
 # A ranking of up to this many multiplications (half a second on two cores) is computed before the app starts.

@@ -12,13 +12,9 @@ from typing import Any
 import numpy as np
 
 from lpn.analysis.model_table import (
-    GalleryChoice,
     ModelTable,
     compare,
     comparisons_csv,
-    has_distractors,
-    rank_model,
-    rank_task,
 )
 from lpn.analysis.statistics import RESAMPLES
 from lpn.core.errors import InputError
@@ -27,14 +23,13 @@ from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
-from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.sides import TaskPictures
-from lpn.retrieval.weathers import WeatherResult, evaluate_weathers
+from lpn.tasks.changes import by_csls, calibrated, turned, with_parts
+from lpn.tasks.measure import GalleryChoice
+from lpn.tasks.opening import lazy_task
 from lpn.tasks.task import Task
+from lpn.tasks.weathers import WeatherResult, measure_weathers
 
 # Passes of one picture that are timed, after others that are not.
 _TIMED, _WARM = 15, 3
@@ -209,10 +204,8 @@ def leaderboard(
         if on_progress is not None:
             on_progress("measures", done, stages)
 
-    def figures(name: str, task: str, change: Change = UNCHANGED, parts: tuple[int, ...] | None = None) -> RecallAndAP:
-        protocol = Protocol(change, parts, csls=csls)
-        result = evaluate(models[name], dataset, task, protocol, read, calibrations.get(name))
-        return result.recall["1"], result.ap
+    def opened(name: str, task: str) -> Task:
+        return calibrated(lazy_task(models[name], dataset, task, read, model_name=name), calibrations.get(name))
 
     facts = {}
     for name, model in models.items():
@@ -220,32 +213,37 @@ def leaderboard(
         report()
     tables: list[ModelTable] = []
     parts: dict[str, dict[str, dict[str, RecallAndAP]]] = {}
-    turned: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
+    of_turns: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
     for task in tasks:
-        galleries: list[GalleryChoice] = ["full"]
-        if has_distractors(TaskPictures.of(dataset, task)):
-            galleries.append("without-distractors")
-        for gallery in galleries:
-            ranked = [
-                rank_model(model, name, dataset, task, gallery, read, calibrations.get(name), csls)
-                for name, model in models.items()
-            ]
-            tables.append(compare(ranked, seed, resamples, groups))
-        for name, model in models.items():
+        results = []
+        for name in models:
+            plain = opened(name, task)
+            results.append(by_csls(plain, csls).evaluate())
             report()
-            if model.n_parts > 1:
-                alone = {str(part): figures(name, task, parts=(part,)) for part in range(1, model.n_parts + 1)}
-                parts.setdefault(task, {})[name] = {**alone, "all": figures(name, task)}
+            if alone := _each_part(plain, csls):
+                parts.setdefault(task, {})[name] = {**alone, "all": (results[-1].recall["1"], results[-1].ap)}
             for degrees in turns:
-                turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(
-                    name, task, Change(rotate=float(degrees))
-                )
+                moved = by_csls(turned(plain, degrees), csls).evaluate()
+                of_turns.setdefault(task, {}).setdefault(name, {})[degrees] = moved.recall["1"], moved.ap
                 report()
+        galleries: tuple[GalleryChoice, ...] = ("full", "without-distractors")
+        tables += [
+            compare([result.ranked(gallery) for result in results], seed, resamples, groups)
+            for gallery in galleries[: len(results[0].galleries)]
+        ]
     of_weathers, flown = {}, [task for task in tasks if set(views_of(task)) != {"satellite"}]
-    for name, model in models.items() if weathers else ():
-        of_weathers[name] = evaluate_weathers(model, dataset, flown, Protocol(csls=csls), calibrations.get(name))
+    for name in models if weathers else ():
+        of_weathers[name] = measure_weathers([by_csls(opened(name, task), csls) for task in flown])
         report()
-    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
+    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, of_turns, of_weathers)
+
+
+def _each_part(task: Task, csls: int) -> dict[str, RecallAndAP]:
+    """Measure each part of a task alone; empty for a task of one part."""
+    count = task.contract.n_parts
+    parts = range(1, count + 1 if count > 1 else 1)
+    results = {str(part): by_csls(with_parts(task, [part]), csls).evaluate() for part in parts}
+    return {part: (one.recall["1"], one.ap) for part, one in results.items()}
 
 
 def task_leaderboard(
@@ -270,17 +268,12 @@ def task_leaderboard(
     Raises:
         InputError: when the tasks differ in their queries or gallery, or no query's truth is known.
     """
-    table = compare([rank_task(task, model) for model, task in tasks.items()], seed, resamples, groups)
+    results = {model: replace(task, model_name=model).evaluate() for model, task in tasks.items()}
+    table = compare([result.ranked() for result in results.values()], seed, resamples, groups)
     parts: dict[str, dict[str, RecallAndAP]] = {}
     for model, task in tasks.items():
-        if (count := task.contract.n_parts) > 1:
-            weights = {str(part + 1): [float(part == one) for one in range(count)] for part in range(count)}
-            ranked = {part: rank_task(task, model, alone) for part, alone in weights.items()}
-            ranked["all"] = rank_task(task, model)
-            parts[model] = {
-                part: (100 * float(one.within(1).mean()), 100 * float(one.precision.mean()))
-                for part, one in ranked.items()
-            }
+        if alone := _each_part(task, 0):
+            parts[model] = {**alone, "all": (results[model].recall["1"], results[model].ap)}
     facts = {model: ModelFacts.of(network, sizes.get(model)) for model, network in models.items()}
     return Leaderboard(name, facts, [table], {table.task: parts} if parts else {}, {}, {})
 

@@ -7,68 +7,21 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from lpn.analysis.statistics import LEVEL, RESAMPLES, Estimate, holm, intervals, randomization_test, welch_test
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.text_tables import TextTable
-from lpn.datasets import Dataset, geo
-from lpn.descriptors import Reader, cached_descriptors
-from lpn.models.base import Model
-from lpn.retrieval import csls, metrics
-from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import FULL, WITHOUT
-from lpn.retrieval.saved import PublishedResult, published_pictures
-from lpn.retrieval.sides import TaskPictures
-from lpn.tasks.task import Task
+from lpn.tasks.measure import RankedModel
 
-GalleryChoice = Literal["full", "without-distractors"]
 DEPTHS = (1, 5, 10)
 # Values of queries that differ by no more are equal: sums of runs round differently.
 _EQUAL = 1e-9
 _P_VALUES = ("p", "Holm's p", "seeds' p", "Holm's seeds' p")
-
-
-@dataclass(frozen=True, eq=False)
-class RankedModel:
-    """One model's ranking of a task.
-
-    Attributes:
-        name: to display.
-        task: such as "drone-to-satellite".
-        gallery_name: with its size, such as "full gallery, 951".
-        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder.
-        labels: the place of each query, (Q,).
-        first: 0-based rank of each query's first true match, -1 without one, (Q,).
-        precision: average precision of each query, 0 .. 1, (Q,).
-    """
-
-    name: str
-    task: str
-    gallery_name: str
-    queries: tuple[str, ...]
-    gallery: frozenset[str]
-    labels: Int64Array
-    first: Int64Array
-    precision: Float64Array
-
-    def within(self, depth: int) -> BoolArray:
-        """Return the queries whose first true match is among the nearest `depth`, (Q,)."""
-        return np.asarray((self.first >= 0) & (self.first < depth))
-
-    def in_order(self, queries: Sequence[str]) -> RankedModel:
-        """Return the ranking with its queries in another order; they must be the same, and each of them once."""
-        if self.queries == tuple(queries):
-            return self
-        at = {query: row for row, query in enumerate(self.queries)}
-        rows = np.array([at[query] for query in queries], np.int64)
-        sides = self.labels[rows], self.first[rows], self.precision[rows]
-        return RankedModel(self.name, self.task, self.gallery_name, tuple(queries), self.gallery, *sides)
 
 
 @dataclass(frozen=True)
@@ -262,116 +215,9 @@ def comparisons_csv(tables: Sequence[ModelTable]) -> bytes:
     return TextTable(head, [row for table in tables for row in table._csv_rows()]).csv()
 
 
-def rank_model(
-    model: Model,
-    name: str,
-    dataset: Dataset,
-    task: str,
-    gallery: GalleryChoice = "full",
-    read: Reader = cached_descriptors,
-    calibration: Calibration | None = None,
-    neighbours: int = 0,
-) -> RankedModel:
-    """Rank a task by a model; queries whose truth is not known are left out.
-
-    Args:
-        calibration: the model's, see `lpn.tasks.opening.task_calibration`; None ranks plain.
-        neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
-
-    Raises:
-        InputError: when the data set lacks the task, the model a view, the gallery distractors to leave out, or CSLS queries.
-        DataError: when the test split is incomplete.
-    """
-    pictures = TaskPictures.of(dataset, task)
-    for view in pictures.views:
-        model.check_view(view)
-    if neighbours:
-        csls.check_neighbours(neighbours, len(pictures.queries))
-    sides = pictures.described(model.for_task(*pictures.views), read, calibration=calibration)
-    compared = csls.scaled(*sides, neighbours) if neighbours else sides
-    return _ranked(name, dataset.root, pictures, gallery, compared, pictures.labels)
-
-
-def has_distractors(pictures: TaskPictures) -> bool:
-    """Return True if the gallery of a task has places that no query shows, and lists name no true matches."""
-    if pictures.truth is not None:
-        return False
-    queries, gallery = pictures.labels
-    return bool((metrics.without_distractors(gallery, queries) == metrics.JUNK).any())
-
-
-def rank_published(saved: PublishedResult, name: str, dataset: Dataset, gallery: GalleryChoice = "full") -> RankedModel:
-    """Rank the descriptors of a published result, whatever their norms.
-
-    Raises:
-        InputError: when a picture occurs twice, or the gallery has no distractors to leave out.
-        DataError: when its pictures are not in the data set.
-    """
-    pictures, labels = published_pictures(saved, dataset)
-    for side in (pictures.queries, pictures.gallery):  # rows of one picture are not told apart in another result
-        if repeated := _repeated(geo.names_below(dataset.root, side)):
-            raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
-    return _ranked(name, dataset.root, pictures, gallery, (saved.query, saved.gallery), labels)
-
-
-def rank_task(task: Task, name: str, weights: Sequence[float] | None = None) -> RankedModel:
-    """Rank an opened task, whatever it was opened from, under part weights, equal ones by default.
-
-    Raises:
-        InputError: when no query's truth is known.
-    """
-    task = replace(task, weights=weights)
-    task.check_truth()
-    pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
-    query, gallery = task.compared
-    if weights is not None:
-        query = query * task.part_weights[:, None]
-    return _ranked(name, task.root, pictures, "full", (query, gallery), (task.query_labels, task.gallery_labels))
-
-
 def _repeated(names: Sequence[str]) -> str:
     """Return the first name that occurs twice, or ""."""
     return next((name for name, count in Counter(names).items() if count > 1), "")
-
-
-def _ranked(
-    name: str,
-    root: Path,
-    pictures: TaskPictures,
-    gallery: GalleryChoice,
-    sides: tuple[Float32Array, Float32Array],
-    labels: tuple[Int64Array, Int64Array],
-) -> RankedModel:
-    truth, of_gallery = pictures.truth, labels[1]
-    kept = np.ones(len(of_gallery), bool)
-    if gallery != "full":
-        if truth is not None:
-            raise InputError(
-                f"True matches of {root.name} are listed, so no gallery picture is a distractor; leave --gallery out."
-            )
-        of_gallery = metrics.without_distractors(of_gallery, labels[0])
-        kept = of_gallery != metrics.JUNK
-        if kept.all():
-            raise InputError(
-                f"Each place of the gallery of {root.name} has a query, so it has no distractors; leave --gallery out."
-            )
-    retrieval = metrics.retrieve(sides[0], labels[0], sides[1], of_gallery, truth)
-    query_names, tiles = (
-        np.array(geo.names_below(root, side), object) for side in (pictures.queries, pictures.gallery)
-    )
-    known = metrics.known_queries(truth)
-    known = np.ones(len(query_names), bool) if known is None else known
-    size = int(kept.sum())
-    return RankedModel(
-        name,
-        pictures.name,
-        f"{FULL if gallery == 'full' else WITHOUT}, {size:,}",
-        tuple(query_names[known].tolist()),
-        frozenset(tiles[kept].tolist()),
-        labels[0][known],
-        retrieval.first[known],
-        retrieval.precision[known],
-    )
 
 
 def compare(

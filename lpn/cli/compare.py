@@ -28,12 +28,12 @@ from lpn.sources import (
 )
 from lpn.sources.kinds.data import DataSource
 from lpn.sources.kinds.saved import ResultSource
-from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
     from lpn.analysis.leaderboard import Leaderboard
-    from lpn.analysis.model_table import ModelTable, RankedModel
+    from lpn.analysis.model_table import ModelTable
     from lpn.retrieval.calibration import Calibration
+    from lpn.tasks.measure import RankedModel
 
 # Endings of the files that tables are written to.
 _ENDINGS = (".html", ".htm", ".md", ".tex", ".csv")
@@ -173,7 +173,7 @@ class CompareCommand:
         }
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_task
+        from lpn.tasks.measure import measure
 
         sources = list(self._sources().items())
         if len(sources) == 1 and (self.calibrate or self.csls):  # one model is compared with itself, ranked plain
@@ -185,18 +185,17 @@ class CompareCommand:
             raise InputError(
                 f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(sources)}."
             )
-        tasks = [(name, open_first_task(source)) for name, source in sources]
+        tasks = [(name, source.to_measure()[0]) for name, source in sources]
         if len(dict(sources)) > 1 and not all(task.calibration for _, task in tasks):  # models are ranked alike
+            plain = [replace(source.options, calibrate=False) if task.calibration else None for (_, source), (_, task) in zip(sources, tasks, strict=True)]
             tasks = [
-                (
-                    name,
-                    open_first_task(source_of(replace(source.options, calibrate=False))) if task.calibration else task,
-                )
-                for (name, source), (_, task) in zip(sources, tasks, strict=True)
+                (name, task if options is None else source_of(options).to_measure()[0])
+                for (name, task), options in zip(tasks, plain, strict=True)
             ]
         scored = {_scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
         for title, task in scored.items():
-            yield rank_task(task, title, gallery="without-distractors" if self.without_distractors else "full")
+            result = measure(task.with_fields(model_name=title))
+            yield result.ranked("without-distractors" if self.without_distractors else "full")
 
     def _measure_page(self, page: Path) -> None:
         from lpn.analysis.leaderboard import leaderboard, task_leaderboard

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Literal
 from lpn.core.errors import InputError
 from lpn.descriptors.weather import WeatherName
 from lpn.sources import Advanced, SourceOptions, source_of
-from lpn.sources.kinds.data import DataSource
 
 if TYPE_CHECKING:
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
-    from lpn.retrieval.weathers import WeatherResult
+    from lpn.tasks.measure import Result
+    from lpn.tasks.task import Task
+    from lpn.tasks.weathers import WeatherResult
 
 # Tiles that --per-query lists.
 _LISTED = 10
@@ -47,44 +46,54 @@ class EvaluateCommand(SourceOptions):
 
     def run(self) -> None:
         from lpn.core.files import check_outputs, write_atomic, write_json
+        from lpn.tasks.measure import measure
+        from lpn.tasks.weathers import measure_weathers
 
         check_outputs((self.json, ".json"), (self.per_query, ".csv"))
         if self.weather == "all" and self.per_query is not None:
             raise InputError(
                 "--per-query lists the queries in one weather; choose one with --weather, or leave it out."
             )
-        source, protocol = source_of(self), self._protocol()
+        if self.centre and self.n_parts is None and self.path.suffix.lower() == ".mat":
+            raise InputError(
+                "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
+                "(1 for a baseline)."
+            )
+        source = source_of(self)
+        tasks = [self._changed(task) for task in source.to_measure()]
+        title = f"{tasks[0].model_name} ({tasks[0].contract.title}) on {tasks[0].data_name}"
         if self.weather == "all":
-            assert isinstance(source, DataSource)  # the one kind that takes --weather
-            title, weathers = source.evaluate_weathers(protocol)
+            weathers = measure_weathers(tasks)
             _print_weathers(title, weathers)
             written = weathers.to_dict()
         else:
-            title, result, names = source.evaluate(protocol, 0 if self.per_query is None else _LISTED)
+            result = measure(tasks[0], 0 if self.per_query is None else _LISTED)
             _print_result(title, result)
             written = result.to_dict()
-            if self.per_query is not None and result.per_query is not None:
-                write_atomic(self.per_query, result.per_query.to_csv(*names))
+            if self.per_query is not None:
+                write_atomic(self.per_query, result.queries_csv())
         if self.json is not None:
             write_json(self.json, written)
 
-    def _protocol(self) -> Protocol:
-        """Return the protocol of the options; InputError if one of them is out of range."""
+    def _changed(self, task: Task) -> Task:
+        """Return a task as the options change it; InputError if one of them is out of range."""
         from lpn.descriptors.transforms import Change
         from lpn.descriptors.weather import Weather
-        from lpn.retrieval.protocol import Protocol
+        from lpn.tasks.changes import centred, changed, with_parts
 
-        parts = _numbers(self.parts)
-        weather = Weather("normal" if self.weather == "all" else self.weather)
-        change = Change(self.rotate, self.shift, self.scale, weather=weather)
-        return Protocol(change, None if parts is None else tuple(parts), centre=self.centre, csls=self.csls)
+        change = Change(
+            self.rotate, self.shift, self.scale, weather=Weather("normal" if self.weather == "all" else self.weather)
+        )
+        task = changed(task, change) if change else task
+        task = centred(task) if self.centre else task
+        return with_parts(task, _numbers(self.parts))
 
 
 def _print_result(title: str, result: Result) -> None:
     """Print a table of recall and AP, and the protocol below it."""
     from lpn.core.consoles import wide_console
     from lpn.core.text_tables import TextTable
-    from lpn.retrieval.evaluate import WITHOUT
+    from lpn.tasks.measure import WITHOUT
 
     of_group, rows = [result.group_name] if result.groups else [], []
     for group, galleries in [("all", result.galleries), *result.groups.items()]:

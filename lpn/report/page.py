@@ -14,7 +14,7 @@ from lpn.drawing import verdicts
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
-from lpn.retrieval import protocol
+from lpn.tasks.measure import sentence
 from lpn.tasks.task import Task
 
 # Queries in one report; browsers open the file of more of them slowly.
@@ -120,14 +120,6 @@ def _gallery(task: Task) -> str:
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
-    mirrored = "descriptors of picture and mirror added, " if task.contract.mirror == "sum" else ""
-    normalised = f"{'each part ' if task.contract.n_parts > 1 else ''}normalised"
-    clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}{normalised}"]
-    if task.weights is not None:
-        clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
-    clauses += [] if task.calibration is None else [task.calibration.describe()]
-    parts = tuple(range(1, task.contract.n_parts + 1))
-    rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None, neighbours=task.neighbours)
     facts = [
         ("Model", task.model_name),
         ("", "saved descriptors, no network" if task.model is None else task.model.describe()),
@@ -143,7 +135,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     facts += [
         ("Data", task.data_name),
         ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {_gallery(task)}"),
-        ("Protocol", rule.removeprefix("Protocol: ")),
+        ("Protocol", sentence(task).removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
     if options.said:

@@ -21,8 +21,7 @@ from lpn.sources.opened import OpenedSource
 from lpn.sources.options import SourceOptions
 
 if TYPE_CHECKING:
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
+    from lpn.tasks.task import Task
 
 # The group of the entry points by which other packages bring kinds of source.
 GROUP = "lpn.sources"
@@ -78,25 +77,17 @@ class TaskSource(ABC):
             LPNError: if a file cannot be used, or there is no such query.
         """
 
-    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
-        """Measure the first task.
+    def to_measure(self) -> list[Task]:
+        """Open the tasks that are measured: the first one, and of a data set its reverse unless a task is chosen.
 
-        Args:
-            listed: number of nearest tiles of each query in the result; 0 for none.
-
-        Returns:
-            A title, the result, and the names of queries and gallery.
+        Their pictures are described when they are needed, if the kind allows for that.
 
         Raises:
-            LPNError: if a file cannot be used, or the source does not fit the protocol.
+            LPNError: if a file cannot be used, or no query can be measured.
         """
         from lpn.sources.opened import open_first_task
-        from lpn.tasks.evaluation import evaluate_task
 
-        del listed
-        task = open_first_task(self)
-        result = evaluate_task(task, protocol)
-        return f"{task.model_name} on {task.data_name}, {task.gallery_description}", result, ([], [])
+        return [open_first_task(self)]
 
 
 @cache

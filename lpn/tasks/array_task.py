@@ -44,4 +44,5 @@ def array_task(arrays: PlainArrays, name: str) -> Task:
         truth=arrays.truth(),
         geometry=None if tiles is None else GalleryGeometry.of(arrays.query_positions, tiles),
         identity=arrays.identity,
+        clauses=("descriptors as saved",),
     )

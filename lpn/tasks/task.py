@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, cast
 
 import numpy.typing as npt
 
@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.core.notebook_html import percentages
 from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
-from lpn.datasets import Picture, Truth
+from lpn.datasets import Dataset, Picture, Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.models.contract import Contract
@@ -31,13 +31,30 @@ from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.ranking_cache import ResumableRanking
 
 if TYPE_CHECKING:
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
+    from lpn.tasks.measure import Result
 
 
 # How a gallery is ranked: by descriptors as they are, by calibrated ones, and by calibrated ones under CSLS.
 Scoring = Literal["plain", "calibrated", "csls"]
 SCORINGS: Final[tuple[Scoring, ...]] = ("plain", "calibrated", "csls")
+
+
+class LazyArray:
+    """A field for an array, or for a function that returns it; the function is called once, when the field is first read."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, task: Any, owner: type) -> Float32Array:
+        if task is None:
+            raise AttributeError(self._name)  # so the field has no default
+        value = vars(task)[self._name]
+        if callable(value):
+            value = vars(task)[self._name] = value()
+        return cast(Float32Array, value)
+
+    def __set__(self, task: Any, value: Float32Array | Callable[[], Float32Array]) -> None:
+        vars(task)[self._name] = value
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -64,6 +81,11 @@ class Task:
         neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks without it.
         no_map: why tiles have no positions on a map, as a sentence; empty if they have, or nothing can be said.
         of_index: how the gallery was chosen from a larger index, in words; empty for a whole gallery.
+        clauses: how the descriptors were made, for the sentence of the protocol.
+        change: of the queries; its weather falls on the gallery where the queries are tiles and the gallery is not.
+        parts: the numbers, from 1, of the model's parts that are compared; empty for all.
+        describe: describes changed pictures of a view, (N, n, D); None for `model` and the user's cache.
+        dataset: the data set whose groups and metrics are measured; None for recall and AP alone.
     """
 
     name: str
@@ -77,8 +99,8 @@ class Task:
     gallery: Sequence[Picture]
     query_labels: Int64Array
     gallery_labels: Int64Array
-    query_descriptors: Float32Array
-    gallery_descriptors: Float32Array
+    query_descriptors: LazyArray = LazyArray()
+    gallery_descriptors: LazyArray = LazyArray()
     truth: Sequence[Truth] | None = None
     geometry: GalleryGeometry | None = None
     identity: str = ""
@@ -89,6 +111,16 @@ class Task:
     neighbours: int = 0
     no_map: str = ""
     of_index: str = ""
+    clauses: tuple[str, ...] = ("each part normalised",)
+    change: Change = UNCHANGED
+    parts: tuple[int, ...] = ()
+    describe: Callable[[Sequence[Picture], View, Change], Float32Array] | None = None
+    dataset: Dataset | None = None
+
+    def with_fields(self, **changes: Any) -> Self:
+        """Return the task with other fields, as `dataclasses.replace` does; descriptors that are not read yet stay so."""
+        unread = {one.name: partial(getattr, self, one.name) for one in fields(self) if "_descriptors" in one.name}
+        return replace(self, **{**unread, **changes})
 
     @property
     def scoring(self) -> Scoring:
@@ -196,11 +228,11 @@ class Task:
         """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
         return self.retrieved.metrics(self.known)
 
-    def evaluate(self, protocol: Protocol | None = None) -> Result:
-        """Evaluate the task, see `lpn.tasks.evaluation.evaluate_task`."""
-        from lpn.tasks.evaluation import evaluate_task
+    def evaluate(self) -> Result:
+        """Measure the task, see `lpn.tasks.measure.measure`."""
+        from lpn.tasks.measure import measure
 
-        return evaluate_task(self, protocol)
+        return measure(self)
 
     @property
     def known(self) -> BoolArray | None:

@@ -13,10 +13,7 @@ from lpn.sources.recognise import NETWORK, TaskSource, file_names, no_progress
 if TYPE_CHECKING:
     from lpn.datasets import Dataset
     from lpn.models.base import Model
-    from lpn.retrieval.calibration import Calibration
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
-    from lpn.retrieval.weathers import WeatherResult
+    from lpn.tasks.task import Task
 
 
 class DataSource(TaskSource):
@@ -50,32 +47,12 @@ class DataSource(TaskSource):
         scoring = options.task, options.calibrate, options.csls
         return open_data(model, options.name, dataset, *scoring, names=names, weights=weights)
 
-    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
-        from lpn.core.views import views_of
-        from lpn.descriptors import descriptor_reader
-        from lpn.retrieval.evaluate import evaluate
-
-        title, model, dataset, (task, *_), calibration = self._prepared(protocol)
-        read = descriptor_reader(dataset.root)
-        result = evaluate(model, dataset, task, protocol, read, calibration, listed)
-        views = views_of(task)
-        sides = dataset.queries(views[0]), dataset.gallery(views[1])
-        queries, gallery = ([picture.name for picture in side] for side in sides)
-        return title, result, (queries, gallery)
-
-    def evaluate_weathers(self, protocol: Protocol) -> tuple[str, WeatherResult]:
-        """Measure the task, and unless one is chosen its reverse, in each weather; returns a title, too."""
-        from lpn.retrieval.weathers import evaluate_weathers
-
-        title, model, dataset, tasks, calibration = self._prepared(protocol)
-        return title, evaluate_weathers(model, dataset, tasks, protocol, calibration)
-
-    def _prepared(self, protocol: Protocol) -> tuple[str, Model, Dataset, list[str], Calibration | None]:
-        """Return a title, model, data set, the task with its reverse unless it is chosen, and the calibration."""
+    def to_measure(self) -> list[Task]:
         from lpn.core.views import views_of
         from lpn.datasets import open_dataset
-        from lpn.tasks.evaluation import protocol_calibration
-        from lpn.tasks.opening import no_task_error, offered_tasks
+        from lpn.descriptors import descriptor_reader
+        from lpn.tasks.changes import by_csls, calibrated
+        from lpn.tasks.opening import lazy_task, no_task_error, offered_tasks, task_calibration
 
         options = self.options
         model, dataset = options.load(), open_dataset(options.path)
@@ -84,12 +61,12 @@ class DataSource(TaskSource):
             raise no_task_error(model, dataset)
         first = options.task or tasks[0]
         swapped = views_of(first)[::-1]
-        reverse = [
-            name for name in tasks if options.task is None and views_of(name) == swapped and swapped != views_of(first)
+        reverse = [name for name in tasks if options.task is None and views_of(name) == swapped != views_of(first)]
+        calibration, read = task_calibration(model, dataset, options.calibrate), descriptor_reader(dataset.root)
+        return [
+            by_csls(calibrated(lazy_task(model, dataset, name, read, model_name=options.name), calibration), options.csls)
+            for name in [first, *reverse]
         ]
-        calibration = protocol_calibration(model, dataset, protocol, options.calibrate)
-        title = f"{options.name} ({model.describe()}) on {options.path.resolve().name}"
-        return title, model, dataset, [first, *reverse], calibration
 
 
 def open_data(

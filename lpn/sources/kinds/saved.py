@@ -15,8 +15,6 @@ from lpn.sources.options import SourceOptions
 from lpn.sources.recognise import TaskSource, file_names, no_progress
 
 if TYPE_CHECKING:
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
     from lpn.retrieval.saved import PlainArrays, PublishedResult
     from lpn.tasks.task import Task
 
@@ -68,17 +66,12 @@ class ResultSource(SavedSource):
             )
         return published_task(self.load(), open_dataset(self.options.data))
 
-    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
-        from lpn.retrieval.evaluate import evaluate_saved
+    def to_measure(self) -> list[Task]:
+        from lpn.datasets import open_dataset
+        from lpn.tasks.published_task import saved_task
 
-        del listed
-        if protocol.centre and self.options.n_parts is None:
-            raise InputError(
-                "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
-                "(1 for a baseline)."
-            )
-        saved = self.load()
-        return saved.name, evaluate_saved(saved, protocol), ([], [])
+        dataset = None if self.options.data is None else open_dataset(self.options.data)
+        return [weighted(saved_task(self.load(), dataset), None, self.options.csls)]
 
     def load(self) -> PublishedResult:
         """Read the result, see `load_saved` for the errors."""
@@ -106,13 +99,12 @@ class ArraySource(SavedSource):
 
         return array_task(self.load(), printable(self.options.path.name))
 
-    def evaluate(self, protocol: Protocol, listed: int = 0) -> tuple[str, Result, tuple[list[str], list[str]]]:
-        from lpn.retrieval.evaluate import evaluate_descriptors
+    def to_measure(self) -> list[Task]:
+        from lpn.tasks.array_task import array_task
 
-        del listed
-        paths, gallery = self.options.paths, self.options.gallery or self.options.path
+        paths = self.options.paths
         if paths is None:
-            raise InputError("Plain arrays are evaluated with their list of pictures; give it as --paths.")
+            raise InputError("Plain arrays are measured with their list of pictures; give it as --paths.")
         arrays = self.load()
         by_metres = not arrays.labelled.any() and arrays.all_positions is not None
         if not (by_metres or arrays.labelled.all()):
@@ -128,16 +120,7 @@ class ArraySource(SavedSource):
                 len(positions),
                 paths.name,
             )
-        saved = arrays.result
-        result = evaluate_descriptors(
-            (saved.query, saved.gallery),
-            (saved.query_labels, saved.gallery_labels),
-            arrays.truth(),
-            saved.task,
-            protocol,
-            arrays.all_positions,
-        )
-        return f"{saved.name} on {gallery.name}", result, ([], [])
+        return [weighted(array_task(arrays, printable(self.options.path.name)), None, self.options.csls)]
 
     def load(self) -> PlainArrays:
         """Read the arrays, see `load_arrays` for the errors."""
