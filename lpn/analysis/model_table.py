@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from lpn.analysis.statistics import LEVEL, RESAMPLES, Estimate, holm, intervals, randomization_test, welch_test
-from lpn.core.arrays import Float64Array, Int64Array
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.text_tables import TextTable

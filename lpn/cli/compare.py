@@ -187,11 +187,10 @@ class CompareCommand:
             )
         tasks = [(name, source.to_measure()[0]) for name, source in sources]
         if len(dict(sources)) > 1 and not all(task.calibration for _, task in tasks):  # models are ranked alike
-            plain = [replace(source.options, calibrate=False) if task.calibration else None for (_, source), (_, task) in zip(sources, tasks, strict=True)]
-            tasks = [
-                (name, task if options is None else source_of(options).to_measure()[0])
-                for (name, task), options in zip(tasks, plain, strict=True)
-            ]
+            for place, (name, task) in enumerate(tasks):
+                if task.calibration is not None:
+                    alike = source_of(replace(sources[place][1].options, calibrate=False))
+                    tasks[place] = name, alike.to_measure()[0]
         scored = {_scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
         for title, task in scored.items():
             result = measure(task.with_fields(model_name=title))

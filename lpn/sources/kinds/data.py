@@ -64,7 +64,9 @@ class DataSource(TaskSource):
         reverse = [name for name in tasks if options.task is None and views_of(name) == swapped != views_of(first)]
         calibration, read = task_calibration(model, dataset, options.calibrate), descriptor_reader(dataset.root)
         return [
-            by_csls(calibrated(lazy_task(model, dataset, name, read, model_name=options.name), calibration), options.csls)
+            by_csls(
+                calibrated(lazy_task(model, dataset, name, read, model_name=options.name), calibration), options.csls
+            )
             for name in [first, *reverse]
         ]
 
