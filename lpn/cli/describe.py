@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
@@ -51,7 +51,7 @@ class DescribeCommand(ModelOptions):
 
     MODES: ClassVar[dict[str, type[GatherShards]]] = {"--shards": GatherShards}
 
-    model: Path
+    model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""

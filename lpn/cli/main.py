@@ -129,9 +129,8 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
     """Parse a command, append it to `parsed`, and run it."""
     try:
         command = commands()[arguments[0]]
-        reads = getattr(command, "parse", partial(parse, command))
         with plain_streams(colours=sys.stdout.isatty()):  # tyro prints colours
-            parsed.append(reads(arguments[1:], f"lpn {arguments[0]}"))
+            parsed.append(reader(command)(arguments[1:], f"lpn {arguments[0]}"))
         return int(parsed[0].run() or 0)
     except LPNError as error:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)
@@ -146,6 +145,11 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
         if _is_unread(error):
             raise
         return _refused(error)
+
+
+def reader(command: type[Any]) -> Callable[[list[str], str], Any]:
+    """Return what parses the arguments of a command, given its program's name: its own `parse`, if it has one."""
+    return getattr(command, "parse", partial(parse, command))
 
 
 def _refused(error: OSError) -> int:

@@ -8,6 +8,7 @@ from dataclasses import fields
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
+from inspect import isabstract
 from pathlib import Path
 from pkgutil import iter_modules
 from typing import TYPE_CHECKING, ClassVar
@@ -99,6 +100,7 @@ def known_kinds() -> tuple[type[TaskSource], ...]:
         for module in modules
         for value in vars(module).values()
         if isinstance(value, type) and issubclass(value, TaskSource) and value.__module__ == module.__name__
+        if not isabstract(value)
     ]
     found += [point.load() for point in entry_points(group=GROUP)]
     return tuple(sorted(found, key=lambda kind: -kind.priority))
@@ -120,6 +122,8 @@ def source_of(options: SourceOptions) -> TaskSource:
         InputError: if no source is named, or an option does not fit its kind.
     """
     known, kind = known_kinds(), kind_of(options)
+    if kind is known[-1] and not options.path.is_dir():
+        return kind(options)  # its `open` says what is there
     for option in fields(options):
         value = getattr(options, option.name)
         fitting = [other.noun for other in known if option.name in other.takes]

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lpn.tasks.turned import turned
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 from lpn import datasets, explain, load, retrieval
@@ -16,7 +17,6 @@ from lpn.core import images
 from lpn.explain import sweeps
 from lpn.explain.counterfactual import smallest_change
 from lpn.tasks.opening import describe_task
-from lpn.tasks.turned import turned
 from tests.e2e.conftest import ExplorerPage, RunningApp, difference
 from tests.e2e.test_explorer import assert_shows, expected
 

@@ -206,7 +206,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_path: Path) -> None:
-    given = ["--data", str(places), "--model", str(model_file)]
+    given = [str(places), "--model", str(model_file)]
     assert main.main(["failures", *given, "--csv", str(tmp_path / "a.csv")]) == 0
     rows = _table((tmp_path / "a.csv").read_bytes())
     assert {len(row) for row in rows} == {len(rows[0])}
@@ -216,13 +216,13 @@ def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_pa
     assert {unescape(row[rows[0].index("note")]) for row in rows[1:]} == {"", TEXTS[6]}
     model = tmp_path / "=1+1 <b>|&.onnx"
     shutil.copy(model_file, model)
-    assert main.main(["report", "--data", str(places), "--model", str(model), "--out", str(tmp_path / "a.html")]) == 0
+    assert main.main(["report", str(places), "--model", str(model), "--out", str(tmp_path / "a.html")]) == 0
     page = _Text((tmp_path / "a.html").read_text("utf-8"))
     assert "script" not in page.tags
     assert not page.handlers
     assert TEXTS[6] in page.text
     figures = tmp_path / "a.json"
-    assert main.main(["compare", str(model), str(model_file), "--data", str(places), "--json", str(figures)]) == 0
+    assert main.main(["compare", str(places), "--model", str(model), str(model_file), "--json", str(figures)]) == 0
     assert msgspec.json.decode(figures.read_bytes())["models"][0]["name"] == model.name
     dataset = open_dataset(places)
     table = compare(

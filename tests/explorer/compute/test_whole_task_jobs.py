@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from lpn.tasks.turned import TurnedFigures, turned
 
 from explorer.client.services import WorkspaceServices
 from explorer.compute import turned_jobs, weight_figures
@@ -15,7 +16,6 @@ from explorer.compute.weight_figures import WeightFigures
 from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.analysis.part_weights import WeightedTask
-from lpn.tasks.turned import TurnedFigures, turned
 from tools.fixtures import small_worlds
 from tools.fixtures.waiting import TIMEOUT
 

@@ -90,7 +90,7 @@ def test_reproduced_tables_have_the_columns_of_the_markdown() -> None:
 def test_compare_writes_latex(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("two.tex", "page.tex")]
     model, more = str(model_file), ["--resamples", "20"]
-    compared = ["compare", model, str(one_part_model_file), "--data", str(data), *more]
+    compared = ["compare", str(data), "--model", model, str(one_part_model_file), *more]
     assert main([*compared, "--table", str(files[0])]) == 0
     assert main([*compared, "--page", str(files[1])]) == 0
     counts = [columns(file.read_text("utf-8")) for file in files]

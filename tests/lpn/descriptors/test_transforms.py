@@ -5,6 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 
 from lpn import descriptors
 from lpn.core import images
@@ -14,8 +16,6 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.checkpoints import TorchModel
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 from tools.fixtures import small_worlds
 
 

@@ -11,6 +11,8 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 
 import lpn
 from lpn.core.arrays import UInt8Array
@@ -26,8 +28,6 @@ from lpn.models.network import LPN, SpatialAware, map_size
 from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 from tools.fixtures import released_safa, seeded, small_worlds
 
 SPEC = ModelSpec(

@@ -11,6 +11,7 @@ from unittest.mock import Mock
 
 import pytest
 import torch
+from lpn.retrieval.evaluate import evaluate
 from rich.console import Console
 from safetensors.torch import save_file
 
@@ -33,7 +34,6 @@ from lpn.reproduce.record import TableRecord, here, row_record
 from lpn.reproduce.seed_intervals import half_interval, half_interval_of_difference
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import SCALES, SHOWN, Scale, find, tables
-from lpn.retrieval.evaluate import evaluate
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds

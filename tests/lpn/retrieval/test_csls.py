@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from lpn.retrieval.protocol import Protocol
 
 from lpn.core.errors import InputError
 from lpn.models.base import normalise
 from lpn.retrieval import csls, metrics, scoring
-from lpn.retrieval.protocol import Protocol
 
 
 @pytest.fixture

@@ -6,6 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lpn.retrieval.evaluate import evaluate, evaluate_saved
+from lpn.retrieval.protocol import Protocol
 from scipy.io import savemat
 
 import lpn
@@ -13,8 +15,6 @@ from lpn.cli import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.retrieval.evaluate import evaluate, evaluate_saved
-from lpn.retrieval.protocol import Protocol
 from lpn.retrieval.saved import load_saved
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.published_results import contents
@@ -52,8 +52,8 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     savemat(tmp_path / "r.mat", contents(data, model_file))
     figures = []
     for arguments in (
-        ["published", "--saved", str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
-        ["--data", str(data), "--model", str(model_file), "--parts", "2"],
+        [str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
+        [str(data), "--model", str(model_file), "--parts", "2"],
     ):
         assert main.main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
         figures.append(json.loads((tmp_path / "f.json").read_text()))
@@ -66,7 +66,7 @@ def test_a_saved_result_is_centred_part_by_part_only(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", "published", "--saved", str(tmp_path / "r.mat"), "--centre"]
+    arguments = ["evaluate", str(tmp_path / "r.mat"), "--centre"]
     assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
     assert main.main([*arguments, "--n-parts", "4"]) == 0

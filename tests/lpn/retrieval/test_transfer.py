@@ -9,6 +9,8 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
 from PIL import Image
 
 import lpn
@@ -17,8 +19,6 @@ from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.models.checkpoints import load_torch, save
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 from tools.fixtures import layouts, released_transfer, small_worlds
 
 

@@ -7,6 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lpn.retrieval.evaluate import evaluate
+from lpn.retrieval.protocol import Protocol
+from lpn.retrieval.weathers import evaluate_weathers
 
 import lpn
 from lpn.cli import main
@@ -15,9 +18,6 @@ from lpn.datasets import labels_of, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.retrieval import describe_picture, metrics
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.weathers import evaluate_weathers
 
 
 def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_file: Path) -> None:
@@ -40,7 +40,7 @@ def test_all_weathers_print_the_leaderboards_table(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "weathers.json"
-    command = ["evaluate", "--data", str(data), "--model", str(model_file), "--weather"]
+    command = ["evaluate", str(data), "--model", str(model_file), "--weather"]
     assert main.main([*command, "all", "--json", str(out)]) == 0
     printed = capsys.readouterr().out
     written = json.loads(out.read_text())

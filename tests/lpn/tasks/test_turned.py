@@ -7,13 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from lpn.tasks.turned import turned, why_not
 
 import lpn
 from lpn.cli import main
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
 from lpn.tasks.opening import calibrated, describe_task
-from lpn.tasks.turned import turned, why_not
 from tools.fixtures import small_worlds
 
 
@@ -29,7 +29,7 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
     assert around.degrees == 270
     assert counts[0] == (0, 24)
     assert counts[-1] == (24, 24)
-    common = ["evaluate", "--model", str(model_file), "--data", str(data), "--rotate", "270", "--json", str(out)]
+    common = ["evaluate", "--model", str(model_file), str(data), "--rotate", "270", "--json", str(out)]
     assert main.main([*common, *options]) == 0
     expected = json.loads(out.read_text())
     assert [around.recall, around.ap] == pytest.approx([expected["recall@1"], expected["ap"]])

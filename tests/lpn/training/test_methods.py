@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from lpn.retrieval.evaluate import evaluate
 from rich.console import Console
 from torch import nn
 
@@ -18,7 +19,6 @@ from lpn.datasets import open_dataset
 from lpn.models import backbones
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
-from lpn.retrieval.evaluate import evaluate
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, method
 from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds

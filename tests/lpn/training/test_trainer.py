@@ -11,6 +11,7 @@ from typing import Literal
 
 import pytest
 import torch
+from lpn.retrieval.evaluate import evaluate
 from rich.console import Console
 from safetensors import safe_open
 from torch import Tensor
@@ -20,7 +21,6 @@ from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, Pic
 from lpn.datasets import open_dataset
 from lpn.models.backbones import build_backbone
 from lpn.models.checkpoints import load_torch, recipe_of, save
-from lpn.retrieval.evaluate import evaluate
 from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
