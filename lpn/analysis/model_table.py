@@ -145,15 +145,9 @@ class ModelTable:
 
     @cached_property
     def figures(self) -> list[dict[str, Estimate]]:
-        """For each model its `R@1`, `R@5`, `R@10`, and `AP`, in percent; without `AP` if a ranking is incomplete."""
-        ranked_all = not any(np.isnan(one.precision).any() for one in self.models)
-        names = [*(f"R@{depth}" for depth in DEPTHS), *(["AP"] if ranked_all else [])]
-        values = np.stack(
-            [
-                [*(one.within(depth) for depth in DEPTHS), *([one.precision] if ranked_all else [])]
-                for one in self.models
-            ]
-        )
+        """For each model its `R@1`, `R@5`, `R@10`, and `AP`, in percent."""
+        names = [*(f"R@{depth}" for depth in DEPTHS), "AP"]
+        values = np.stack([[*(one.within(depth) for depth in DEPTHS), one.precision] for one in self.models])
         estimates = intervals(
             values.reshape(-1, self.queries).astype(np.float64), self.models[0].labels, self.seed, self.resamples
         )
