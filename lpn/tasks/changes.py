@@ -100,7 +100,7 @@ def calibrated(task: Task, calibration: Calibration | None) -> Task:
     """
     if calibration is None:
         return task
-    if task.model is None or task.change:
+    if task.model is None or task.change or not set(task.views) <= set(task.contract.views):
         raise InputError(
             "A calibration centres each view, takes its own branch, and is ours; leave --centre, another branch, and the "
             "released protocol out, and change pictures afterwards."

@@ -67,7 +67,7 @@ def lazy_task(
         if branch is None and view not in model.views:
             raise InputError(
                 f"This model has no {view!r} view; it has {', '.join(model.views)}. Of landmarks, lpn reproduce table6 "
-                "describes both sides with one of these; in Python, lazy_task(branch=...) does so of any data set."
+                "describes both sides with one of these, and lpn.tasks.opening.lazy_task(branch=...) does so of any data set."
             )
         model.check_view(branch or view)
     query_labels, gallery_labels = pictures.labels
@@ -83,15 +83,17 @@ def lazy_task(
         contract = replace(contract, n_parts=1, level="one vector", held="", partitions={}, part_names={})
         read, clauses = _carried, [transfer.SENTENCE]
     clauses += ["queries cropped to the part that is meant"] if any(picture.box for picture in pictures.queries) else []
-    clauses += [f"both sides described by the {branch} branch"] if branch else []
+    if branch:
+        contract = replace(contract, views=(branch,), groups=(), roles="view")
+        clauses.append(f"both sides described by the {branch} branch")
 
     def describe(some: Sequence[Picture], view: View, change: Change) -> Float32Array:
         return read(model, some, branch or view, change)
 
     return Task(
         name=name,
-        # Pictures that the model describes otherwise are neither changed nor calibrated.
-        model=None if branch or carried else model,
+        # The carried features of landmarks are no descriptors of the model, and are not changed.
+        model=None if carried else model,
         model_name=printable(model_name),
         data_name=printable(dataset.root.resolve().name),
         root=dataset.root,

@@ -27,6 +27,8 @@ from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather
 from lpn.sources import ModelOptions
+from lpn.tasks.changes import changed
+from lpn.tasks.opening import lazy_task
 from lpn.tasks.task import Task
 from tests.explorer.explain_window.test_window import WindowGui, make_window
 from tools.fixtures import small_worlds
@@ -286,7 +288,7 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert analysis.query.descriptor == pytest.approx(task.query_descriptors[1], abs=1e-5)
     plain = StateAnalyser(workspace).analyse(replace(state, weather="dark"), 3)
     assert [match.index for match in analysis.matches] == [match.index for match in plain.matches]
-    result = evaluate(lpn.load(model_file), open_dataset(data), task.name, Protocol(change))
+    result = changed(lazy_task(lpn.load(model_file), open_dataset(data), task.name), change).evaluate()
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])

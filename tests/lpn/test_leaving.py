@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn.analysis.model_table import compare, rank_model
+from lpn.analysis.model_table import compare
 from lpn.analysis.named_views import ChosenQueries, NamedView, read_views, save_view
 from lpn.cli import main
 from lpn.core.csv_cells import unescape
@@ -30,6 +30,7 @@ from lpn.flights import Flight, Frame, open_flight, write_flight
 from lpn.locate.corrections import Correction, read_corrections, set_correction
 from lpn.locate.tracks import TrackPoint, write_track
 from lpn.tasks import notes
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds
 
 # Names that Linux allows, and notes.
@@ -226,7 +227,10 @@ def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_pa
     assert msgspec.json.decode(figures.read_bytes())["models"][0]["name"] == model.name
     dataset = open_dataset(places)
     table = compare(
-        [rank_model(lpn.load(file), file.name, dataset, "drone-to-satellite") for file in (model, model_file)]
+        [
+            lazy_task(lpn.load(file), dataset, "drone-to-satellite", model_name=file.name).evaluate().ranked()
+            for file in (model, model_file)
+        ]
     )
     assert _table(table.to_csv())[1][0] == f"'{model.name}"
     assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in markdown_page(table.printed)

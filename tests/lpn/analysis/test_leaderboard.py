@@ -41,12 +41,8 @@ def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_f
     name, model, dataset = model_file.name, lpn.load(model_file), lpn.open_dataset(data)
     name = next(one for one in values["models"] if name.removesuffix(".onnx") in one)
     alone = {
-        key: lpn.evaluate(model, dataset, TASK, protocol)
-        for key, protocol in (
-            ("all", Protocol()),
-            ("2", Protocol(parts=(2,))),
-            ("90.0", Protocol(Change(rotate=90.0))),
-        )
+        key: lpn.evaluate(model, dataset, TASK, **changes)
+        for key, changes in (("all", {}), ("2", {"parts": (2,)}), ("90.0", {"change": Change(rotate=90.0)}))
     }
     figures = {key: [result.recall["1"], result.ap] for key, result in alone.items()}
     assert values["parts"][TASK][name]["all"] == figures["all"]
@@ -71,12 +67,12 @@ def test_a_page_is_ranked_as_its_options_say(model_file: Path, one_part_model_fi
     stem = model_file.name.removesuffix(".onnx")
     name = next(one for one in values["models"] if stem in one)
     assert all(one.endswith(", calibrated, CSLS") for one in values["models"])
-    for figures, protocol in (
-        (values["parts"][TASK][name]["all"], Protocol()),
-        (values["parts"][TASK][name]["2"], Protocol(parts=(2,))),
-        (values["turns"][TASK][name]["90.0"], Protocol(Change(rotate=90.0))),
+    for figures, changes in (
+        (values["parts"][TASK][name]["all"], {}),
+        (values["parts"][TASK][name]["2"], {"parts": (2,)}),
+        (values["turns"][TASK][name]["90.0"], {"change": Change(rotate=90.0)}),
     ):
-        alone = lpn.evaluate(model_file, data, TASK, protocol, calibrate=True, csls=3)
+        alone = lpn.evaluate(model_file, data, TASK, **changes, calibrate=True, csls=3)
         assert figures == [alone.recall["1"], alone.ap]
     assert values["models"][name]["megabytes"] == model_file.stat().st_size / 1e6
     table = next(one for one in values["tables"] if one["task"] == TASK)
@@ -90,8 +86,8 @@ def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: P
     task = open_source(SourceOptions(source=str(data), model=model_file)).task
     tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
     board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20)
-    for part, protocol in (("all", Protocol()), ("2", Protocol(parts=(2,)))):
-        result = lpn.evaluate(model, dataset, TASK, protocol)
+    for part, parts in (("all", None), ("2", (2,))):
+        result = lpn.evaluate(model, dataset, TASK, parts=parts)
         assert board.parts[TASK]["a"][part] == pytest.approx((result.recall["1"], result.ap))
     assert board.parts[TASK]["a"]["all"] != board.parts[TASK]["a"]["2"]
     assert board.parts[TASK]["a"] == board.parts[TASK]["b"]

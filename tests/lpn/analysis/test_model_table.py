@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_ind
 
-from lpn.analysis.model_table import RankedModel, compare, rank_published
+from lpn.analysis.model_table import compare
 from lpn.analysis.statistics import holm, intervals, randomization_test
 from lpn.cli.main import main
 from lpn.core.errors import InputError
@@ -23,6 +23,8 @@ from lpn.core.text_tables import markdown_page
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.retrieval.saved import PublishedResult
+from lpn.tasks.measure import RankedModel
+from lpn.tasks.published_task import saved_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -225,7 +227,7 @@ def test_models_and_saved_results_compare_on_one_gallery(
     paths = tuple(tuple(str(picture.path) for picture in pictures) for pictures in (queries, gallery))
     labels = tuple(np.array([picture.label for picture in pictures]) for pictures in (queries, gallery))
     saved = PublishedResult("r.mat", drawn[:5], labels[0], drawn[5:10], labels[1], *paths)
-    smaller = rank_published(saved, "r.mat", dataset)
+    smaller = saved_task(saved, dataset).evaluate().ranked()
     assert smaller.gallery_name == "full gallery, 5"
     whole = replace(smaller, name="m", gallery_name="full gallery, 6", gallery=smaller.gallery | {"x"})
     with pytest.raises(InputError, match="do not compare"):
@@ -282,7 +284,7 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     labels = [np.arange(len(side)) for side in sides]
     rows = perfect[orders[0]], tiles[orders[1]]
     saved = PublishedResult("r.mat", rows[0], labels[0], rows[1], labels[1], paths[0], paths[1])
-    found = rank_published(saved, "r.mat", dataset)
+    found = saved_task(saved, dataset).evaluate().ranked()
     assert found.first.tolist() == [0] * len(sides[0])
     assert found.labels.tolist() == [sides[0][i].label for i in orders[0]]
     fewer = replace(
@@ -290,10 +292,10 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     )
     kept = orders[1][1:]
     expected = [0 if set(truth[i].good) & set(kept) else -1 for i in orders[0]]
-    assert rank_published(fewer, "fewer.mat", dataset).first.tolist() == expected
+    assert saved_task(fewer, dataset).evaluate().ranked().first.tolist() == expected
     twice = replace(saved, gallery_paths=(paths[1][1], *paths[1][1:]))
     with pytest.raises(InputError, match="twice"):
-        rank_published(twice, "twice.mat", dataset)
+        saved_task(twice, dataset).evaluate().ranked()
 
 
 def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:

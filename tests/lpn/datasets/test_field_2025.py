@@ -17,6 +17,8 @@ from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.univ import UniV
 from lpn.doctor.dataset_check import check_dataset
+from lpn.tasks.changes import averaged
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
@@ -80,7 +82,9 @@ def test_the_lists_of_world_uav_are_no_larger_than_its_queries_and_gallery(tmp_p
 
 def test_world_uav_is_ranked_within_each_region_and_averaged_over_regions(tmp_path: Path) -> None:
     root, model = layouts.world_uav(tmp_path / "World-UAV"), PartsModel(RegionModel())
-    mix, alone = (evaluate(model, open_dataset(root / name), "drone-to-satellite") for name in ("mix", "city"))
+    mix, alone = (
+        lazy_task(model, open_dataset(root / name), "drone-to-satellite").evaluate() for name in ("mix", "city")
+    )
     assert (mix.group_name, list(mix.groups)) == ("region", ["Country/Spain/b", "Terrain/Desert/a"])
     city = mix.groups["Country/Spain/b"][0]
     assert (city.queries, city.recall["1"]) == (12, alone.recall["1"])
@@ -209,7 +213,7 @@ def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, capl
 
 def test_videos_of_univ_are_queries_when_their_frames_are_averaged(tmp_path: Path) -> None:
     dataset = open_dataset(layouts.univ(tmp_path / "UniV") / "30" / "5fps")
-    result = evaluate(PartsModel(RegionModel()), dataset, "drone-to-satellite", Protocol(average=True))
+    result = averaged(lazy_task(PartsModel(RegionModel()), dataset, "drone-to-satellite")).evaluate()
     assert (result.queries, result.gallery) == (2, 3)
 
 

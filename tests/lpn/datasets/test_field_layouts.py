@@ -15,6 +15,7 @@ from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.denseuav import DenseUAV
 from lpn.doctor.dataset_check import check_dataset
+from lpn.retrieval.sides import check_test_split
 from tools.fixtures import layouts, small_worlds
 
 

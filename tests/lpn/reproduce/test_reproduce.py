@@ -34,6 +34,7 @@ from lpn.reproduce.record import TableRecord, here, row_record
 from lpn.reproduce.seed_intervals import half_interval, half_interval_of_difference
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import SCALES, SHOWN, Scale, find, tables
+from lpn.tasks.opening import lazy_task
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds
@@ -205,7 +206,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
         mean = (float(row["seed 0"]) + float(row["seed 1"])) / 2
         assert float(row["mean"]) == pytest.approx(mean, abs=1e-4)
     network = lpn.load(tmp_path / "runs" / "lpn-seed1" / "last.safetensors")
-    results = [evaluate(network, open_dataset(places), task) for task in TASKS["both ways"]]
+    results = [lazy_task(network, open_dataset(places), task).evaluate() for task in TASKS["both ways"]]
     expected = [value for result in results for value in (result.recall["1"], result.ap)]
     by_column = {row["column"]: float(row["seed 1"]) for row in rows if row["row"] == "LPN, 0°"}
     assert list(by_column.values()) == pytest.approx(expected, abs=1e-4)
@@ -607,7 +608,7 @@ def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tm
     assert (cells[1], cells[3], cells[5]) == (" ImageNet alone ", " 8.43 ", " 27.93 ")
     alone = features_alone(replace(SCALES["reduced"].places, **QUICK), start)
     for cell, folder in ((cells[2], oxford), (cells[4], paris)):
-        result = evaluate(alone, open_dataset(folder), "street-to-street")
+        result = lazy_task(alone, open_dataset(folder), "street-to-street").evaluate()
         assert cell == f" {result.ap:.2f} "
     save_file({"conv1.weight": torch.zeros(64, 3, 7, 7)}, str(tmp_path / "half.safetensors"))
     with pytest.raises(ModelFileError, match="lacks"):

@@ -31,9 +31,12 @@ from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.report import Options
 from lpn.report.cases import Cases
-from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
+from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, centred, ground_ratio
 from lpn.sources import ModelOptions
-from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, task_calibration
+from lpn.tasks.changes import calibrated as calibrated_task
+from lpn.tasks.changes import centred as centred_task
+from lpn.tasks.changes import changed, turned
+from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, lazy_task, task_calibration
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -166,17 +169,18 @@ def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
 def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     calibration = task_calibration(model, dataset, True)
-    plain, moved = evaluate(model, dataset, TASK), evaluate(model, dataset, TASK, calibration=calibration)
+    task = lazy_task(model, dataset, TASK)
+    better = calibrated_task(task, calibration)
+    plain, moved = task.evaluate(), better.evaluate()
     assert moved.recall["1"] > plain.recall["1"]
     assert "calibrated without labels on 48 drone and 48 satellite pictures" in moved.sentence
     assert moved.to_dict()["calibration"]["ratio"] == pytest.approx(STEP**2)
     assert plain.to_dict()["calibration"] is None
-    turned = evaluate(model, dataset, TASK, Protocol(Change(rotate=90)), calibration=calibration)
-    assert turned.recall["1"] < moved.recall["1"]
+    assert turned(better, 90).evaluate().recall["1"] < moved.recall["1"]
     with pytest.raises(
         InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected"
     ):
-        evaluate(model, dataset, TASK, Protocol(Change(scale=12)), calibration=calibration)
+        changed(better, Change(scale=12)).evaluate()
 
 
 @pytest.mark.slow
@@ -204,7 +208,7 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
     dataset = open_dataset(wide)
     calibration = calibrated(model, dataset)
     task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibration)
-    expected = evaluate(model, dataset, TASK, calibration=calibration)
+    expected = calibrated_task(lazy_task(model, dataset, TASK), calibration).evaluate()
     assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
     moved = task.model
     assert moved is not None
@@ -278,10 +282,18 @@ def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
 
 def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    for protocol in (Protocol(branch="satellite"), Protocol(centre=True)):
+    calibration = task_calibration(model, dataset, True)
+    for task in (
+        lazy_task(model, dataset, TASK, branch="satellite"),
+        lazy_task(model, dataset, TASK, released=True),
+        centred_task(lazy_task(model, dataset, TASK)),
+        turned(lazy_task(model, dataset, TASK), 90),
+    ):
         with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-            lpn.evaluate(model, dataset, TASK, protocol, calibrate=True)
-        assert lpn.evaluate(model, dataset, TASK, protocol).calibration is None
+            calibrated_task(task, calibration)
+        assert task.evaluate().calibration is None
+    with pytest.raises(InputError, match="leave --centre or the calibration out"):
+        centred_task(calibrated_task(lazy_task(model, dataset, TASK), calibration))
 
 
 def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file: Path, tmp_path: Path) -> None:
@@ -333,7 +345,7 @@ def test_a_wrong_argument_is_told_in_one_sentence(
     for function in (lpn.evaluate, lpn.open_task):
         with pytest.raises(InputError, match=message):
             function(**given)  # type: ignore[operator]
-    with pytest.raises(InputError, match="The protocol is of the type str"):
+    with pytest.raises(InputError, match="The change is of the type str"):
         lpn.evaluate(model, wide, TASK, "published")  # type: ignore[arg-type]
 
 

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,16 @@ from lpn.cli import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
+<<<<<<< HEAD:tests/lpn/retrieval/test_saved_results.py
 from lpn.retrieval.saved import load_saved
+=======
+from lpn.retrieval.published_results import load_saved
+from lpn.tasks.changes import averaged, centred, changed, with_parts
+from lpn.tasks.measure import measure
+from lpn.tasks.opening import lazy_task
+from lpn.tasks.published_task import saved_task
+from lpn.tasks.task import Task
+>>>>>>> w-measure:tests/lpn/retrieval/test_published_results.py
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.published_results import contents
 
@@ -39,10 +49,16 @@ def test_parts_lie_in_the_file_as_the_published_code_lays_them(tmp_path: Path) -
 def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "pytorch_result.mat", contents(data, model_file))
     model, dataset = lpn.load(model_file), open_dataset(data)
-    protocols = (Protocol(), Protocol(parts=(1, 3)), Protocol(average=True), Protocol(centre=True))
-    for n, protocol in zip((1, 4, 4, 4), protocols, strict=True):
+    steps: list[tuple[int, Callable[[Task], Task]]] = [
+        (1, lambda task: task),
+        (4, lambda task: with_parts(task, (1, 3))),
+        (4, averaged),
+        (4, centred),
+    ]
+    for n, step in steps:
         saved = load_saved(tmp_path / "pytorch_result.mat", n)
-        found, expected = evaluate_saved(saved, protocol), evaluate(model, dataset, "drone-to-satellite", protocol)
+        found = measure(step(saved_task(saved)))
+        expected = measure(step(lazy_task(model, dataset, "drone-to-satellite")))
         assert (found.recall, found.task, found.queries) == (expected.recall, "drone-to-satellite", 14)
         assert found.ap == pytest.approx(expected.ap, abs=1e-9)
         assert "descriptors as saved" in found.sentence
@@ -105,10 +121,8 @@ def test_pictures_of_another_data_set_are_not_taken(data: Path, model_file: Path
 
 def test_what_needs_pictures_is_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    saved = load_saved(tmp_path / "r.mat")
-    for protocol in (Protocol(Change(shift=3)), Protocol(branch="drone")):
-        with pytest.raises(InputError, match="not pictures"):
-            evaluate_saved(saved, protocol)
+    with pytest.raises(InputError, match="descriptors without their network"):
+        changed(saved_task(load_saved(tmp_path / "r.mat")), Change(shift=3))
 
 
 def small() -> dict[str, Any]:
@@ -217,4 +231,4 @@ def test_labels_that_fit_nothing_are_no_result_of_zero_percent(tmp_path: Path) -
     with pytest.raises(
         DataError, match=r"None of the query labels of r\.mat, such as 1000, is a gallery label, such as 0"
     ):
-        evaluate_saved(load_saved(tmp_path / "r.mat"), Protocol())
+        saved_task(load_saved(tmp_path / "r.mat"))
