@@ -90,7 +90,8 @@ def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: P
     model, dataset = lpn.load(model_file), lpn.open_dataset(data)
     task = open_first_task(Data(data=data, model=ModelOptions(model=model_file)))
     tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
-    board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20)
+    board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20, groups=("LPN", "LPN"))
+    assert board.tables[0].groups == {"LPN": [0, 1]}
     for part, protocol in (("all", Protocol()), ("2", Protocol(parts=(2,)))):
         result = lpn.evaluate(model, dataset, TASK, protocol)
         assert board.parts[TASK]["a"][part] == pytest.approx((result.recall["1"], result.ap))
