@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -61,6 +61,8 @@ class ModelTable:
         seed, resamples: of the bootstrap.
     """
 
+    title: ClassVar[str] = "Models compared"
+
     task: str
     gallery_name: str
     models: tuple[RankedModel, ...]
@@ -72,11 +74,6 @@ class ModelTable:
     def queries(self) -> int:
         """Number of queries."""
         return len(self.models[0].queries)
-
-    @property
-    def title(self) -> str:
-        """The task and the gallery."""
-        return f"{self.task}, {self.gallery_name}"
 
     @property
     def groups(self) -> dict[str, list[int]]:
@@ -178,7 +175,8 @@ class ModelTable:
     def printed(self) -> list[TextTable]:
         """A table of figures, one of paired tests, and the sentence."""
         rows = [(name, *map(str, of.values())) for name, of in zip(self.groups, self.figures, strict=True)]
-        figures = TextTable(("model", *self.figures[0]), rows, self.title)
+        title = f"{self.task}, {self.gallery_name}"
+        figures = TextTable(("model", *self.figures[0]), rows, title)
         if not self.tests:
             return [replace(figures, after=self.sentence)]
         names = _P_VALUES if any(test.seeds_p is not None for test in self.tests) else _P_VALUES[:2]
@@ -189,7 +187,7 @@ class ModelTable:
             row = (test.first, test.second, test.figure, *counts)
             tests.append((*row, *("-" if value is None else f"{value:.3g}" for value in p)))
         head = ("A", "B", "figure", "A minus B", "A better", "B better", *names)
-        return [figures, TextTable(head, tests, f"{self.title}. Paired tests", self.sentence, "lllr")]
+        return [figures, TextTable(head, tests, f"{title}. Paired tests", self.sentence, "lllr")]
 
     def to_csv(self) -> bytes:
         """Return the table as `comparisons_csv` does."""

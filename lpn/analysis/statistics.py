@@ -5,8 +5,10 @@ Queries of one place are not independent, so places are the units of intervals a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -91,20 +93,48 @@ def randomization_test(differences: Float64Array, labels: Int64Array, seed: int)
 
 def welch_test(first: Float64Array, second: Float64Array) -> float | None:
     """Return the two-sided p-value of Welch's t-test (1947) of two groups of runs; None without a spread within them."""
-    if min(len(first), len(second)) < 2:
-        return None
-    spreads = [(float(group.var(ddof=1)) / len(group), len(group) - 1) for group in (first, second)]
-    squared = sum(spread for spread, _ in spreads)
-    if squared == 0:
-        return None
-    freedom = squared**2 / sum(spread**2 / degrees for spread, degrees in spreads)
-    # With t = sqrt(freedom) tan(angle), Student's density is proportional to cos(angle) ** (freedom - 1).
-    start = np.arctan(abs(first.mean() - second.mean()) / np.sqrt(squared * freedom))
-    middles = (np.arange(_CELLS) + 0.5) / _CELLS
+    error, freedom = _standard_error(first, second)
+    return _student_tail(abs(float(np.mean(first) - np.mean(second))) / error, freedom) if error else None
+
+
+def half_interval(*groups: Float64Array | Sequence[float]) -> float:
+    """Return half the width of the 95 % interval of the mean of one group of runs, or of the difference of two (Welch 1947).
+
+    It is 0 without a spread within the groups, as of one run each, which says nothing about its seed.
+    """
+    error, freedom = _standard_error(*groups)
+    return error * _student_quantile(freedom) if error else 0.0
+
+
+def _standard_error(*groups: Float64Array | Sequence[float]) -> tuple[float, float]:
+    """Return the standard error of the difference of means, or of one mean, and its degrees of freedom; 0 if not known."""
+    runs = [np.asarray(group, np.float64) for group in groups]
+    if min(map(len, runs)) < 2:
+        return 0.0, 0.0
+    squares = [float(of.var(ddof=1)) / len(of) for of in runs]
+    parts = sum(square**2 / (len(of) - 1) for square, of in zip(squares, runs, strict=True))
+    return math.sqrt(sum(squares)), sum(squares) ** 2 / parts if parts else 0.0
+
+
+def _student_tail(t: float, freedom: float) -> float:
+    """Return the probability that Student's t is as far from 0; SciPy is not in the base install."""
+    # With t = sqrt(freedom) tan(angle), the density is proportional to cos(angle) ** (freedom - 1).
+    start, middles = math.atan(t / math.sqrt(freedom)), (np.arange(_CELLS) + 0.5) / _CELLS
     tail, whole = (
-        (np.pi / 2 - low) * np.mean(np.cos(low + (np.pi / 2 - low) * middles) ** (freedom - 1)) for low in (start, 0.0)
+        (math.pi / 2 - low) * np.mean(np.cos(low + (math.pi / 2 - low) * middles) ** (freedom - 1))
+        for low in (start, 0)
     )
     return float(tail / whole)
+
+
+@cache
+def _student_quantile(freedom: float) -> float:
+    """Return the t that Student's is within with the probability `LEVEL`."""
+    low, high = 0.0, 13.0  # of one degree of freedom it is 12.7
+    for _ in range(50):
+        middle = (low + high) / 2
+        low, high = (middle, high) if _student_tail(middle, freedom) > 1 - LEVEL else (low, middle)
+    return high
 
 
 def holm(p: Sequence[float | None]) -> list[float | None]:

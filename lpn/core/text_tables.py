@@ -81,11 +81,11 @@ class TextTable:
             if text:
                 console.print(text, markup=False, highlight=False, soft_wrap=text is not table)
 
-    def markdown(self) -> str:
-        """Return the table in Markdown under a heading of the second level, with an empty line behind each."""
+    def markdown(self, level: int = 2) -> str:
+        """Return the table in Markdown under a heading of this level, with an empty line behind each."""
         rule = ["---" if side == "l" else "---:" for side in self.sides]
         rows = (f"| {' | '.join(map(markdown_text, row))} |" for row in (self.head, rule, *self.rows))
-        title = f"## {markdown_text(self.title)}" if self.title else ""
+        title = f"{'#' * level} {markdown_text(self.title)}" if self.title else ""
         return "".join(f"{text}\n\n" for text in (title, "\n".join(rows), self.after) if text)
 
     def latex(self) -> str:

@@ -32,7 +32,7 @@ def markdown(record: TableRecord) -> str:
     after = "".join(f"{sentence}  \n" for sentence in record.notes)
     claims = "".join(f"- {claim}\n" for claim in verdicts(record))
     table = replace(text_table(record), after="\n".join(filter(None, (after, claims))).rstrip("\n"))
-    return table.markdown().removesuffix("\n")
+    return table.markdown(3).removesuffix("\n")
 
 
 def text_table(record: TableRecord) -> TextTable:

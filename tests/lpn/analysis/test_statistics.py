@@ -7,9 +7,9 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, permutation_test, ttest_ind
+from scipy.stats import binomtest, permutation_test, t, ttest_ind
 
-from lpn.analysis.statistics import holm, intervals, randomization_test, welch_test
+from lpn.analysis.statistics import half_interval, holm, intervals, randomization_test, welch_test
 
 # Differences of the heights of Darwin's 15 pairs of Zea mays, in eighths of an inch (Fisher 1935, section 21).
 DARWIN = np.array([49, -67, 8, 16, 6, 23, 28, 41, 14, 29, 56, 24, 75, 60, -48], float)
@@ -104,6 +104,10 @@ def test_welchs_test_is_scipys(first: int, second: int) -> None:
         groups = rng.normal(70, 1, first), rng.normal(70 + shift, 3, second)
         expected = ttest_ind(*groups, equal_var=False).pvalue
         assert welch_test(*groups) == pytest.approx(expected, rel=1e-4)
+        interval = ttest_ind(*groups, equal_var=False).confidence_interval(0.95)
+        assert half_interval(*groups) == pytest.approx((interval.high - interval.low) / 2, rel=1e-5)
+        alone = t.ppf(0.975, first - 1) * groups[0].std(ddof=1) / math.sqrt(first)
+        assert half_interval(groups[0]) == pytest.approx(alone, rel=1e-5)
 
 
 def test_welchs_test_takes_several_runs_with_a_spread() -> None:

@@ -16,16 +16,12 @@ from lpn.cli import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
-<<<<<<< HEAD:tests/lpn/retrieval/test_saved_results.py
 from lpn.retrieval.saved import load_saved
-=======
-from lpn.retrieval.published_results import load_saved
 from lpn.tasks.changes import averaged, centred, changed, with_parts
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
 from lpn.tasks.published_task import saved_task
 from lpn.tasks.task import Task
->>>>>>> w-measure:tests/lpn/retrieval/test_published_results.py
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.published_results import contents
 

@@ -25,10 +25,7 @@ from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
 from lpn.retrieval import field_metrics, metrics
-<<<<<<< HEAD:tests/lpn/retrieval/test_evaluate.py
-=======
 from lpn.retrieval.calibration import centred as without_mean
->>>>>>> w-measure:tests/lpn/tasks/test_measure.py
 from lpn.tasks import query_outcomes
 from lpn.tasks.changes import averaged, centred, changed, turned, with_parts
 from lpn.tasks.measure import measure

@@ -19,13 +19,10 @@ from lpn.datasets import labels_of, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.retrieval import describe_picture, metrics
-<<<<<<< HEAD:tests/lpn/retrieval/test_weathers.py
-=======
 from lpn.tasks.changes import changed, in_weather
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
 from lpn.tasks.weathers import measure_weathers
->>>>>>> w-measure:tests/lpn/tasks/test_weathers.py
 
 
 def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_file: Path) -> None:
