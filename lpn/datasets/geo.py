@@ -25,9 +25,9 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.lists import decoded, read_text, table
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.listed_paths import by_name, fold, plain_path
-from lpn.datasets.lists import decoded, read_text, table
 
 if TYPE_CHECKING:
     from lpn.datasets.base import Picture

@@ -40,11 +40,11 @@ import numpy as np
 from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, BoolArray, Float32Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.lists import read_text, table
 from lpn.core.views import VIEWS, View, views_of
 from lpn.datasets import Dataset, Picture, Truth, matlab
 from lpn.datasets.geo import Position
 from lpn.datasets.listed_paths import FilesBelow, listed_path, plain_path
-from lpn.datasets.lists import read_text, table
 from lpn.models.contract import Role
 from lpn.retrieval.ranks import JUNK
 from lpn.retrieval.sides import TaskPictures
