@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 import torch
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 
 import explorer.app
 import explorer.cli

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from lpn.retrieval.protocol import Protocol
 
 import lpn
 from lpn.analysis.leaderboard import Leaderboard, ModelFacts, task_leaderboard

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 
 from lpn.cli.main import main
 from lpn.core.errors import DataError

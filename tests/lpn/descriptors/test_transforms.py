@@ -5,8 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 
 from lpn import descriptors
 from lpn.core import images

@@ -11,8 +11,6 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 
 import lpn
 from lpn.core.arrays import UInt8Array

@@ -11,7 +11,6 @@ from unittest.mock import Mock
 
 import pytest
 import torch
-from lpn.retrieval.evaluate import evaluate
 from rich.console import Console
 from safetensors.torch import save_file
 

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol, centred
+from lpn.retrieval.protocol import centred
 from safetensors import safe_open
 
 import lpn

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from lpn.retrieval.protocol import Protocol
 
 from lpn.core.errors import InputError
 from lpn.models.base import normalise

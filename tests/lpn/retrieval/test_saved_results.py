@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate, evaluate_saved
-from lpn.retrieval.protocol import Protocol
 from scipy.io import savemat
 
 import lpn

@@ -8,8 +8,6 @@ from unittest.mock import Mock
 import cv2
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
 from PIL import Image
 
 import lpn

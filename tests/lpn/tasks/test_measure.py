@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol, centred
+from lpn.retrieval.protocol import centred
 
 import lpn
 from lpn import descriptors

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.weathers import evaluate_weathers
 
 import lpn
 from lpn.cli import main

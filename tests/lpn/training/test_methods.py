@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import evaluate
 from rich.console import Console
 from torch import nn
 

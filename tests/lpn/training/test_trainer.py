@@ -11,7 +11,6 @@ from typing import Literal
 
 import pytest
 import torch
-from lpn.retrieval.evaluate import evaluate
 from rich.console import Console
 from safetensors import safe_open
 from torch import Tensor
