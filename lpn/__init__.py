@@ -228,7 +228,7 @@ def open_task(
     Raises:
         LPNError: when an argument is wrong, model or data set cannot be used, or they do not offer the task.
     """
-    from lpn.sources import open_data
+    from lpn.sources.kinds.data import open_data
 
     return open_data(*_opened_model(model), _opened_data(data), task, calibrate, csls).task
 

@@ -24,7 +24,7 @@ from rich.table import Table
 
 import lpn
 from lpn import descriptors
-from lpn.analysis.model_table import RESAMPLES, intervals
+from lpn.analysis.statistics import RESAMPLES, intervals
 from lpn.cli.train import flag_value
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.consoles import Console, wide_console

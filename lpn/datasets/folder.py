@@ -20,7 +20,6 @@ class Folder(Dataset):
     title = "a plain folder of pictures"
     folders = ("",)
     expected = "a data set with queries and a gallery, since this is a folder of pictures"
-    recipes = ()
 
     def __init__(self, root: Path, whole: Path | None = None) -> None:
         super().__init__(root)
@@ -34,7 +33,7 @@ class Folder(Dataset):
         if self.whole is not None:
             inside = self.root.resolve().relative_to(self.whole.resolve()).as_posix()
             return (
-                f"is the part {printable(inside)} of a data set, and has no queries and gallery of its own; give --data "
+                f"is the part {printable(inside)} of a data set, and has no queries and gallery of its own; give "
                 f"{printable(str(self.whole))}"
             )
         return (

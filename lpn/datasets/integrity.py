@@ -11,6 +11,7 @@ import io
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -20,7 +21,8 @@ from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import first_few, printable
 
-_BATCH = 2048
+# Files between two reports of progress.
+_BATCH = 256
 # The last chunk of a PNG: its type, and the checksum that it always has.
 _PNG_END = b"IEND\xaeB`\x82"
 # The error of a picture that has a valid header and end but cannot be decoded.
@@ -72,13 +74,10 @@ def picture_errors(
     with ThreadPoolExecutor(min(32, 4 * (os.cpu_count() or 1))) as pool:
         for start in range(0, len(files), _BATCH):
             some = files[start : start + _BATCH]
-            for position, (file, error) in enumerate(
-                zip(some, pool.map(lambda f: picture_error(f, decode), some), strict=True), 1
-            ):
-                if error is not None:
-                    errors[file] = error
-                if on_progress is not None and (position % 64 == 0 or position == len(some)):
-                    on_progress(start + position)
+            found = zip(some, pool.map(partial(picture_error, decode=decode), some), strict=True)
+            errors |= {file: error for file, error in found if error is not None}
+            if on_progress is not None:
+                on_progress(start + len(some))
     return errors
 
 

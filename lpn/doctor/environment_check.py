@@ -21,16 +21,6 @@ from lpn.core.files import cache_folder, check_writable, printable
 Severity = Literal["OK", "note", "problem"]
 # The explorer's default address.
 HOST, PORT = "127.0.0.1", 8080
-_USES = {
-    "train": "training, export, reading .pth, .safetensors, and .mat, a UMAP of descriptors",
-    "search": "approximate search of millions of tiles",
-    "models": "published models other than LPN",
-    "cluster": "describing on many machines, search on a server",
-    "live": "logs of autopilots, and telemetry by MAVLink",
-    "maps": "maps of your own, flights, and subtitles inside a video",
-    "register": "matching pictures better than by SIFT",
-    "dev": "the tests",
-}
 # Modules whose names differ from their packages'.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 _LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
@@ -113,20 +103,36 @@ def _python_and_packages() -> Iterator[Finding]:
         )
     good = []
     for package in required.base:
-        if message := _package_error(package):
-            again = f"pip install --force-reinstall '{package.requirement}'"
-            yield Finding(package.name, "problem", message, again if package.fits else _install(package.requirement))
+        problem, install = _wrong_version(package), f"pip install '{package.requirement}'"
+        if not problem and (problem := _import_error(package)):
+            install = f"pip install --force-reinstall '{package.requirement}'"
+        if problem:
+            yield Finding(package.name, "problem", problem, install)
         else:
             good.append(f"{package.name} {package.installed}")
     yield Finding("packages", "OK", ", ".join(good))
     for extra, packages in required.extras.items():
-        yield _extra(extra, packages)
+        name, wrong = f"extra {extra}", [package for package in packages if not package.fits]
+        message = ", ".join(f"{package.name} {_wrong_version(package)}" for package in wrong)
+        if not wrong:
+            yield Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
+        else:
+            absent = all(package.installed is None for package in packages)
+            remedy = f"pip install '{requirements.NAME}[{extra}]'"
+            yield Finding(name, "note", "not installed" if absent else message, remedy)
 
 
-def _package_error(package: requirements.Package) -> str:
-    """Return what is wrong with a base package; empty if nothing is."""
-    if not package.fits:
-        return _version_error(package)
+def _wrong_version(package: requirements.Package) -> str:
+    """Return what is wrong with the version of a package; empty if nothing is."""
+    if package.fits:
+        return ""
+    if package.installed is None:
+        return "is not installed"
+    return f"{package.installed} is installed, and {package.wanted} is needed"
+
+
+def _import_error(package: requirements.Package) -> str:
+    """Return why a package cannot be imported; empty if it can."""
     try:
         with _silenced():
             importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
@@ -151,28 +157,6 @@ def _silenced() -> Iterator[None]:
             restore.callback(stream.flush)
             os.dup2(nowhere, number)
         yield
-
-
-def _version_error(package: requirements.Package) -> str:
-    if package.installed is None:
-        return "is not installed"
-    return f"{package.installed} is installed, and {package.wanted} is needed"
-
-
-def _install(requirement: str) -> str:
-    return f"pip install '{requirement}'"
-
-
-def _extra(extra: str, packages: tuple[requirements.Package, ...]) -> Finding:
-    use, name = _USES.get(extra, "further things"), f"extra {extra}"
-    wrong = [package for package in packages if not package.fits]
-    if not wrong:
-        return Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
-    missing = all(package.installed is None for package in packages)
-    message = (
-        "not installed" if missing else ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
-    )
-    return Finding(name, "note", message, f"for {use}: {_install(f'{requirements.NAME}[{extra}]')}")
 
 
 def _torch() -> Iterator[Finding]:
@@ -235,11 +219,9 @@ def _cache() -> Iterator[Finding]:
         yield Finding("cache", "problem", str(error).partition(";")[0], remedy)
         return
     free = shutil.disk_usage(folder).free
-    message = f"{folder} can be written; {free / 1e9:.1f} GB are free there"
     level: Severity = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
-    yield Finding(
-        "cache", level, message, "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
-    )
+    remedy = "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
+    yield Finding("cache", level, f"{folder} can be written; {free / 1e9:.1f} GB are free there", remedy)
 
 
 def _port() -> Iterator[Finding]:
@@ -250,14 +232,11 @@ def _port() -> Iterator[Finding]:
         yield Finding("port", "OK", f"{PORT} on {HOST} is free")
 
 
-_RESTORE = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
-
-
 def _demo(demo: Path) -> Iterator[Finding]:
-    if not demo.is_dir():
-        yield Finding("demo", "problem", "its files are missing", _RESTORE)
-    elif error := _demo_error(demo):
-        yield Finding("demo", "problem", error.rstrip("."), _RESTORE)
+    restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
+    error = _demo_error(demo) if demo.is_dir() else "its files are missing"
+    if error:
+        yield Finding("demo", "problem", error.rstrip("."), restore)
     else:
         yield Finding("demo", "OK", "model, descriptors, and pictures are undamaged")
 
@@ -272,20 +251,16 @@ def _demo_error(demo: Path) -> str | None:
         if not verdict.whole:
             return verdict.message
     try:
-        for file, stores in (
-            (demo / "lpn.onnx", demo / STORES),
-            (demo / DEMO_BASELINE.name, demo / STORES / "baseline"),
-        ):
-            if file.name == DEMO_BASELINE.name and not file.is_file():
+        for name, stores in (("lpn.onnx", demo / STORES), (DEMO_BASELINE.name, demo / STORES / "baseline")):
+            if name == DEMO_BASELINE.name and not (demo / name).is_file():
                 continue
-            fingerprint = lpn.load(file, "cpu").fingerprint
-            for store in sorted(
-                path for path in stores.iterdir() if path.is_dir() and path.name not in ("baseline", "calibrated")
-            ):
-                manifest = open_store(store).manifest
-                name = store.relative_to(demo)
+            fingerprint = lpn.load(demo / name, "cpu").fingerprint
+            for store in sorted(stores.iterdir()):
+                if not store.is_dir() or store.name in ("baseline", "calibrated"):
+                    continue
+                manifest, inside = open_store(store).manifest, store.relative_to(demo)
                 if manifest.fingerprint != fingerprint:
-                    return f"{file.name} is not the model that {name} was made with, so one of them is damaged"
+                    return f"{name} is not the model that {inside} was made with, so one of them is damaged"
                 role = store.name.partition("_")[0]
                 for row in manifest.rows:
                     picture = demo / "test" / f"{role}_{manifest.view}" / row.file

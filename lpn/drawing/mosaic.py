@@ -10,7 +10,6 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.datasets import Picture
 from lpn.drawing import overlays, theme
-from lpn.maps import Map, Window
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Pixels of the mosaic's longer side.
@@ -41,16 +40,6 @@ def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))
     return canvas
-
-
-def draw_map(geometry: GalleryGeometry, basemap: Map) -> UInt8Array:
-    """Draw the ground of a geometry from the map whose windows are its tiles: as `draw`; black where the map has no data."""
-    west, south, east, north = geometry.bounds()
-    side = max(east - west, north - south)
-    x, y = basemap.frame.xy([geometry.origin.latitude], [geometry.origin.longitude])[0]
-    picture, _ = basemap.read(Window(x + west + side / 2, y + north - side / 2, side), LARGEST)
-    rows, columns = (max(round(length / side * LARGEST), 1) for length in (north - south, east - west))
-    return np.ascontiguousarray(picture[:rows, :columns])
 
 
 def _paste(canvas: UInt8Array, tile: UInt8Array, left: int, top: int) -> None:

@@ -38,10 +38,14 @@ class IndexGallery:
     chosen: str = ""
 
     @cached_property
+    def windows(self) -> list[NamedWindow | None]:
+        """The window of a map that each name tells; None for other tiles."""
+        return list(map(NamedWindow.parse, self.names))
+
+    @property
     def sizes(self) -> Float64Array:
-        """Sides of the windows of a map in metres, (G,), NaN for other tiles."""
-        windows = map(NamedWindow.parse, self.names)
-        return np.array([np.nan if window is None else window.size for window in windows], np.float64)
+        """Sides of the windows in metres, (G,), NaN for other tiles."""
+        return np.array([np.nan if window is None else window.size for window in self.windows], np.float64)
 
 
 def open_gallery(index: Index, queries: IndexQueries, on_progress: CountProgress) -> IndexGallery:

@@ -16,14 +16,11 @@ from lpn.datasets.geo import Position
 from lpn.index.base import Index
 from lpn.index.gallery import IndexGallery, open_gallery
 from lpn.index.queries import IndexQueries
-from lpn.index.tile_pictures import tile_picture
+from lpn.index.tile_pictures import tile_pictures
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.task import Task
-
-# Labels of tiles that no data set names begin here.
-_NO_PLACE = 1 << 40
 
 
 def index_task(
@@ -50,13 +47,7 @@ def index_task(
     model = model.for_task(*views)
     index.check_model(model.fingerprint)
     gallery = open_gallery(index, queries, on_progress)
-    look = (queries.root, queries.folders, basemap, max(model.input_size))
-    tiles = [
-        queries.listed[name][1]
-        if name in queries.listed
-        else tile_picture(name, _NO_PLACE + i, gallery.degrees[i], *look)
-        for i, name in enumerate(gallery.names)
-    ]
+    tiles = tile_pictures(gallery, queries, basemap, max(model.input_size))
     geometry, no_map = _geometry(gallery, queries.places or [None] * len(queries.pictures), basemap)
     return Task(
         name=queries.name,

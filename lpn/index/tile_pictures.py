@@ -15,46 +15,55 @@ from lpn.core.files import printable
 from lpn.datasets import Picture
 from lpn.datasets.listed_paths import listed_path
 from lpn.drawing import captions
+from lpn.index.gallery import IndexGallery
+from lpn.index.queries import IndexQueries
 from lpn.maps import Map, NamedWindow
 from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 
+# Side of a placeholder in pixels.
 _SIDE = 256
+# Labels of tiles that no data set names begin here.
+_NO_PLACE = 1 << 40
 
 
-def tile_picture(
-    name: str,
-    label: int,
-    degrees: Float64Array,
-    root: Path,
-    folders: Sequence[Path],
-    basemap: Map | None,
-    pixels: int,
-) -> Picture:
-    """Return the picture of a tile that no data set lists: cut from the map, read from a folder, or a placeholder.
+def tile_pictures(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None, pixels: int) -> list[Picture]:
+    """Return the pictures of tiles: a data set's, cut from the map, read from a folder of the queries, or placeholders.
 
     Args:
-        degrees: latitude and longitude, (2,), NaN where they are unknown.
-        root: a folder for the paths of pictures that are no files.
-        folders: where files of the tile's name are looked for, in this order.
         pixels: side of a picture that is cut from the map.
     """
-    window, title = NamedWindow.parse(name), printable(name)
-    if window is not None and basemap is not None:
-        place = window.on(basemap.frame)
-        if covers_part_of(basemap, place):
-            cut = WindowCut(basemap, place, pixels)
-            return Picture(root / "windows" / name, label, describe_place(place), cut=cut, caption=caption_of(place))
-        reason = f"the window lies outside the map {printable(basemap.name)}."
-    elif window is not None:
-        reason = "it is a window of a map; give that map as --map."
-    else:
-        with suppress(DataError, OSError):
-            for folder in folders:
-                if (file := folder / listed_path(name, "The index")).is_file():
-                    return Picture(file, label, title)
-        reason = "no file of this name is at hand; give the folder that was described as --data."
-    drawn = partial(_placeholder, title, np.full(2, np.nan) if window else degrees)
-    return Picture(root / "index" / str(label), label, title, cut=drawn, missing=reason)
+    windows = [window for window in gallery.windows if window is not None]
+    on_map = iter([] if basemap is None else NamedWindow.all_on(windows, basemap.frame))
+    pictures = []
+    for i, (name, window) in enumerate(zip(gallery.names, gallery.windows, strict=True)):
+        place = None if window is None else next(on_map, None)
+        if name in queries.listed:
+            picture = queries.listed[name][1]
+        elif basemap is not None and place is not None and covers_part_of(basemap, place):
+            file, cut = queries.root / "windows" / name, WindowCut(basemap, place, pixels)
+            picture = Picture(file, _NO_PLACE + i, describe_place(place), cut=cut, caption=caption_of(place))
+        elif window is None and (found := _file(name, queries.folders)) is not None:
+            picture = Picture(found, _NO_PLACE + i, printable(name))
+        else:
+            reason = "no file of this name is at hand; give the folder that was described as --data."
+            if window is not None:
+                reason = "it is a window of a map; give that map as --map."
+            if basemap is not None and window is not None:
+                reason = f"the window lies outside the map {printable(basemap.name)}."
+            drawn = partial(_placeholder, printable(name), np.full(2, np.nan) if window else gallery.degrees[i])
+            file = queries.root / "index" / str(i)
+            picture = Picture(file, _NO_PLACE + i, printable(name), cut=drawn, missing=reason)
+        pictures.append(picture)
+    return pictures
+
+
+def _file(name: str, folders: Sequence[Path]) -> Path | None:
+    """Return the file of a tile's name in the first folder that has one; None without."""
+    with suppress(DataError, OSError):
+        for folder in folders:
+            if (file := folder / listed_path(name, "The index")).is_file():
+                return file
+    return None
 
 
 def _placeholder(name: str, degrees: Float64Array) -> UInt8Array:

@@ -7,7 +7,7 @@ from pathlib import Path
 from lpn.core.files import printable
 from lpn.datasets import Dataset
 from lpn.models.spec import Layout, ModelSpec
-from lpn.retrieval.published_results import PublishedResult, published_pictures
+from lpn.retrieval.saved import PublishedResult, published_pictures
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.task import Task

@@ -95,9 +95,9 @@ def started(
         program: what Python runs.
         port: any that is free by default, which the app takes by itself: nobody else can take it meanwhile.
     """
-    source = ["--data", data, "--model", model]
+    source = [data, "--model", model]
     if saved is not None:
-        source = ["published", "--data", data, "--saved", saved, "--n-parts", "4"]
+        source = [saved, "--data", data, "--n-parts", "4"]
     source += ["--beside", *beside] if beside else []
     inputs = [] if default else source
     command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port)]
@@ -294,6 +294,13 @@ class ExplorerPage:
                 if time.monotonic() > deadline:
                     raise
             self.page.wait_for_timeout(50)
+
+    def command(self, label: str) -> None:
+        """Choose a command in the palette; until its field has the focus, keys go to the page."""
+        self.page.keyboard.press("Control+k")
+        self.page.get_by_placeholder("Search commands").fill(label)
+        expect(self.page.locator(".mantine-Spotlight-action").first).to_contain_text(re.compile(label, re.IGNORECASE))
+        self.page.keyboard.press("Enter")
 
     def field(self, label: str) -> Locator:
         """The text or number box in the row of a label."""

@@ -29,7 +29,7 @@ from lpn.cli.main import main
 from lpn.flights import write_flight
 from lpn.index import gallery
 from lpn.maps import NamedWindow
-from lpn.sources import Indexed, ModelOptions
+from lpn.sources import SourceOptions, source_of
 from lpn.tasks import turned
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures import small_worlds
@@ -54,7 +54,7 @@ def index(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory
 
 @pytest.fixture(scope="module")
 def workspace(index: Path, data: Path, model_file: Path) -> Workspace:
-    return open_source(Indexed(index=str(index), model=ModelOptions(model=model_file), data=data))
+    return open_source(SourceOptions(source=str(index), model=model_file, data=data))
 
 
 def _state(query: int = 0) -> SessionState:
@@ -179,7 +179,7 @@ def test_a_flight_is_searched_for_among_windows(
     flown: tuple[Path, Path, Path], model_file: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     index, town, flight = flown
-    workspace = open_source(Indexed(index=str(index), model=ModelOptions(model=model_file), map=town, flight=flight))
+    workspace = open_source(SourceOptions(source=str(flight), map=town, index=str(index), model=model_file))
     task, analyser = workspace.tasks[TASK], StateAnalyser(workspace)
     assert len(task.queries) == len(FLOWN_PLACES) + 1
     assert task.known is not None
@@ -217,11 +217,11 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
     flown: tuple[Path, Path, Path], model_file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     index, town, flight = flown
-    source = Indexed(index=str(index), model=ModelOptions(model=model_file), map=town, flight=flight)
-    whole = source.open().task
+    source = SourceOptions(source=str(flight), map=town, index=str(index), model=model_file)
+    whole = source_of(source).open().task
     monkeypatch.setattr(gallery, "MOST_TILES", whole.tiles - 1)
     monkeypatch.setattr(gallery, "PROPOSED", 1)
-    nearest = source.open().task
+    nearest = source_of(source).open().task
     assert nearest.tiles < whole.tiles
     assert nearest.truth is not None
     assert whole.truth is not None
@@ -241,7 +241,7 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
 def test_windows_without_their_map_are_placeholders(
     flown: tuple[Path, Path, Path], model_file: Path, data: Path
 ) -> None:
-    workspace = open_source(Indexed(index=str(flown[0]), model=ModelOptions(model=model_file), data=data))
+    workspace = open_source(SourceOptions(source=str(flown[0]), model=model_file, data=data))
     analysis = StateAnalyser(workspace).analyse(replace(_state(0), why=True), 10)
     assert "give that map as --map" in evidence.page(analysis, workspace)
     assert workspace.card(analysis.task, analysis.chosen.index).std() < 60
@@ -251,20 +251,17 @@ def test_windows_without_their_map_are_placeholders(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--index", "INDEX", "--model", "MODEL"], "tiles and no queries"),
-        (["--index", "INDEX", "--model", "MODEL", "--flight", "x"], "--flight with --map"),
-        (
-            ["--index", "INDEX", "--model", "MODEL", "--flight", "x", "--map", "y", "--data", "DATA"],
-            "one kind of queries",
-        ),
-        (["--index", "DATA", "--model", "MODEL", "--data", "DATA"], "not an index"),
+        (["INDEX", "--model", "MODEL"], "tiles and no queries"),
+        (["INDEX", "--model", "MODEL", "--index", "x"], "index is an index, and --index fits a flight; leave it out"),
+        (["DATA", "--model", "MODEL", "--map", "y", "--index", "INDEX"], "is a data set, and --map fits"),
+        (["DATA", "--model", "MODEL", "--data", "DATA"], "is a data set, and --data fits"),
     ],
 )
 def test_mistakes_get_one_sentence(
     options: list[str], said: str, index: Path, data: Path, model_file: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"INDEX": index, "MODEL": model_file, "DATA": data}
-    assert main(["explore", "index", "--port", "0", *(str(places.get(option, option)) for option in options)]) == 2
+    assert main(["explore", "--port", "0", *(str(places.get(option, option)) for option in options)]) == 2
     error = capsys.readouterr().err
     assert said in error
     assert error.strip().count("\n") == 0
@@ -280,9 +277,9 @@ def test_an_index_of_drone_tiles_is_a_gallery_for_satellite_queries(
     described = ("describe", "--model", "m.pth", "--images", tiles, "--view", "drone", "--role", "gallery")
     _run(*described, "--out", tmp_path / "store")
     _run("index", "--descriptors", tmp_path / "store", "--out", tmp_path / "tiles")
-    task = open_source(
-        Indexed(index=str(tmp_path / "tiles"), model=ModelOptions(model=Path("m.pth")), data=data)
-    ).tasks["satellite-to-drone"]
+    task = open_source(SourceOptions(source=str(tmp_path / "tiles"), model=Path("m.pth"), data=data)).tasks[
+        "satellite-to-drone"
+    ]
     live = open_model(data, model).tasks["satellite-to-drone"]
     weights = np.full(3, 1 / 3, np.float32)
     ours, theirs = (one.start_search(0, one.query_descriptors[0])(weights) for one in (task, live))

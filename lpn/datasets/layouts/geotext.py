@@ -17,7 +17,8 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, PictureRow, read_json, sizes
+from lpn.core.lists import read_json
+from lpn.datasets.base import Dataset, PictureRow, sizes
 from lpn.datasets.layouts.university import place_pictures
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 

@@ -178,7 +178,7 @@ def test_a_list_that_univ_lacks_is_named_when_a_model_has_no_task(
 ) -> None:
     root = layouts.univ(tmp_path / "univ")
     shutil.rmtree(root / "45" / "2fps" / "test" / "query_satellite")
-    assert main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main(["evaluate", str(root), "--model", str(model_file)]) == 2
     assert (
         "mend what is missing there (query_satellite, query_drone), or choose another data set"
         in capsys.readouterr().err
@@ -230,11 +230,9 @@ def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> Non
 
 def test_a_folder_inside_univ_names_the_one_to_give(tmp_path: Path) -> None:
     root = layouts.univ(tmp_path / "UniV")
-    with pytest.raises(
-        DataError, match=r"holds data sets in folders of its own: 10fps, 2fps, 5fps; give --data .*/45/10fps"
-    ):
+    with pytest.raises(DataError, match=r"holds data sets in folders of its own: 10fps, 2fps, 5fps; give .*/45/10fps"):
         open_dataset(root / "45")
-    with pytest.raises(DataError, match=r"is the part test of a data set; give --data .*/45/2fps"):
+    with pytest.raises(DataError, match=r"is the part test of a data set; give .*/45/2fps"):
         open_dataset(root / "45" / "2fps" / "test")
 
 

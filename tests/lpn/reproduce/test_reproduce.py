@@ -15,6 +15,7 @@ from rich.console import Console
 from safetensors.torch import save_file
 
 import lpn
+from lpn.analysis.statistics import half_interval
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
@@ -30,7 +31,6 @@ from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_figures import named, retrievals
 from lpn.reproduce.pretrained import features_alone
 from lpn.reproduce.record import TableRecord, here, row_record
-from lpn.reproduce.seed_intervals import half_interval, half_interval_of_difference
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import SCALES, SHOWN, Scale, find, tables
 from lpn.tasks.opening import lazy_task
@@ -778,9 +778,9 @@ def test_claims_are_judged_by_the_figures_and_the_interval_of_the_seeds() -> Non
 def test_the_interval_of_seeds_is_students() -> None:
     # The quantiles at 97.5 % are 4.3027 for two degrees of freedom and 2.7764 for four.
     assert half_interval([49, 50, 51]) == pytest.approx(4.3027 / 3**0.5, abs=1e-3)
-    assert half_interval_of_difference([49, 50, 51], [59, 60, 61]) == pytest.approx(2.7764 * (2 / 3) ** 0.5, abs=1e-3)
-    assert half_interval([50]) == half_interval_of_difference([50], [49, 51]) == 0
-    assert half_interval_of_difference([50, 50], [51, 51]) == 0
+    assert half_interval([49, 50, 51], [59, 60, 61]) == pytest.approx(2.7764 * (2 / 3) ** 0.5, abs=1e-3)
+    assert half_interval([50]) == half_interval([50], [49, 51]) == 0
+    assert half_interval([50, 50], [51, 51]) == 0
 
 
 def test_a_drop_is_significant_beyond_the_papers_own() -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lpn.retrieval.protocol import centred
 from safetensors import safe_open
 
 import lpn
@@ -184,13 +185,13 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
 @pytest.mark.slow
 def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.json"
-    main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--json", str(table)])
+    main(["compare", str(wide), "--model", str(model_file), "--calibrate", "--json", str(table)])
     plain, moved = json.loads(table.read_bytes())["models"]
     assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
     assert moved["R@1"]["value"] > plain["R@1"]["value"]
-    assert main(["compare", "saved.mat", str(model_file), "--data", str(wide), "--calibrate"]) == 2
+    assert main(["compare", str(wide), "saved.mat", "--model", str(model_file), "--calibrate"]) == 2
     outputs = ["--json", str(table), "--table", str(tmp_path / "table.tex")]
-    assert main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--csls", "3", *outputs]) == 0
+    assert main(["compare", str(wide), "--model", str(model_file), "--calibrate", "--csls", "3", *outputs]) == 0
     assert "\nmodel.onnx, calibrated, CSLS & " in (tmp_path / "table.tex").read_text("utf-8")
     rows = json.loads(table.read_bytes())["models"]
     assert [row["name"] for row in rows] == [plain["name"], moved["name"], "model.onnx, calibrated, CSLS"]
@@ -198,7 +199,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     alone = lpn.evaluate(model_file, wide, TASK, calibrate=True, csls=3)
     assert rows[2]["R@1"]["value"] == pytest.approx(alone.recall["1"])
     assert "less half of each tile's mean inner product with its 3 nearest queries (CSLS)" in alone.sentence
-    assert main(["compare", str(model_file), "--data", str(wide), "--csls", "-1"]) == 2
+    assert main(["compare", str(wide), "--model", str(model_file), "--csls", "-1"]) == 2
 
 
 @pytest.mark.slow
@@ -316,9 +317,9 @@ def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file
             assert first.contributions.sum() == pytest.approx(first.distance2, abs=1e-5)
             assert answer.evidence().score == pytest.approx(first.score, abs=1e-4)
         tile, given = folders[0] / first.name, ["--weights", "1,2,0,1", "--json", str(tmp_path / "why.json")]
-        given += [f"--{'' if asked else 'no-'}calibrate", "--csls", str(csls), "--data", str(wide)]
+        given += [f"--{'' if asked else 'no-'}calibrate", "--csls", str(csls)]
         pair = ["--query", str(task.queries[5].path), "--match", str(tile)]
-        assert main(["explain", "--model", str(model_file), *pair, *given]) == 0
+        assert main(["explain", str(wide), "--model", str(model_file), *pair, *given]) == 0
         explained = json.loads((tmp_path / "why.json").read_text())
         assert explained["score"] == pytest.approx(first.score, abs=1e-5)
         assert ("csls" in explained) == bool(csls)

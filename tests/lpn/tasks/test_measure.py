@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lpn.retrieval.protocol import centred
 
 import lpn
 from lpn import descriptors
@@ -210,7 +211,7 @@ def test_distractors_make_a_second_gallery_that_is_named(
         expected = metrics.evaluate(query, asked, tiles, expected_labels)
         assert [figures.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
     assert found.galleries[1].ap > found.ap
-    assert main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 0
+    assert main(["evaluate", str(root), "--model", str(model_file)]) == 0
     said = capsys.readouterr().out
     assert "full gallery, 9" in said
     assert "without distractors, 6" in said

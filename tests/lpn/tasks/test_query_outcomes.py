@@ -396,7 +396,7 @@ def test_the_command_lists_failures_and_writes_them(
     queries, _, outcomes = described(known, model_file)
     first = queries[3].path.relative_to(known).as_posix()
     notes.set_note(own, first, "odd", "-1 for the roof")
-    common = ["failures", "--data", str(known), "--model", str(model_file), "--notes", str(own)]
+    common = ["failures", str(known), "--model", str(model_file), "--notes", str(own)]
     out = tmp_path / "out" / "failures.csv"
     chosen = ["--where", "district = 'no'", "--csv", str(out)]
     assert main.main([*common, *chosen]) == 0
@@ -430,7 +430,7 @@ def test_the_command_lists_the_ranks_of_two_models(
     known: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "both.csv"
-    command = ["failures", "--data", str(known), "--model", str(one_part_model_file), "--beside", str(model_file)]
+    command = ["failures", str(known), "--model", str(one_part_model_file), "--beside", str(model_file)]
     assert main.main([*command, "--where", "rank A > 1 and rank B = 1", "--sort", "rank A", "--csv", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "rank A" in printed

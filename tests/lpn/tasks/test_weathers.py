@@ -42,7 +42,7 @@ def test_all_weathers_print_the_leaderboards_table(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "weathers.json"
-    command = ["evaluate", "--data", str(data), "--model", str(model_file), "--weather"]
+    command = ["evaluate", str(data), "--model", str(model_file), "--weather"]
     assert main.main([*command, "all", "--json", str(out)]) == 0
     printed = capsys.readouterr().out
     written = json.loads(out.read_text())

@@ -14,7 +14,7 @@ from lpn.cli import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.retrieval.published_results import load_saved
+from lpn.retrieval.saved import load_saved
 from lpn.tasks.changes import averaged, centred, changed, with_parts
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
@@ -62,8 +62,8 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     savemat(tmp_path / "r.mat", contents(data, model_file))
     figures = []
     for arguments in (
-        ["published", "--saved", str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
-        ["--data", str(data), "--model", str(model_file), "--parts", "2"],
+        [str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
+        [str(data), "--model", str(model_file), "--parts", "2"],
     ):
         assert main.main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
         figures.append(json.loads((tmp_path / "f.json").read_text()))
@@ -76,7 +76,7 @@ def test_a_saved_result_is_centred_part_by_part_only(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", "published", "--saved", str(tmp_path / "r.mat"), "--centre"]
+    arguments = ["evaluate", str(tmp_path / "r.mat"), "--centre"]
     assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
     assert main.main([*arguments, "--n-parts", "4"]) == 0
