@@ -35,7 +35,7 @@ from lpn.drawing.words import speaking
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweptProperty
 from lpn.retrieval import Ranking
-from lpn.tasks.turned import why_not
+from lpn.tasks.changes import why_not
 
 _EVIDENCE, _HEATMAPS, _COMPARISON, _SWEEP = "Why", "Heatmaps", "True or wrong", "Turn, shift, zoom"
 _REGION, _MODELS = "Search by a region", "Two models"

@@ -4,40 +4,35 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from lpn.analysis.model_table import (
-    RESAMPLES,
-    GalleryChoice,
     ModelTable,
     compare,
-    has_distractors,
-    rank_model,
-    rank_task,
+    comparisons_csv,
 )
-from lpn.analysis.text_tables import TableSection, TextTable, markdown_text
+from lpn.analysis.statistics import RESAMPLES
 from lpn.core.errors import InputError
 from lpn.core.progress import Progress
+from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
-from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.sides import TaskPictures
-from lpn.retrieval.weathers import WeatherResult, evaluate_weathers
+from lpn.tasks.changes import by_csls, calibrated, turned, with_parts
+from lpn.tasks.measure import GalleryChoice
+from lpn.tasks.opening import lazy_task
 from lpn.tasks.task import Task
+from lpn.tasks.weathers import WeatherResult, measure_weathers
 
 # Passes of one picture that are timed, after others that are not.
 _TIMED, _WARM = 15, 3
-_UNITS = "R@1 / AP in percent."
 
 
 @dataclass(frozen=True)
@@ -116,11 +111,6 @@ class Leaderboard:
         """The page's title."""
         return f"Models on {self.data_name}"
 
-    def to_markdown(self) -> str:
-        """Return the page in Markdown."""
-        lines = [f"# {markdown_text(self.title)}", ""]
-        return "\n".join([*lines, *(line for section in self.sections() for line in section.markdown_lines())])
-
     def to_dict(self) -> dict[str, Any]:
         """The page as JSON values."""
         return {
@@ -132,43 +122,39 @@ class Leaderboard:
             "weathers": {name: result.to_dict() for name, result in self.weathers.items()},
         }
 
-    def sections(self) -> Iterator[TableSection]:
-        """Yield the page's sections: the models, each task and gallery, parts, turns, and weathers."""
+    def to_csv(self) -> bytes:
+        """Return the figures and tests of all tasks and galleries, see `comparisons_csv`."""
+        return comparisons_csv(self.tables)
+
+    @property
+    def printed(self) -> list[TextTable]:
+        """The page's tables: the models, each task and gallery, parts, turns, and weathers."""
         facts = [
             (
-                name,
-                of.method,
-                of.level,
-                "{} x {}".format(*of.input_size),
-                f"{of.numbers:,}",
+                *(name, of.method, of.level, "{} x {}".format(*of.input_size), f"{of.numbers:,}"),
                 "" if of.megabytes is None else f"{of.megabytes:.1f}",
-                f"{of.milliseconds:.1f}",
-                f"{of.processor_milliseconds:.1f}",
+                *(f"{of.milliseconds:.1f}", f"{of.processor_milliseconds:.1f}"),
             )
             for name, of in self.facts.items()
         ]
         head = ("model", "method", "account", "input", "numbers", "MB", "ms a picture", "ms of processor")
-        yield TableSection(
-            "",
-            [TextTable(head, facts, texts=3)],
-            after=f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the "
-            "processor is the sum over its threads, and hardly changes where other programs compute, too.",
+        after = (
+            f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the "
+            "processor is the sum over its threads, and hardly changes where other programs compute, too."
         )
-        yield from (table.section for table in self.tables)
+        tables = [TextTable(head, facts, after=after, align="lllr"), *(one for of in self.tables for one in of.printed)]
         for title, of_tasks in (("Each part alone", self.parts), ("Turned queries, degrees", self.turns)):
-            yield from (_changed(f"{title}: {task}", of_models) for task, of_models in of_tasks.items())
+            tables += [_changed(f"{title}: {task}", "model", of_models) for task, of_models in of_tasks.items()]
+        for position, task in enumerate(next(iter(self.weathers.values())).tasks if self.weathers else ()):
+            # Rows are the weathers, as in University-WX's table; eleven columns would be too wide for a page.
+            rows: dict[str, dict[Any, RecallAndAP]] = {}
+            for model, result in self.weathers.items():
+                for weather, figures in result.rows():
+                    rows.setdefault(weather, {})[model] = figures[position]
+            tables.append(_changed(f"Weathers: {task}", "weather", rows))
         if self.weathers:
-            first = next(iter(self.weathers.values()))
-            for position, task in enumerate(first.tasks):
-                # Rows are the weathers, as in University-WX's table; eleven columns would be too wide for a page.
-                of_models = {name: dict(result.rows()) for name, result in self.weathers.items()}
-                rows = [
-                    (weather, *(_recall_and_ap(of[weather][position]) for of in of_models.values()))
-                    for weather, _ in first.rows()
-                ]
-                table = TextTable(("weather", *of_models), rows)
-                last = position + 1 == len(first.tasks)
-                yield TableSection(f"Weathers: {task}", [table], _UNITS, first.sentence if last else "")
+            tables[-1] = replace(tables[-1], after=next(iter(self.weathers.values())).sentence)
+        return tables
 
 
 def leaderboard(
@@ -182,6 +168,7 @@ def leaderboard(
     on_progress: Progress | None = None,
     calibrations: Mapping[str, Calibration | None] = MappingProxyType({}),
     csls: int = 0,
+    groups: Sequence[str] = (),
 ) -> Leaderboard:
     """Measure models on all tasks of a data set that all of them know, on the full gallery and without distractors.
 
@@ -193,6 +180,7 @@ def leaderboard(
         seed, resamples: of the bootstrap, see `model_table`.
         calibrations: of the calibrated models.
         csls: K of CSLS; 0 ranks without it.
+        groups: of the models in the tables of tasks, see `model_table.compare`.
 
     Raises:
         InputError: when no task is known to all models, or a measure is not possible on one of them.
@@ -216,10 +204,8 @@ def leaderboard(
         if on_progress is not None:
             on_progress("measures", done, stages)
 
-    def figures(name: str, task: str, change: Change = UNCHANGED, parts: tuple[int, ...] | None = None) -> RecallAndAP:
-        protocol = Protocol(change, parts, csls=csls)
-        result = evaluate(models[name], dataset, task, protocol, read, calibrations.get(name))
-        return result.recall["1"], result.ap
+    def opened(name: str, task: str) -> Task:
+        return calibrated(lazy_task(models[name], dataset, task, read, model_name=name), calibrations.get(name))
 
     facts = {}
     for name, model in models.items():
@@ -227,32 +213,37 @@ def leaderboard(
         report()
     tables: list[ModelTable] = []
     parts: dict[str, dict[str, dict[str, RecallAndAP]]] = {}
-    turned: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
+    of_turns: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
     for task in tasks:
-        galleries: list[GalleryChoice] = ["full"]
-        if has_distractors(TaskPictures.of(dataset, task)):
-            galleries.append("without-distractors")
-        for gallery in galleries:
-            ranked = [
-                rank_model(model, name, dataset, task, gallery, read, calibrations.get(name), csls)
-                for name, model in models.items()
-            ]
-            tables.append(compare(ranked, seed, resamples))
-        for name, model in models.items():
+        results = []
+        for name in models:
+            plain = opened(name, task)
+            results.append(by_csls(plain, csls).evaluate())
             report()
-            if model.n_parts > 1:
-                alone = {str(part): figures(name, task, parts=(part,)) for part in range(1, model.n_parts + 1)}
-                parts.setdefault(task, {})[name] = {**alone, "all": figures(name, task)}
+            if alone := _each_part(plain, csls):
+                parts.setdefault(task, {})[name] = {**alone, "all": (results[-1].recall["1"], results[-1].ap)}
             for degrees in turns:
-                turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(
-                    name, task, Change(rotate=float(degrees))
-                )
+                moved = by_csls(turned(plain, degrees), csls).evaluate()
+                of_turns.setdefault(task, {}).setdefault(name, {})[degrees] = moved.recall["1"], moved.ap
                 report()
+        galleries: tuple[GalleryChoice, ...] = ("full", "without-distractors")
+        tables += [
+            compare([result.ranked(gallery) for result in results], seed, resamples, groups)
+            for gallery in galleries[: len(results[0].galleries)]
+        ]
     of_weathers, flown = {}, [task for task in tasks if set(views_of(task)) != {"satellite"}]
-    for name, model in models.items() if weathers else ():
-        of_weathers[name] = evaluate_weathers(model, dataset, flown, Protocol(csls=csls), calibrations.get(name))
+    for name in models if weathers else ():
+        of_weathers[name] = measure_weathers([by_csls(opened(name, task), csls) for task in flown])
         report()
-    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
+    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, of_turns, of_weathers)
+
+
+def _each_part(task: Task, csls: int) -> dict[str, RecallAndAP]:
+    """Measure each part of a task alone; empty for a task of one part."""
+    count = task.contract.n_parts
+    parts = range(1, count + 1 if count > 1 else 1)
+    results = {str(part): by_csls(with_parts(task, [part]), csls).evaluate() for part in parts}
+    return {part: (one.recall["1"], one.ap) for part, one in results.items()}
 
 
 def task_leaderboard(
@@ -262,6 +253,7 @@ def task_leaderboard(
     tasks: Mapping[str, Task],
     seed: int = 0,
     resamples: int = RESAMPLES,
+    groups: Sequence[str] = (),
 ) -> Leaderboard:
     """Measure models on one task that each of them has opened, such as a flight over a map.
 
@@ -271,35 +263,27 @@ def task_leaderboard(
         sizes: bytes of the files of those that were read from one.
         tasks: of each model, by its name, with the same queries and gallery.
         seed, resamples: of the bootstrap, see `model_table`.
+        groups: of the models, see `model_table.compare`.
 
     Raises:
         InputError: when the tasks differ in their queries or gallery, or no query's truth is known.
     """
-    table = compare([rank_task(task, model) for model, task in tasks.items()], seed, resamples)
+    results = {model: replace(task, model_name=model).evaluate() for model, task in tasks.items()}
+    table = compare([result.ranked() for result in results.values()], seed, resamples, groups)
     parts: dict[str, dict[str, RecallAndAP]] = {}
     for model, task in tasks.items():
-        if (count := task.contract.n_parts) > 1:
-            weights = {str(part + 1): [float(part == one) for one in range(count)] for part in range(count)}
-            ranked = {part: rank_task(task, model, alone) for part, alone in weights.items()}
-            ranked["all"] = rank_task(task, model)
-            parts[model] = {
-                part: (100 * float(one.within(1).mean()), 100 * float(one.precision.mean()))
-                for part, one in ranked.items()
-            }
+        if alone := _each_part(task, 0):
+            parts[model] = {**alone, "all": (results[model].recall["1"], results[model].ap)}
     facts = {model: ModelFacts.of(network, sizes.get(model)) for model, network in models.items()}
     return Leaderboard(name, facts, [table], {table.task: parts} if parts else {}, {}, {})
 
 
-def _changed(title: str, of_models: Mapping[str, Mapping[Any, RecallAndAP]]) -> TableSection:
-    """Return a section with Recall@1 and AP, a row for each model and a column for each change."""
-    names = list(dict.fromkeys(change for of in of_models.values() for change in of))
-    rows = [
-        (model, *(_recall_and_ap(figures[name]) if name in figures else "" for name in names))
-        for model, figures in of_models.items()
+def _changed(title: str, rows: str, figures: Mapping[str, Mapping[Any, RecallAndAP]]) -> TextTable:
+    """Return a table of Recall@1 and AP by row and column; `rows` names the rows."""
+    names = list(dict.fromkeys(column for of in figures.values() for column in of))
+    cells = [
+        (row, *("{:.2f} / {:.2f}".format(*of[name]) if name in of else "" for name in names))
+        for row, of in figures.items()
     ]
-    head = ("model", *(f"{name:g}" if isinstance(name, float) else str(name) for name in names))
-    return TableSection(title, [TextTable(head, rows)], _UNITS)
-
-
-def _recall_and_ap(figures: RecallAndAP) -> str:
-    return "{:.2f} / {:.2f}".format(*figures)
+    head = (rows, *(f"{name:g}" if isinstance(name, float) else str(name) for name in names))
+    return TextTable(head, cells, f"{title}, R@1 / AP in percent")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import lpn
-from lpn.cli.explain import part_values
+from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
@@ -215,20 +215,19 @@ def _matches(
 
 
 def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
 
-    table = Table(title="part: its contribution to the squared distance", title_justify="right")
-    for name in ("rank", "tile", "score", "gap", *names):
-        table.add_column(name, justify="left" if name == "tile" else "right")
+    if not matches:
+        print("There is no tile to compare with.")
+        return
+    rows = []
     for match in matches:
         gap = "" if match["gap"] is None else f"{match['gap']:.4f}"
         contributions = (f"{part['contribution']:.4f}" for part in match["parts"])
-        table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *contributions)
-    console = wide_console(100)
-    console.print(table if matches else "There is no tile to compare with.")
+        rows.append((str(match["rank"]), printable(match["tile"]), f"{match['score']:.4f}", gap, *contributions))
+    title = "part: its contribution to the squared distance"
+    TextTable(("rank", "tile", "score", "gap", *names), rows, title, align="rlr").print(wide_console(100))
 
 
 def _displayed(where: str) -> str:

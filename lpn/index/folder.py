@@ -43,7 +43,6 @@ from lpn.core.files import (
 )
 from lpn.core.formats import decode_json
 from lpn.index.base import (
-    DegreeBox,
     DescriptorKind,
     Index,
     SearchResult,
@@ -282,14 +281,23 @@ class FolderIndex(Index):
         if announced(manifest := self._current().manifest) != manifest:
             self._change(lambda: announced(self._state.manifest))
 
-    def extent(self) -> DegreeBox | None:
-        """See `Index.extent`."""
-        boxes = np.array([segment.extent[0] for segment in self._current().segments]).reshape(-1, 4)
-        if not len(boxes):
-            return None
-        south, west = np.fmin.reduce(boxes[:, :2], axis=0).tolist()
-        north, east = np.fmax.reduce(boxes[:, 2:], axis=0).tolist()
-        return south, west, north, east
+    def tiles(self) -> tuple[list[str], Float32Array, Float64Array]:
+        """See `Index.tiles`; the descriptors of a single segment stay on disk."""
+        segments = self._current().segments
+        rows = [np.arange(one.rows) if one.alive is None else np.flatnonzero(one.alive) for one in segments]
+        names = [name for segment, some in zip(segments, rows, strict=True) for name in segment.names(some)]
+        positions = [segment.positions[some] for segment, some in zip(segments, rows, strict=True)]
+        vectors = np.empty((0, self.kind.numbers), np.float32)
+        if len(segments) == 1 and segments[0].alive is None:
+            vectors = segments[0].in_order
+        elif names:
+            vectors = np.empty((len(names), self.kind.numbers), np.float32)
+            start = 0
+            for batch in (batch for segment in segments for batch in segment.batches(segment.alive)):
+                vectors[start : start + len(batch.names)] = batch.vectors
+                start += len(batch.names)
+        shaped = vectors.reshape(len(names), self.kind.n_parts, self.kind.embedding)
+        return names, shaped, np.concatenate([np.zeros((0, 2)), *positions])
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""

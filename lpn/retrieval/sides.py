@@ -1,17 +1,14 @@
-"""The two sides of a task: its pictures, their truth, and their descriptors."""
+"""The two sides of a task: its pictures and their truth; and a test split that is checked before long work."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from lpn import descriptors
-from lpn.core.arrays import Float32Array, Int64Array
+from lpn.core.arrays import Int64Array
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, Truth, labels_of
-from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.models.base import Model
-from lpn.retrieval.calibration import Calibration
+from lpn.datasets.integrity import check_whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,33 +49,32 @@ class TaskPictures:
         """The place of each query and of each gallery picture, (Q,) and (G,), -1 for junk."""
         return labels_of(self.queries), labels_of(self.gallery)
 
-    def described(
-        self,
-        model: Model,
-        read: descriptors.Reader,
-        change: Change = UNCHANGED,
-        gallery_change: Change = UNCHANGED,
-        branch: View | None = None,
-        calibration: Calibration | None = None,
-    ) -> tuple[Float32Array, Float32Array]:
-        """Read the descriptors of both sides, (Q, n, D) and (G, n, D).
 
-        Args:
-            model: that of the task, see `Model.for_task`, unless there is a branch.
-            read: returns descriptors.
-            change, gallery_change: applied to each query, and to each gallery picture.
-            branch: describes both sides; None for each view's own.
-            calibration: the model's, which has a branch for each view; None for none.
+def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
+    """Check a test split before long work, so that the evaluation at its end does not fail.
 
-        Raises:
-            LPNError: when a picture cannot be read.
-        """
-        if calibration is not None:
-            return (
-                calibration.read(model, self.queries, self.views[0], read, change),
-                calibration.read(model, self.gallery, self.views[1], read, gallery_change),
-            )
-        query_branch, gallery_branch = (branch or view for view in self.views)
-        return read(model, self.queries, query_branch, change), read(
-            model, self.gallery, gallery_branch, gallery_change
-        )
+    Raises:
+        InputError: when the data set does not offer one of the tasks, but others.
+        PictureError: when a picture of the split is damaged.
+        DataError: when there is no task, the test split is incomplete, or a picture lacks the position that its metrics take.
+    """
+    if missing := [task for task in tasks if task not in dataset.tasks()]:
+        raise dataset.lacks_task(missing[0])
+    lists = lists_of(dataset, tasks)
+    files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
+    check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
+    positions = dataset.positions()
+    for pictures in lists.values():
+        if positions is not None:
+            positions.of(pictures)
+        if dataset.measured_by is not None:
+            dataset.coordinates(pictures)
+
+
+def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:
+    """Return the lists of pictures of some tasks, by keys such as "query drone" and "gallery satellite"."""
+    queries = dict.fromkeys(views_of(task)[0] for task in tasks)
+    galleries = dict.fromkeys(views_of(task)[1] for task in tasks)
+    return {f"query {view}": dataset.queries(view) for view in queries} | {
+        f"gallery {view}": dataset.gallery(view) for view in galleries
+    }

@@ -131,12 +131,12 @@ def test_evaluation_says_how_many_metres_the_answers_are_off(
     lines = ["path,latitude,longitude", *rows]
     write(root, "\n".join(lines) + "\n")
     out = tmp_path / "figures.json"
-    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file), "--json", str(out)]) == 0
+    assert main.main(["evaluate", str(root), "--model", str(model_file), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
     assert figures["within 25 m"] == figures["within 100 m"] == figures["recall@1"]
     step = geo.EARTH_RADIUS * np.radians(0.001)
     assert figures["median error m"] / step == pytest.approx(round(figures["median error m"] / step), abs=1e-6)
     assert "the median error of the top match is" in capsys.readouterr().out.replace("\n", " ")
     write(root, "\n".join(line for line in lines if "gallery_satellite/0003" not in line) + "\n")
-    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main.main(["evaluate", str(root), "--model", str(model_file)]) == 2
     assert "geo.csv has no position for 1 of" in capsys.readouterr().err

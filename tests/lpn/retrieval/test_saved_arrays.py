@@ -138,7 +138,7 @@ def test_the_command_evaluates_plain_arrays(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
-    given = ["evaluate", "arrays", "--queries", str(files[0]), "--gallery", str(files[1])]
+    given = ["evaluate", str(files[0]), "--gallery", str(files[1])]
     out = tmp_path / "figures.json"
     assert main([*given, "--paths", str(write_list(tmp_path)), "--json", str(out)]) == 0
     expected = metrics.evaluate(arrays[0], np.arange(5), arrays[1], np.array([0, 1, 2, 3, 4, 0, -1]))
@@ -185,7 +185,7 @@ def test_complete_positions_measure_metres_without_labels(
 ) -> None:
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
     out, paths = tmp_path / "figures.json", write_list(tmp_path)
-    given = ["evaluate", "arrays", "--queries", str(files[0]), "--gallery", str(files[1]), "--paths", str(paths)]
+    given = ["evaluate", str(files[0]), "--gallery", str(files[1]), "--paths", str(paths)]
     assert main([*given, "--json", str(out)]) == 0
     labelled = json.loads(out.read_text())
     own = label != "query,"
