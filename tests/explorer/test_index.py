@@ -252,7 +252,7 @@ def test_windows_without_their_map_are_placeholders(
     ("options", "said"),
     [
         (["INDEX", "--model", "MODEL"], "tiles and no queries"),
-        (["INDEX", "--model", "MODEL", "--index", "x"], "index is an index, and --index fits a flight; leave it out"),
+        (["INDEX", "--model", "MODEL", "--index", "x"], "is an index, and --index fits a flight; leave it out"),
         (["DATA", "--model", "MODEL", "--map", "y", "--index", "INDEX"], "is a data set, and --map fits"),
         (["DATA", "--model", "MODEL", "--data", "DATA"], "is a data set, and --data fits"),
     ],
