@@ -30,7 +30,7 @@ from lpn.flights import write_flight
 from lpn.index import gallery
 from lpn.maps import NamedWindow
 from lpn.sources import SourceOptions, source_of
-from lpn.tasks import turned
+from lpn.tasks import changes
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import GATES, GateModel
@@ -159,7 +159,7 @@ def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace
         effect_on(live.tasks[TASK], None, (1, 1, 1, 0)).after
     )
     assert not part_weights.why_not(task)
-    assert not turned.why_not(task)
+    assert not changes.why_not(task)
 
 
 @pytest.fixture(scope="module")
@@ -252,7 +252,7 @@ def test_windows_without_their_map_are_placeholders(
     ("options", "said"),
     [
         (["INDEX", "--model", "MODEL"], "tiles and no queries"),
-        (["INDEX", "--model", "MODEL", "--index", "x"], "index is an index, and --index fits a flight; leave it out"),
+        (["INDEX", "--model", "MODEL", "--index", "x"], "is an index, and --index fits a flight; leave it out"),
         (["DATA", "--model", "MODEL", "--map", "y", "--index", "INDEX"], "is a data set, and --map fits"),
         (["DATA", "--model", "MODEL", "--data", "DATA"], "is a data set, and --data fits"),
     ],

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import check_test_split
 
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
