@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.tasks.turned import turned
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
 from lpn import datasets, explain, load, retrieval

@@ -32,7 +32,7 @@ from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.datasets import labels_of, open_dataset
 from lpn.drawing import verdicts
 from lpn.retrieval.csls import NEIGHBOURS
-from lpn.retrieval.sides import TaskPictures
+from lpn.tasks import opening
 from lpn.tasks.opening import calibrated
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
@@ -215,10 +215,10 @@ def test_labels_never_choose_the_scoring_that_opens(
     recalls = []
     for order in (slice(None), slice(None, None, -1), np.random.default_rng(3).permutation(22)):
         # The labels of the queries alone are in another order, so that other scorings are the best by them.
-        moved = lambda of, order=order: (of[0][order], of[1])  # noqa: E731
         with monkeypatch.context() as patch:
-            plain = TaskPictures.labels.fget
-            patch.setattr(TaskPictures, "labels", property(lambda one, plain=plain, moved=moved: moved(plain(one))))
+            patch.setattr(
+                opening, "labels_of", lambda of, order=order: labels_of(of)[order if len(of) == 22 else slice(None)]
+            )
             opened = open_model(wide, model_file, calibrate=calibrate, csls=csls)
         assert opened.default_scoring(TASK) == expected
         shown = opened.rankings[state_of(opened, opened.default_scoring(TASK)).ranking_key]
@@ -236,7 +236,7 @@ def test_the_demo_opens_by_the_calibration_that_ships_whatever_the_labels(
     recalls = {one.scoring: round(one.recall or 0, 1) for one in scorings.choices(opened.rankings, TASK)}
     assert recalls == {"plain": 70.1, "calibrated": 84.7, "csls": 87.0}
     monkeypatch.setattr(
-        TaskPictures, "labels", property(lambda of: (labels_of(of.queries)[::-1], labels_of(of.gallery)))
+        opening, "labels_of", lambda of: labels_of(of)[:: -1 if len(of) == len(opened.tasks[TASK].queries) else 1]
     )
     reversed_labels = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
     assert reversed_labels.default_scoring(TASK) == expected

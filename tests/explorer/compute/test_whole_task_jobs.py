@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from lpn.tasks.turned import turned
 
 from explorer.client.services import WorkspaceServices
 from explorer.compute import turned_jobs, weight_figures

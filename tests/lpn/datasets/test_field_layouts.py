@@ -9,13 +9,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.evaluate import check_test_split
 
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
+from lpn.datasets.integrity import check_test_split
 from lpn.datasets.layouts.denseuav import DenseUAV
 from lpn.doctor.dataset_check import check_dataset
-from lpn.retrieval.sides import check_test_split
 from tools.fixtures import layouts, small_worlds
 
 

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.protocol import centred
 from safetensors import safe_open
 
 import lpn

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.retrieval.protocol import centred
 
 import lpn
 from lpn import descriptors
