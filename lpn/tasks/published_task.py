@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import cast
 
 from lpn.core.files import printable
 from lpn.core.views import View
@@ -16,6 +15,7 @@ from lpn.tasks.task import Task
 
 # Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
+_LAYOUT: Layout = "university"
 
 
 def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
@@ -40,7 +40,7 @@ def saved_task(saved: PublishedResult, dataset: Dataset | None = None, name: str
         DataError: when the data set lacks the result's pictures, or without one, no query has a label of the gallery.
     """
     queries, gallery = list[Picture](), list[Picture]()
-    labels, truth, layout = (saved.query_labels, saved.gallery_labels), None, cast(Layout, "university")
+    labels, truth, layout = (saved.query_labels, saved.gallery_labels), None, _LAYOUT
     views: Sequence[View] = saved.views or ("drone", "satellite")
     if dataset is None:
         saved.check_labels()
