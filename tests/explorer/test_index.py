@@ -30,7 +30,7 @@ from lpn.flights import write_flight
 from lpn.index import gallery
 from lpn.maps import NamedWindow
 from lpn.sources import SourceOptions, source_of
-from lpn.tasks import turned
+from lpn.tasks import changes
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures import small_worlds
 from tools.fixtures.small_contracts import GATES, GateModel
@@ -155,11 +155,9 @@ def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace
     assert name.endswith(".html")
     assert b"14 tiles" in report
     task = workspace.tasks[TASK]
-    assert effect_on(task, None, (1, 1, 1, 0)).after == pytest.approx(
-        effect_on(live.tasks[TASK], None, (1, 1, 1, 0)).after
-    )
+    assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
     assert not part_weights.why_not(task)
-    assert not turned.why_not(task)
+    assert not changes.why_not(task)
 
 
 @pytest.fixture(scope="module")
