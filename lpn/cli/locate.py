@@ -129,7 +129,7 @@ class LocateCommand(ModelOptions):
         """Match the surveyed positions, if there are any, and locate the flight, with a progress bar.
 
         Raises:
-            InputError: if the limit is below 1, a kind, a pooling, or an index is given without a model, or sizes beside an index.
+            InputError: if the limit is below 1, a kind, a pooling, or an index comes without a model, or sizes beside an index.
         """
         from lpn.core.consoles import stage_bars
         from lpn.flights import open_flight
