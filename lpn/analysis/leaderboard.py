@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,12 +21,9 @@ from lpn.core.progress import Progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
-from lpn.descriptors import descriptor_reader
 from lpn.models.base import Model
-from lpn.retrieval.calibration import Calibration
-from lpn.tasks.changes import by_csls, calibrated, turned, with_parts
+from lpn.tasks.changes import turned, with_parts
 from lpn.tasks.measure import GalleryChoice
-from lpn.tasks.opening import lazy_task
 from lpn.tasks.task import Task
 from lpn.tasks.weathers import WeatherResult, measure_weathers
 
@@ -157,46 +153,49 @@ class Leaderboard:
         return tables
 
 
+def common_tasks(models: Mapping[str, Model], dataset: Dataset) -> list[str]:
+    """Return the tasks of a data set that all models know, whose names are given; DataError or InputError without any."""
+    if not dataset.tasks():
+        raise dataset.no_task()
+    tasks = [
+        task for task in dataset.tasks() if all(set(views_of(task)) <= set(model.views) for model in models.values())
+    ]
+    if not tasks:
+        raise InputError(
+            f"No task of {dataset.root.name} is known to all of {', '.join(models)}; compare fewer models."
+        )
+    return tasks
+
+
 def leaderboard(
+    data_name: str,
     models: Mapping[str, Model],
     sizes: Mapping[str, int],
-    dataset: Dataset,
+    tasks: Sequence[str],
+    opened: Callable[[str, str], Task],
     turns: Sequence[float] = (),
     weathers: bool = False,
     seed: int = 0,
     resamples: int = RESAMPLES,
     on_progress: Progress | None = None,
-    calibrations: Mapping[str, Calibration | None] = MappingProxyType({}),
-    csls: int = 0,
     groups: Sequence[str] = (),
 ) -> Leaderboard:
-    """Measure models on all tasks of a data set that all of them know, on the full gallery and without distractors.
+    """Measure models on tasks, on the full gallery and without distractors.
 
     Args:
         models: by their names.
         sizes: bytes of the files of those that were read from one.
+        tasks: their names.
+        opened: opens a task by a model, given both names; all models have the same queries and gallery.
         turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
         weathers: measure the ten weathers of University-WX as well.
         seed, resamples: of the bootstrap, see `model_table`.
-        calibrations: of the calibrated models.
-        csls: K of CSLS; 0 ranks without it.
         groups: of the models in the tables of tasks, see `model_table.compare`.
 
     Raises:
-        InputError: when no task is known to all models, or a measure is not possible on one of them.
-        DataError: when the test split is incomplete.
+        InputError: when a measure is not possible on a model, no query's truth is known, or queries or galleries differ.
     """
-    tasks = [
-        task for task in dataset.tasks() if all(set(views_of(task)) <= set(model.views) for model in models.values())
-    ]
-    if not dataset.tasks():
-        raise dataset.no_task()
-    if not tasks:
-        raise InputError(
-            f"No task of {dataset.root.name} is known to all of {', '.join(models)}; compare fewer models."
-        )
-    read, done = descriptor_reader(dataset.root), 0
-    stages = len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
+    done, stages = 0, len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
 
     def report() -> None:
         nonlocal done
@@ -204,8 +203,9 @@ def leaderboard(
         if on_progress is not None:
             on_progress("measures", done, stages)
 
-    def opened(name: str, task: str) -> Task:
-        return calibrated(lazy_task(models[name], dataset, task, read, model_name=name), calibrations.get(name))
+    def measured(task: Task) -> RecallAndAP:
+        result = task.evaluate()
+        return result.recall["1"], result.ap
 
     facts = {}
     for name, model in models.items():
@@ -214,17 +214,17 @@ def leaderboard(
     tables: list[ModelTable] = []
     parts: dict[str, dict[str, dict[str, RecallAndAP]]] = {}
     of_turns: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
-    for task in tasks:
+    for name in tasks:
         results = []
-        for name in models:
-            plain = opened(name, task)
-            results.append(by_csls(plain, csls).evaluate())
+        for model_name in models:
+            task = opened(model_name, name)
+            results.append(task.with_fields(model_name=model_name).evaluate())
             report()
-            if alone := _each_part(plain, csls):
-                parts.setdefault(task, {})[name] = {**alone, "all": (results[-1].recall["1"], results[-1].ap)}
+            if (count := task.contract.n_parts) > 1:
+                alone = {str(part): measured(with_parts(task, [part])) for part in range(1, count + 1)}
+                parts.setdefault(name, {})[model_name] = {**alone, "all": (results[-1].recall["1"], results[-1].ap)}
             for degrees in turns:
-                moved = by_csls(turned(plain, degrees), csls).evaluate()
-                of_turns.setdefault(task, {}).setdefault(name, {})[degrees] = moved.recall["1"], moved.ap
+                of_turns.setdefault(name, {}).setdefault(model_name, {})[degrees] = measured(turned(task, degrees))
                 report()
         galleries: tuple[GalleryChoice, ...] = ("full", "without-distractors")
         tables += [
@@ -233,49 +233,9 @@ def leaderboard(
         ]
     of_weathers, flown = {}, [task for task in tasks if set(views_of(task)) != {"satellite"}]
     for name in models if weathers else ():
-        of_weathers[name] = measure_weathers([by_csls(opened(name, task), csls) for task in flown])
+        of_weathers[name] = measure_weathers([opened(name, task) for task in flown])
         report()
-    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, of_turns, of_weathers)
-
-
-def _each_part(task: Task, csls: int) -> dict[str, RecallAndAP]:
-    """Measure each part of a task alone; empty for a task of one part."""
-    count = task.contract.n_parts
-    parts = range(1, count + 1 if count > 1 else 1)
-    results = {str(part): by_csls(with_parts(task, [part]), csls).evaluate() for part in parts}
-    return {part: (one.recall["1"], one.ap) for part, one in results.items()}
-
-
-def task_leaderboard(
-    name: str,
-    models: Mapping[str, Model],
-    sizes: Mapping[str, int],
-    tasks: Mapping[str, Task],
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-    groups: Sequence[str] = (),
-) -> Leaderboard:
-    """Measure models on one task that each of them has opened, such as a flight over a map.
-
-    Args:
-        name: of the data.
-        models: by their names.
-        sizes: bytes of the files of those that were read from one.
-        tasks: of each model, by its name, with the same queries and gallery.
-        seed, resamples: of the bootstrap, see `model_table`.
-        groups: of the models, see `model_table.compare`.
-
-    Raises:
-        InputError: when the tasks differ in their queries or gallery, or no query's truth is known.
-    """
-    results = {model: replace(task, model_name=model).evaluate() for model, task in tasks.items()}
-    table = compare([result.ranked() for result in results.values()], seed, resamples, groups)
-    parts: dict[str, dict[str, RecallAndAP]] = {}
-    for model, task in tasks.items():
-        if alone := _each_part(task, 0):
-            parts[model] = {**alone, "all": (results[model].recall["1"], results[model].ap)}
-    facts = {model: ModelFacts.of(network, sizes.get(model)) for model, network in models.items()}
-    return Leaderboard(name, facts, [table], {table.task: parts} if parts else {}, {}, {})
+    return Leaderboard(data_name, facts, tables, parts, of_turns, of_weathers)
 
 
 def _changed(title: str, rows: str, figures: Mapping[str, Mapping[Any, RecallAndAP]]) -> TextTable:

@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from lpn.analysis.model_table import ModelTable
     from lpn.retrieval.calibration import Calibration
     from lpn.tasks.measure import RankedModel
+    from lpn.tasks.task import Task
 
 # Endings of the files that tables are written to.
 _ENDINGS = (".md", ".tex", ".csv", ".html", ".htm")
@@ -197,12 +198,14 @@ class CompareCommand:
             yield result.ranked("without-distractors" if self.without_distractors else "full")
 
     def _measure_page(self, page: Path) -> None:
-        from lpn.analysis.leaderboard import leaderboard, task_leaderboard
+        from lpn.analysis.leaderboard import common_tasks, leaderboard
         from lpn.core.consoles import stage_bars
         from lpn.core.files import check_outputs
         from lpn.datasets import open_dataset
+        from lpn.descriptors import descriptor_reader
         from lpn.models.shipped import model_file
-        from lpn.tasks.opening import alike_calibrations
+        from lpn.tasks.changes import by_csls, calibrated
+        from lpn.tasks.opening import alike_calibrations, lazy_task
 
         if self.table is not None:
             raise InputError(
@@ -213,55 +216,62 @@ class CompareCommand:
         sources = self._sources()
         if saved := next((name for name, source in sources.items() if "model" not in source.takes), None):
             raise InputError(f"{saved} holds descriptors, and a page needs networks; leave it out.")
-        _check_several(len(sources))
+        if len(sources) < 2:
+            raise InputError(f"A comparison takes two models or more; found {len(sources)}.")
         check_outputs((page, *_ENDINGS), (self.json, ".json"))
         files = {name: model_file(source.options.file) for name, source in sources.items()}
         sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
-        comparison = self.seed, self.resamples
-        if not all(isinstance(source, DataSource) for source in sources.values()):
+        if all(isinstance(source, DataSource) for source in sources.values()):
+            networks = {name: source.options.load() for name, source in sources.items()}
+            dataset = open_dataset(Path(self.source[0]))
+            chosen = alike_calibrations(list(networks.values()), dataset, self.calibrate)
+            calibrations = {_scored_name(name, one, self.csls): one for name, one in zip(networks, chosen, strict=True)}
+            sizes = {title: sizes[name] for title, name in zip(calibrations, networks, strict=True) if name in sizes}
+            models = dict(zip(calibrations, networks.values(), strict=True))
+            read, names, title = (
+                descriptor_reader(dataset.root),
+                common_tasks(models, dataset),
+                dataset.root.resolve().name,
+            )
+
+            def opened(name: str, task: str) -> Task:
+                listed = lazy_task(models[name], dataset, task, read)
+                return by_csls(calibrated(listed, calibrations[name]), self.csls)
+        else:
             if self.turns or self.weathers:
                 raise InputError("--turns and --weathers are of a data set's queries; leave them out.")
             with stage_bars() as on_progress:
-                opened = {name: source.open(on_progress=on_progress) for name, source in sources.items()}
-            models = {name: one.network for name, one in opened.items() if one.network is not None}
-            tasks = {name: one.task for name, one in opened.items()}
-            title = next(iter(tasks.values())).data_name
-            _write_page(task_leaderboard(title, models, sizes, tasks, *comparison, self.group), page, self.json)
-            return
-        models = {name: source.options.load() for name, source in sources.items()}
-        dataset = open_dataset(Path(self.source[0]))
-        calibrations = alike_calibrations(list(models.values()), dataset, self.calibrate)
-        titles = [
-            _scored_name(name, calibration, self.csls) for name, calibration in zip(models, calibrations, strict=True)
-        ]
-        sizes = {title: sizes[name] for title, name in zip(titles, models, strict=True) if name in sizes}
-        models = dict(zip(titles, models.values(), strict=True))
+                located = {name: source.open(on_progress=on_progress) for name, source in sources.items()}
+            models = {name: one.network for name, one in located.items() if one.network is not None}
+            first = next(iter(located.values())).task
+            names, title = [first.name], first.data_name
+
+            def opened(name: str, task: str) -> Task:
+                del task
+                return located[name].task
+
         with stage_bars("Taking {}") as on_progress:
             board = leaderboard(
+                title,
                 models,
                 sizes,
-                dataset,
+                names,
+                opened,
                 self.turns,
                 self.weathers,
-                *comparison,
+                self.seed,
+                self.resamples,
                 on_progress,
-                dict(zip(models, calibrations, strict=True)),
-                self.csls,
                 self.group,
             )
-        _write_page(board, page, self.json)
+        _write(board, page, self.json)
+        tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
+        print(f"{page}: {len(board.facts)} models, {tables}")
 
 
 def _scored_name(name: str, calibration: Calibration | None, csls: int) -> str:
     """Return a model's name with how it is ranked."""
     return name + (", calibrated" if calibration else "") + (", CSLS" if csls else "")
-
-
-def _write_page(board: Leaderboard, page: Path, json: Path | None) -> None:
-    """Write a page, see `_write`, and say so."""
-    _write(board, page, json)
-    tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
-    print(f"{page}: {len(board.facts)} models, {tables}")
 
 
 def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:
@@ -283,8 +293,3 @@ def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | Non
         write_atomic(page, written)
     if json is not None:
         write_json(json, result.to_dict())
-
-
-def _check_several(models: int) -> None:
-    if models < 2:
-        raise InputError(f"A comparison takes two models or more; found {models}.")

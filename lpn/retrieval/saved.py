@@ -47,7 +47,6 @@ from lpn.datasets.geo import Position
 from lpn.datasets.listed_paths import FilesBelow, listed_path, plain_path
 from lpn.models.contract import Role
 from lpn.retrieval.ranks import JUNK
-from lpn.retrieval.sides import TaskPictures
 
 log = logging.getLogger(__name__)
 
@@ -191,21 +190,7 @@ class _Line(NamedTuple):
     position: Position | None = None
 
 
-def published_pictures(saved: PublishedResult, dataset: Dataset) -> tuple[TaskPictures, tuple[Int64Array, Int64Array]]:
-    """Return the pictures of a result's rows with their truth, and the labels of queries and gallery, (Q,) and (G,).
-
-    Raises:
-        DataError: when no task of the test split has all pictures.
-        InputError: when truth is listed, and a gallery picture has two rows.
-    """
-    views, queries, gallery = saved.pictures(dataset)
-    name = "-to-".join(views)
-    pictures = TaskPictures(name, queries, gallery, _truth_of_rows(dataset, name, queries, gallery))
-    # Where truth is listed, the result's labels name one true tile of several, or are numbered otherwise.
-    return pictures, (saved.query_labels, saved.gallery_labels) if pictures.truth is None else pictures.labels
-
-
-def _truth_of_rows(
+def truth_of_rows(
     dataset: Dataset, task: str, queries: Sequence[Picture], gallery: Sequence[Picture]
 ) -> list[Truth] | None:
     """Return the listed truth of a task for its pictures in another order, or some of them; None if labels tell the truth."""

@@ -16,14 +16,14 @@ from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
 from lpn.core.progress import CountProgress
 from lpn.core.views import View, views_of
-from lpn.datasets import Dataset, Picture
+from lpn.datasets import Dataset, Picture, labels_of
+from lpn.datasets.integrity import check_test_split, lists_of
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.models.contract import Role
 from lpn.retrieval import scoring, transfer
 from lpn.retrieval.calibration import MIN_PICTURES, Calibration, calibrate
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
-from lpn.retrieval.sides import TaskPictures, check_test_split, lists_of
 from lpn.tasks import notes
 from lpn.tasks.changes import by_csls
 from lpn.tasks.changes import calibrated as calibrated_task
@@ -60,8 +60,10 @@ def lazy_task(
         InputError: when the data set lacks the task, or the model a view.
         DataError: when the test split is incomplete, or a picture has no position.
     """
-    pictures = TaskPictures.of(dataset, name)
-    views, contract, change = pictures.views, model.contract, Change(released=released)
+    if name not in dataset.tasks():
+        raise dataset.lacks_task(name)
+    views, contract, change = views_of(name), model.contract, Change(released=released)
+    queries, gallery, truth = dataset.queries(views[0]), dataset.gallery(views[1]), dataset.truth(name)
     model = model if branch else model.for_task(*views)
     for view in views:
         if branch is None and view not in model.views:
@@ -70,19 +72,19 @@ def lazy_task(
                 "describes both sides with one of these, and lpn.tasks.opening.lazy_task(branch=...) does so of any data set."
             )
         model.check_view(branch or view)
-    query_labels, gallery_labels = pictures.labels
-    if pictures.truth is None and len(set(gallery_labels.tolist())) == 1:
+    query_labels, gallery_labels = labels_of(queries), labels_of(gallery)
+    if truth is None and len(set(gallery_labels.tolist())) == 1:
         log.warning(
             "%s shows one place only, so that every answer is right; its metrics say nothing.", dataset.root.name
         )
     mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
     clauses = [f"{mirrored}each part normalised"]
     clauses += ["pictures read by Pillow without their EXIF orientation, as released"] if released else []
-    carried = released and name == "street-to-street" and pictures.truth is not None
+    carried = released and name == "street-to-street" and truth is not None
     if carried:
         contract = replace(contract, n_parts=1, level="one vector", held="", partitions={}, part_names={})
         read, clauses = _carried, [transfer.SENTENCE]
-    clauses += ["queries cropped to the part that is meant"] if any(picture.box for picture in pictures.queries) else []
+    clauses += ["queries cropped to the part that is meant"] if any(picture.box for picture in queries) else []
     if branch:
         contract = replace(contract, views=(branch,), groups=(), roles="view")
         clauses.append(f"both sides described by the {branch} branch")
@@ -99,14 +101,14 @@ def lazy_task(
         root=dataset.root,
         contract=contract,
         map_sizes={},
-        queries=pictures.queries,
-        gallery=pictures.gallery,
+        queries=queries,
+        gallery=gallery,
         query_labels=query_labels,
         gallery_labels=gallery_labels,
-        query_descriptors=lambda: describe(pictures.queries, views[0], change),
-        gallery_descriptors=lambda: describe(pictures.gallery, views[1], change),
-        truth=pictures.truth,
-        geometry=GalleryGeometry.of_dataset(dataset, pictures.queries, pictures.gallery),
+        query_descriptors=lambda: describe(queries, views[0], change),
+        gallery_descriptors=lambda: describe(gallery, views[1], change),
+        truth=truth,
+        geometry=GalleryGeometry.of_dataset(dataset, queries, gallery),
         clauses=tuple(clauses),
         change=change,
         describe=describe,

@@ -14,10 +14,10 @@ from lpn.core.arrays import Float32Array
 from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
+from lpn.datasets.integrity import check_test_split
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.retrieval import metrics
-from lpn.retrieval.sides import check_test_split
 from lpn.tasks.opening import lazy_task
 from lpn.training.training_set import paired_pictures
 
@@ -53,7 +53,7 @@ class TestSplit:
         zoom: of the pictures of each view, that of the training, see `Recipe.zoom`.
 
     Raises:
-        LPNError: when the split is incomplete or a picture of it is broken, see `lpn.retrieval.sides.check_test_split`.
+        LPNError: when the split is incomplete or a picture of it is broken, see `lpn.datasets.integrity.check_test_split`.
     """
 
     __test__ = False  # not a test, despite its name

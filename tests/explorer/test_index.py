@@ -155,9 +155,7 @@ def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace
     assert name.endswith(".html")
     assert b"14 tiles" in report
     task = workspace.tasks[TASK]
-    assert effect_on(task, None, (1, 1, 1, 0)).after == pytest.approx(
-        effect_on(live.tasks[TASK], None, (1, 1, 1, 0)).after
-    )
+    assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
     assert not part_weights.why_not(task)
     assert not changes.why_not(task)
 

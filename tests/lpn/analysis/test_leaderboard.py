@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import lpn
-from lpn.analysis.leaderboard import Leaderboard, ModelFacts, task_leaderboard
+from lpn.analysis.leaderboard import Leaderboard, ModelFacts, leaderboard
 from lpn.cli.main import main
 from lpn.core.text_tables import latex_page, markdown_page
 from lpn.descriptors.transforms import Change
@@ -84,7 +84,8 @@ def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: P
     model, dataset = lpn.load(model_file), lpn.open_dataset(data)
     task = open_source(SourceOptions(source=str(data), model=model_file)).task
     tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
-    board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20, groups=("LPN", "LPN"))
+    models = dict.fromkeys(tasks, model)
+    board = leaderboard("data", models, {}, [TASK], lambda name, _: tasks[name], resamples=20, groups=("LPN", "LPN"))
     assert board.tables[0].groups == {"LPN": [0, 1]}
     for part, parts in (("all", None), ("2", (2,))):
         result = lpn.evaluate(model, dataset, TASK, parts=parts)

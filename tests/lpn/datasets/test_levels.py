@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from rich.console import Console
@@ -12,7 +13,8 @@ from rich.console import Console
 from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import levels, open_dataset
-from lpn.retrieval.sides import TaskPictures
+from lpn.models.base import Model
+from lpn.tasks.opening import lazy_task
 from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
@@ -109,7 +111,7 @@ def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
     part = "0004 is the part test/query_drone/0004 of a data set"
     expected = f"{part}, and has no queries and gallery of its own; give {root}."
     with pytest.raises(DataError) as caught:
-        TaskPictures.of(dataset, "drone-to-satellite")
+        lazy_task(Mock(Model), dataset, "drone-to-satellite")
     assert str(caught.value) == str(dataset.no_task()) == expected
     assert main.main(["doctor", "--data", str(place)]) == 0
     printed = " ".join(capsys.readouterr().out.split())

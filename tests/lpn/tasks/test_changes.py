@@ -37,7 +37,7 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
     figures = around.metrics
     assert counts[0] == (0, 24)
     assert counts[-1] == (24, 24)
-    common = ["evaluate", "--model", str(model_file), str(data), "--rotate", "270", "--json", str(out)]
+    common = ["evaluate", str(data), "--model", str(model_file), "--rotate", "270", "--json", str(out)]
     assert main.main([*common, *options]) == 0
     expected = json.loads(out.read_text())
     assert [figures["recall@1"], figures["ap"]] == pytest.approx([expected["recall@1"], expected["ap"]])
