@@ -40,10 +40,6 @@ class Estimate:
         spread = "" if self.sd is None else f" ± {self.sd:.2f}"
         return f"{self.value:.2f}{spread} ({self.low:.2f} to {self.high:.2f})"
 
-    def difference(self) -> dict[str, float | list[float]]:
-        """Return a paired difference as JSON values."""
-        return {"difference": self.value, "interval": [self.low, self.high]}
-
 
 def intervals(values: Float64Array, labels: Int64Array, seed: int, resamples: int) -> list[Estimate]:
     """Return the mean of each row in percent with its bootstrap interval; the draws are common to all rows.
