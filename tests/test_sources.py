@@ -131,7 +131,7 @@ def test_each_command_takes_a_task_from_each_source(
     else:
         assert status == 0, told.err
         assert file.stat().st_size > 100
-        tables = [one for one in tmp_path.glob("table.md") if "| A | B | only A |" in one.read_text("utf-8")]
+        tables = [one for one in tmp_path.glob("table.md") if "| A | B | figure |" in one.read_text("utf-8")]
         assert len(tables) == (command == "compare" and source != "flight")
 
 

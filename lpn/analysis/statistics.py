@@ -19,6 +19,8 @@ RESAMPLES = 1000
 LEVEL = 0.95
 # Random swaps of a paired test; all swaps are counted where at most so many places differ.
 SWAPS, _MAX_ENUMERATED = 100_000, 16
+# A standard error in percentage points below this is that of rounding.
+_ROUNDING = 1e-9
 # Swaps that are drawn at once, and cells of the integral of Student's distribution.
 _BLOCK, _CELLS = 100, 20_000
 
@@ -84,7 +86,7 @@ def randomization_test(differences: Float64Array, labels: Int64Array, seed: int)
         for _ in range(SWAPS // _BLOCK):
             drawn = rng.integers(0, 256, (_BLOCK, -(-sums.shape[1] // 8)), np.uint8)
             swapped = np.unpackbits(drawn, axis=1, count=sums.shape[1]).astype(np.float64)
-            found += (np.abs(total[many] - 2 * swapped @ sums[many].T) >= far[many]).sum(axis=0)
+            found += (np.abs(total[many] - 2 * (swapped @ sums[many].T)) >= far[many]).sum(axis=0)
         p[many] = found / (1 + SWAPS)
     return [float(value) for value in p]
 
@@ -110,8 +112,11 @@ def _standard_error(*groups: Float64Array | Sequence[float]) -> tuple[float, flo
     if min(map(len, runs)) < 2:
         return 0.0, 0.0
     squares = [float(of.var(ddof=1)) / len(of) for of in runs]
+    total = sum(squares)
+    if total < _ROUNDING**2:
+        return 0.0, 0.0
     parts = sum(square**2 / (len(of) - 1) for square, of in zip(squares, runs, strict=True))
-    return math.sqrt(sum(squares)), sum(squares) ** 2 / parts if parts else 0.0
+    return math.sqrt(total), total**2 / parts
 
 
 def _student_tail(t: float, freedom: float) -> float:
