@@ -219,8 +219,8 @@ def results(folder: Path) -> list[FuzzCase]:
     from scipy.io import savemat
 
     from lpn.models.base import normalise
-    from lpn.retrieval.saved import load_arrays, load_saved
-    from lpn.tasks.array_task import array_task
+    from lpn.retrieval.saved import load_saved
+    from lpn.tasks.saved import array_task
 
     rng = np.random.default_rng(0)
     query, gallery = (normalise(rng.standard_normal((count, 2, 3)).astype(np.float32)) for count in (3, 4))
@@ -239,7 +239,7 @@ def results(folder: Path) -> list[FuzzCase]:
         saved.append(mat.read_bytes())
 
     def compared(query: Path) -> None:
-        _ = array_task(load_arrays(query, g, paths), "q").metrics
+        _ = array_task(query, g, paths).metrics
 
     def pack(data: bytes) -> bytes:
         """A MATLAB file with a variable in packed form."""
