@@ -130,7 +130,7 @@ class ExploreLive(ServeOptions, LiveInput):
 
 
 @dataclass(kw_only=True)
-class Stories:
+class StoryList:
     """List the stories that lie beside a data set or flight; lpn explore tells them."""
 
     source: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = None
@@ -164,7 +164,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
 
     # The command runs until it is stopped, so a stop is no failure.
     SERVES: ClassVar[bool] = True
-    MODES: ClassVar[dict[str, type[ExploreLive | Stories]]] = {"--live": ExploreLive, "--stories": Stories}
+    MODES: ClassVar[dict[str, type[ExploreLive | StoryList]]] = {"--live": ExploreLive, "--stories": StoryList}
 
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""

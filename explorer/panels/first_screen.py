@@ -70,7 +70,7 @@ _DISPUTED = {
 _BRING = """\
 pip install "lpn-explorer[maps]"
 lpn map ortho.tif --out maps/here
-lpn explore flight --map maps/here --flight photos/ --model city-lpn"""
+lpn explore photos/ --map maps/here --model city-lpn"""
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from lpn.tasks.task import Task
 
 # Endings of the files that tables are written to.
-_ENDINGS = (".html", ".htm", ".md", ".tex", ".csv")
+_ENDINGS = (".md", ".tex", ".csv", ".html", ".htm")
 
 
 @dataclass(kw_only=True)

@@ -311,9 +311,7 @@ def _below(root: Path, file: Path) -> str:
 
 def print_report(report: DataSetReport, console: Console) -> None:
     """Print a report with a few names of each kind; `to_dict` has all names."""
-    console.print(f"{report.root} is {report.title}.", markup=False, highlight=False)
     counts = [(of.name, _of(of.pictures, of.full_pictures), _of(of.places, of.full_places)) for of in report.counts]
-    TextTable(("pictures of", "pictures", "places"), counts).print(console)
     how = "decoded" if report.decoded else "read at both ends"
     lines = [f"{report.looked_at - len(report.broken)} of {report.looked_at} pictures can be read ({how})."]
     lines += _some("cannot be read", [f"{item.file} {item.why}" for item in report.broken])
@@ -330,8 +328,8 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines += [text for text in (report.gap or report.positions, *report.refused) if text]
     lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
-    for line in lines:
-        console.print(line, markup=False, highlight=False)
+    title, head = f"{report.root} is {report.title}.", ("pictures of", "pictures", "places")
+    TextTable(head, counts, title, "\n".join(lines)).print(console)
 
 
 def _of(count: int, full: int | None) -> str:

@@ -113,7 +113,7 @@ class FlightSource(TaskSource):
             return True
         # A folder of photos is a flight by the map under it.
         marked = any(not layout.deep and layout.recognises(options.path) for layout in known_layouts())
-        return options.map is not None and options.path.is_dir() and not marked
+        return options.map is not None and not options.path.is_file() and not marked
 
     @property
     def map_path(self) -> Path:

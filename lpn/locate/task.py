@@ -66,7 +66,9 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     if retrieval is None:
         raise InputError("The flight was located without a model, so there is no ranking to explore; give a model.")
     if retrieval.turned_windows is not None:
-        raise InputError("The index holds turned windows, in place of turned photos; explore it by lpn explore index.")
+        raise InputError(
+            "The index holds turned windows, in place of turned photos; give the flight as SOURCE with --index."
+        )
     for view in ("satellite", "drone"):
         model.check_view(view)
     turns = [0 if i in retrieval.broken else retrieval.best_turn(i) for i in range(len(located.frames))]

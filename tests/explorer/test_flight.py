@@ -41,6 +41,7 @@ from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
+from lpn.core.demo import DEMO
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
@@ -248,9 +249,9 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
     [
         (
             ["--map", "a.tif", "--model", "m.onnx"],
-            "lpn explore index, lpn explore flight, and lpn explore live have it",
+            "--map is of a source, and none is given; name it: lpn explore SOURCE.",
         ),
-        (["--no-register"], "lpn explore flight"),
+        ([str(DEMO), "--no-register"], "demo is a data set, and --no-register fits a flight; leave it out."),
         (
             ["monday", "--map", "a.tif", "--model", "m.onnx", "--beside-kind", "dac"],
             "--beside-kind needs --beside",

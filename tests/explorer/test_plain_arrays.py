@@ -14,6 +14,7 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn.analysis import breakdown
 from lpn.cli.main import main
+from lpn.core.demo import DEMO
 from lpn.sources import SourceOptions
 
 
@@ -53,7 +54,10 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (["--paths", "paths.csv"], "--paths is of a source, and none is given"),
-        (["city", "--paths", "paths.csv"], "city is a data set, and --paths fits arrays of descriptors; leave it out"),
+        (
+            [str(DEMO), "--paths", "paths.csv"],
+            "demo is a data set, and --paths fits arrays of descriptors; leave it out",
+        ),
         (["absent.npy", "--gallery", "absent.npy"], "no file of query descriptors at absent.npy"),
     ],
 )

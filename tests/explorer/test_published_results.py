@@ -18,7 +18,7 @@ from lpn.datasets import open_dataset
 from lpn.models.base import normalise
 from lpn.retrieval.saved import PublishedResult
 from lpn.sources import SourceOptions
-from lpn.tasks.published_task import published_task
+from lpn.tasks.saved import published_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 

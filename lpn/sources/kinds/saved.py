@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -15,10 +14,8 @@ from lpn.sources.options import SourceOptions
 from lpn.sources.recognise import TaskSource, file_names, no_progress
 
 if TYPE_CHECKING:
-    from lpn.retrieval.saved import PlainArrays, PublishedResult
+    from lpn.retrieval.saved import PublishedResult
     from lpn.tasks.task import Task
-
-log = logging.getLogger(__name__)
 
 _TAKEN = frozenset(("data", "n_parts", "csls", "centre", "parts"))
 
@@ -58,7 +55,7 @@ class ResultSource(SavedSource):
 
     def task(self) -> Task:
         from lpn.datasets import open_dataset
-        from lpn.tasks.published_task import published_task
+        from lpn.tasks.saved import published_task
 
         if self.options.data is None:
             raise InputError(
@@ -68,7 +65,7 @@ class ResultSource(SavedSource):
 
     def to_measure(self) -> list[Task]:
         from lpn.datasets import open_dataset
-        from lpn.tasks.published_task import saved_task
+        from lpn.tasks.saved import saved_task
 
         dataset = None if self.options.data is None else open_dataset(self.options.data)
         return [weighted(saved_task(self.load(), dataset), None, self.options.csls)]
@@ -95,38 +92,24 @@ class ArraySource(SavedSource):
         return file_names(*(path for path in (self.options.path, self.options.gallery) if path is not None))
 
     def task(self) -> Task:
-        from lpn.tasks.array_task import array_task
-
-        return array_task(self.load(), printable(self.options.path.name))
-
-    def to_measure(self) -> list[Task]:
-        from lpn.tasks.array_task import array_task
-
-        paths = self.options.paths
-        if paths is None:
-            raise InputError("Plain arrays are measured with their list of pictures; give it as --paths.")
-        arrays = self.load()
-        by_metres = not arrays.labelled.any() and arrays.all_positions is not None
-        if not (by_metres or arrays.labelled.all()):
-            raise InputError(
-                f"{int((~arrays.labelled).sum())} of {len(arrays.labelled)} queries have no label in {paths.name} that "
-                "tells what is right; add their labels."
-            )
-        positions = [*arrays.query_positions, *arrays.positions]
-        if 0 < (unknown := positions.count(None)) < len(positions):
-            log.warning(
-                "%d of %d pictures in %s have no position, so there are no errors in metres.",
-                unknown,
-                len(positions),
-                paths.name,
-            )
-        return [weighted(array_task(arrays, printable(self.options.path.name)), None, self.options.csls)]
-
-    def load(self) -> PlainArrays:
-        """Read the arrays, see `load_arrays` for the errors."""
-        from lpn.retrieval.saved import check_n_parts, load_arrays
+        from lpn.retrieval.saved import check_n_parts
+        from lpn.tasks.saved import array_task
 
         options = self.options
         n_parts = None if options.n_parts is None else check_n_parts(options.n_parts)
         gallery = options.path if options.gallery is None else options.gallery
-        return load_arrays(options.path, gallery, options.paths, n_parts, options.order, options.data)
+        return array_task(options.path, gallery, options.paths, n_parts, options.order, options.data)
+
+    def to_measure(self) -> list[Task]:
+        paths = self.options.paths
+        if paths is None:
+            raise InputError("Plain arrays are measured with their list of pictures; give it as --paths.")
+        task = self.task()
+        known, places = task.known, task.geometry
+        by_metres = places is not None and None not in places.queries
+        if known is not None and (known.any() or not by_metres):
+            raise InputError(
+                f"{int((~known).sum())} of {len(known)} queries have no label in {paths.name} that tells what is right; add "
+                "their labels."
+            )
+        return [weighted(task, None, self.options.csls)]

@@ -24,7 +24,7 @@ from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.retrieval.saved import PublishedResult
 from lpn.tasks.measure import RankedModel
-from lpn.tasks.published_task import saved_task
+from lpn.tasks.saved import saved_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 

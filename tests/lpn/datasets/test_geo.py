@@ -53,15 +53,16 @@ def test_names_of_a_folder_further_down_find_their_positions() -> None:
         return {path: geo.Position(i, 0) for i, path in enumerate(paths)}
 
     def matched(known: dict[str, geo.Position], *names: str) -> list[float | None]:
-        return [None if place is None else place.latitude for place in geo.match(known, names)]
+        return [None if place is None else place.latitude for place in Positions(Path(), known).match(names)]
 
     assert matched(found("a.png", "b/a.png"), "a.png", "b/a.png", "c.png") == [0, 1, None]
     assert matched(found("x/y/a.png", "z/a.png", "x/y/b/a.png"), "a.png", "b/a.png") == [0, 2]
     assert matched(found("x/a.png", "a.png"), "a.png") == [1]  # the file's own folder
     assert matched({}, "a.png") == [None]
     with pytest.raises(InputError, match="below both x/ and y/, at other places"):
-        geo.match(found("x/a.png", "y/a.png"), ["a.png"])
-    assert geo.match(dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2)), ["a.png"]) == [geo.Position(1, 2)]
+        Positions(Path(), found("x/a.png", "y/a.png")).match(["a.png"])
+    alike = dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2))
+    assert Positions(Path(), alike).match(["a.png"]) == [geo.Position(1, 2)]
 
 
 def test_a_camera_stands_behind_what_it_shows() -> None:

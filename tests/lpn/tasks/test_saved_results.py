@@ -18,7 +18,7 @@ from lpn.retrieval.saved import load_saved
 from lpn.tasks.changes import averaged, centred, changed, with_parts
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
-from lpn.tasks.published_task import saved_task
+from lpn.tasks.saved import saved_task
 from lpn.tasks.task import Task
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.published_results import contents
