@@ -379,7 +379,8 @@ def _differences(
             rows = np.stack([np.concatenate([one[name] - two[name] for one, two in values]) for name in names])
             result[task][reading] = {
                 name: {
-                    **estimate.difference(),
+                    "difference": estimate.value,
+                    "interval": [estimate.low, estimate.high],
                     "better": int((row > 0).sum()),
                     "worse": int((row < 0).sum()),
                 }

@@ -471,7 +471,7 @@ class ExplainWindow:
         task, weights = content.analysis.task, pair.comparison.change.weights
         effect = None
         try:
-            effect = effect_on(task, pair.ranking.weights, weights)
+            effect = effect_on(replace(task, weights=pair.ranking.weights), weights)
         finally:
             self._replace_pair(pair, replace(pair, effect=effect, computing=False))
 

@@ -118,7 +118,7 @@ def answer_lines(
     altered = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))
 
     judged = (
-        place_text.criterion(workspace),
+        place_text.criterion(workspace, task),
         answer_text.limit(analysis, workspace),
         answer_text.tag_limit(analysis, workspace),
         answer_text.doubts(workspace),

@@ -78,9 +78,11 @@ def off_map(tile: Picture, answer: str) -> str:
     return f"{100 * share:.0f} % of {answer} is off the map, and black to the model." if share > 0 else ""
 
 
-def criterion(workspace: Workspace) -> str:
+def criterion(workspace: Workspace, task: Task) -> str:
     """Say within what an answer counts as right, and who is the judge."""
     flight = workspace.flight
+    if flight is None and task.of_map:
+        return "Right is a piece on which the photo's GPS tag lies."
     if flight is None or flight.retrieval is None:
         judges = f"the plan of the {say('rendered')} city" if shows_rendered(workspace.root) else "the data set"
         return f"Right is an answer that shows the same place; {judges} is the judge."

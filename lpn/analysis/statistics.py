@@ -19,6 +19,8 @@ RESAMPLES = 1000
 LEVEL = 0.95
 # Random swaps of a paired test; all swaps are counted where at most so many places differ.
 SWAPS, _MAX_ENUMERATED = 100_000, 16
+# A standard error in percentage points below this is that of rounding.
+_ROUNDING = 1e-9
 # Swaps that are drawn at once, and cells of the integral of Student's distribution.
 _BLOCK, _CELLS = 100, 20_000
 
@@ -39,10 +41,6 @@ class Estimate:
     def __str__(self) -> str:
         spread = "" if self.sd is None else f" ± {self.sd:.2f}"
         return f"{self.value:.2f}{spread} ({self.low:.2f} to {self.high:.2f})"
-
-    def difference(self) -> dict[str, float | list[float]]:
-        """Return a paired difference as JSON values."""
-        return {"difference": self.value, "interval": [self.low, self.high]}
 
 
 def intervals(values: Float64Array, labels: Int64Array, seed: int, resamples: int) -> list[Estimate]:
@@ -74,8 +72,9 @@ def randomization_test(differences: Float64Array, labels: Int64Array, seed: int)
         labels: the place of each query, (Q,).
     """
     sums = _of_places(differences, labels)
+    total = sums.sum(axis=1)
     # The rounding of sums must not part swaps of equal means.
-    far = np.abs(sums.sum(axis=1)) - 1e-9 * np.abs(sums).sum(axis=1)
+    far = np.abs(total) - 1e-9 * np.abs(sums).sum(axis=1)
     many = np.count_nonzero(sums, axis=1) > _MAX_ENUMERATED
     p = np.ones(len(sums))
     for row in np.flatnonzero(~many):
@@ -85,8 +84,9 @@ def randomization_test(differences: Float64Array, labels: Int64Array, seed: int)
     if many.any():
         rng, found = np.random.default_rng(seed), np.ones(int(many.sum()))
         for _ in range(SWAPS // _BLOCK):
-            signs = 2.0 * rng.integers(0, 2, (_BLOCK, sums.shape[1]), np.int8) - 1
-            found += (np.abs(signs @ sums[many].T) >= far[many]).sum(axis=0)
+            drawn = rng.integers(0, 256, (_BLOCK, -(-sums.shape[1] // 8)), np.uint8)
+            swapped = np.unpackbits(drawn, axis=1, count=sums.shape[1]).astype(np.float64)
+            found += (np.abs(total[many] - 2 * (swapped @ sums[many].T)) >= far[many]).sum(axis=0)
         p[many] = found / (1 + SWAPS)
     return [float(value) for value in p]
 
@@ -112,8 +112,11 @@ def _standard_error(*groups: Float64Array | Sequence[float]) -> tuple[float, flo
     if min(map(len, runs)) < 2:
         return 0.0, 0.0
     squares = [float(of.var(ddof=1)) / len(of) for of in runs]
+    total = sum(squares)
+    if total < _ROUNDING**2:
+        return 0.0, 0.0
     parts = sum(square**2 / (len(of) - 1) for square, of in zip(squares, runs, strict=True))
-    return math.sqrt(sum(squares)), sum(squares) ** 2 / parts if parts else 0.0
+    return math.sqrt(total), total**2 / parts
 
 
 def _student_tail(t: float, freedom: float) -> float:

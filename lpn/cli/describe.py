@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, Literal
 
-import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import View
@@ -130,7 +129,7 @@ class DescribeCommand(ModelOptions):
         return 0
 
     def _model(self, view: View) -> Model:
-        return lpn.load(self.model, self.provider, self.kind, self.pooling).in_role(view, self.role)
+        return self.load().in_role(view, self.role)
 
     def _report(self, store: Store, model: Model, rows: str = "pictures") -> None:
         shape = " x ".join(map(str, store.descriptors.shape))

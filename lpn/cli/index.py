@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,7 +13,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
-from lpn.sources import KindOption, PoolingOption, ProviderOption
+from lpn.sources import ModelOptions
 
 if TYPE_CHECKING:
     from lpn.index import SearchResult
@@ -129,18 +129,16 @@ class IndexCommand:
         return f"The tiles that {printable(_displayed(self.out))} has by now are kept; the same command goes on."
 
 
-@dataclass
-class SearchCommand:
+@dataclass(kw_only=True)
+class SearchCommand(ModelOptions):
     """Find the tiles of an index that a picture matches best, and each part's share of the distance."""
 
     index: str
     """Folder of the index, or milvus://host:port/collection."""
-    model: Path
+    model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""
-    kind: KindOption = None
-    pooling: PoolingOption = None
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0
@@ -149,7 +147,6 @@ class SearchCommand:
     """Weight of each part, such as 1,1,0,1; equal by default."""
     top: int = 10
     """Number of listed tiles."""
-    provider: ProviderOption = "auto"
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     json: Path | None = None
@@ -165,7 +162,7 @@ class SearchCommand:
 
         check_count(self.top)
         check_outputs((self.json, ".json"))
-        model = lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
+        model = self.load()
         # An index holds a gallery (`lpn.index.tiles`).
         model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))

@@ -7,18 +7,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-import lpn
 from lpn.cli.live import LocateLive, MapError
 from lpn.core.demo import own_file
 from lpn.core.errors import InputError
 from lpn.core.files import check_writable, printable
 from lpn.core.numbers import upper_bound
-from lpn.core.resources import ProviderName
-from lpn.models.adapters import Kind
 from lpn.sources import Advanced, ModelOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from lpn.core.consoles import Console
     from lpn.flights import Flight
@@ -101,20 +98,7 @@ class LocateCommand(ModelOptions):
             check_suffix(self.out)
             check_writable(self.out)
         console = wide_console()
-        survey: list[MatchedSurvey] = []
-        located = locate_files(
-            self.map,
-            self.flight,
-            self.model,
-            self.kind,
-            self.provider,
-            self._options(),
-            self.limit,
-            self.corrections,
-            self.index,
-            self.pooling,
-            lambda basemap, flight: survey.extend(self._survey(basemap, flight, console)),
-        )
+        survey, located = self.located(console)
         track = best_track(located) if self.best else full_track(located)
         if self.out is not None:
             write_track(self.out, located.flight.name, track)
@@ -123,8 +107,8 @@ class LocateCommand(ModelOptions):
                 console.print(sentence, highlight=False, soft_wrap=True, markup=False)
         print_summary(located, console)
         errors = None
-        if survey:
-            rows = compare_surveyed(located, survey[0])
+        if survey is not None:
+            rows = compare_surveyed(located, survey)
             errors = summarise_surveyed(rows)
             _print_surveyed(errors, survey_remarks(rows, len(located.frames)), console)
             if self.residuals is not None:
@@ -141,17 +125,49 @@ class LocateCommand(ModelOptions):
         """Return how to go on after a stop."""
         return "Photos that are done are kept; give the same command again."
 
-    def _survey(self, basemap: Map, flight: Flight, console: Console) -> list[MatchedSurvey]:
-        """Return the surveyed positions, none without a table; what is wrong with them is told before the flight is located."""
+    def located(self, console: Console) -> tuple[MatchedSurvey | None, LocatedFlight]:
+        """Match the surveyed positions, if there are any, and locate the flight, with a progress bar.
+
+        Raises:
+            InputError: if the limit is below 1, a kind, a pooling, or an index comes without a model, or sizes beside an index.
+        """
+        from lpn.core.consoles import stage_bars
+        from lpn.flights import open_flight
+        from lpn.locate import corrections
+        from lpn.locate.index_windows import WindowIndex
+        from lpn.locate.pipeline import locate
+        from lpn.maps import open_map
+
+        if self.limit is not None and self.limit < 1:
+            raise InputError(f"The limit is {self.limit} photos; expected 1 or more.")
+        for option, given in (("--kind", self.kind), ("--pooling", self.pooling)):
+            if given is not None and self.model is None:
+                raise InputError(f"{option} needs --model; give both, or leave it out.")
+        if self.index is not None and (self.model is None or self.size is not None):
+            raise InputError(
+                "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without "
+                "--size."
+            )
+        options, basemap, flight = self._options(), open_map(self.map), open_flight(self.flight)
+        flight = replace(flight, frames=flight.frames[: self.limit])
+        survey = self._survey(basemap, flight, console)  # what is wrong with it is told before the flight is located
+        kept = corrections.read_corrections(own_file(self.flight, corrections.NAME)) if self.corrections else {}
+        network = None if self.model is None else self.load()
+        indexed = None if self.index is None or network is None else WindowIndex(self.index, network, basemap)
+        with stage_bars("{}") as report:
+            return survey, locate(basemap, flight, network, options, report, kept, indexed)
+
+    def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
+        """Return the surveyed positions; None without a table."""
         from lpn.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
 
         if self.positions is None:
-            return []
+            return None
         positions = read_surveyed(self.positions, basemap.frame, self.crs)
         survey = match_surveyed([frame.name for frame in flight.frames], positions, basemap)
         if sentence := strangers_sentence(survey):
             console.print(sentence, highlight=False, soft_wrap=True, markup=False)
-        return [survey]
+        return survey
 
     def _check_files_differ(self) -> None:
         """Raise InputError if two of the options name one file."""
@@ -205,57 +221,6 @@ def _measures(
             stage: {point: asdict(summary) for point, summary in points.items()} for stage, points in surveyed.items()
         }
     return result
-
-
-def locate_files(
-    map_path: Path,
-    flight_path: Path,
-    model: Path | None,
-    kind: Kind | None,
-    provider: ProviderName,
-    options: LocateOptions,
-    limit: int | None,
-    corrected: bool,
-    index: str | None = None,
-    pooling: str | None = None,
-    on_opened: Callable[[Map, Flight], None] | None = None,
-) -> LocatedFlight:
-    """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
-
-    Args:
-        index: of the map's windows, see `WindowIndex`.
-        kind, pooling: of the model, see `lpn.load`.
-        on_opened: called with map and flight before anything is computed; an exception that it raises stops the run.
-
-    Raises:
-        InputError: if the limit is below 1, a kind, a pooling, or an index is given without a model, or sizes are given beside
-            an index.
-    """
-    from lpn.core.consoles import stage_bars
-    from lpn.flights import open_flight
-    from lpn.locate import corrections
-    from lpn.locate.index_windows import WindowIndex
-    from lpn.locate.pipeline import locate
-    from lpn.maps import open_map
-
-    if limit is not None and limit < 1:
-        raise InputError(f"The limit is {limit} photos; expected 1 or more.")
-    for option, given in (("--kind", kind), ("--pooling", pooling)):
-        if given is not None and model is None:
-            raise InputError(f"{option} needs --model; give both, or leave it out.")
-    if index is not None and (model is None or options.sizes is not None):
-        raise InputError(
-            "An index has the windows that the retrieval ranks, and their sizes; give --index with --model and without --size."
-        )
-    basemap, flight = open_map(map_path), open_flight(flight_path)
-    flight = replace(flight, frames=flight.frames[:limit])
-    if on_opened is not None:
-        on_opened(basemap, flight)
-    kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
-    network = None if model is None else lpn.load(model, provider, kind=kind, pooling=pooling)
-    indexed = None if index is None or network is None else WindowIndex(index, network, basemap)
-    with stage_bars("{}") as report:
-        return locate(basemap, flight, network, options, report, kept, indexed)
 
 
 def _share(percent: float) -> str:

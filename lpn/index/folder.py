@@ -284,20 +284,16 @@ class FolderIndex(Index):
     def tiles(self) -> tuple[list[str], Float32Array, Float64Array]:
         """See `Index.tiles`; the descriptors of a single segment stay on disk."""
         segments = self._current().segments
-        rows = [np.arange(one.rows) if one.alive is None else np.flatnonzero(one.alive) for one in segments]
-        names = [name for segment, some in zip(segments, rows, strict=True) for name in segment.names(some)]
-        positions = [segment.positions[some] for segment, some in zip(segments, rows, strict=True)]
-        vectors = np.empty((0, self.kind.numbers), np.float32)
-        if len(segments) == 1 and segments[0].alive is None:
-            vectors = segments[0].in_order
-        elif names:
-            vectors = np.empty((len(names), self.kind.numbers), np.float32)
-            start = 0
-            for batch in (batch for segment in segments for batch in segment.batches(segment.alive)):
-                vectors[start : start + len(batch.names)] = batch.vectors
-                start += len(batch.names)
-        shaped = vectors.reshape(len(names), self.kind.n_parts, self.kind.embedding)
-        return names, shaped, np.concatenate([np.zeros((0, 2)), *positions])
+        rows, on_disk = sum(one.size for one in segments), len(segments) == 1 and segments[0].alive is None
+        vectors = segments[0].in_order if on_disk else np.empty((rows, self.kind.numbers), np.float32)
+        names: list[str] = []
+        positions = [np.zeros((0, 2))]
+        for batch in (batch for segment in segments for batch in segment.batches(segment.alive)):
+            if not on_disk:
+                vectors[len(names) : len(names) + len(batch.names)] = batch.vectors
+            names += batch.names
+            positions.append(batch.positions)
+        return names, vectors.reshape(rows, self.kind.n_parts, self.kind.embedding), np.concatenate(positions)
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""

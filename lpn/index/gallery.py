@@ -86,5 +86,8 @@ def open_gallery(index: Index, queries: IndexQueries, on_progress: CountProgress
             f"{MOST_TILES:,} at most, so give fewer queries, or search with lpn search."
         )
     on_progress(total, total)
-    chosen = f"of {count:,} in the index: the {PROPOSED} that {index.engine} proposes for each query, and the true ones"
-    return IndexGallery(list(names), *index.read(list(names)), f"{chosen}; ranks and AP are among these")
+    chosen = (
+        f"of {count:,} in the index: the {PROPOSED} that its engine ({index.engine}) proposes for each query, and the true ones; "
+        "ranks and AP are among these"
+    )
+    return IndexGallery(list(names), *index.read(list(names)), chosen)

@@ -249,7 +249,7 @@ class Cases:
             margin=margin,
             without=counterfactual.ranks_without_parts(ranking),
             change=change,
-            effect=None if change is None else effect_on(task, task.weights, change.weights, task.outcomes.rank),
+            effect=None if change is None else effect_on(task, change.weights),
         )
 
     def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:

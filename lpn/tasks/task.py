@@ -145,7 +145,7 @@ class Task:
     @property
     def of_map(self) -> bool:
         """True if the tiles are pieces of a map, whatever took its picture."""
-        return len(self.gallery) > 0 and self.gallery[0].cut is not None
+        return len(self.gallery) > 0 and self.gallery[0].cut is not None and not self.gallery[0].missing
 
     @property
     def views(self) -> tuple[View, View]:

@@ -18,7 +18,7 @@ from explorer.failure_lab.map_page import MapPage
 from explorer.failure_lab.service import FailureLab
 from explorer.failure_lab.state import LabState
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, pages
+from explorer.panels import answer_text, pages, place_text
 from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
@@ -155,9 +155,7 @@ def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace
     assert name.endswith(".html")
     assert b"14 tiles" in report
     task = workspace.tasks[TASK]
-    assert effect_on(task, None, (1, 1, 1, 0)).after == pytest.approx(
-        effect_on(live.tasks[TASK], None, (1, 1, 1, 0)).after
-    )
+    assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
     assert not part_weights.why_not(task)
     assert not changes.why_not(task)
 
@@ -208,6 +206,7 @@ def test_a_flight_is_searched_for_among_windows(
     assert workspace.mosaic(analysis.task).shape[2] == 3
     west, south, east, north = analysis.task.geometry.bounds()
     assert (east - west, north - south) == pytest.approx((200, 200), abs=1)
+    assert place_text.criterion(workspace, task) == "Right is a piece on which the photo's GPS tag lies."
     unknown = analyser.analyse(_state(0), 10)
     assert unknown.ranking.relevant is None
     assert answer_text.verdict(unknown, workspace)[0] is None
@@ -235,7 +234,7 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
             # It is the nearest of all windows that hold the tag.
             assert ranks[0].score == pytest.approx(ranks[1].score, abs=1e-6)
     workspace = open_source(source)
-    assert "that exact proposes for each query" in pages.header(workspace, workspace.tasks[TASK])
+    assert "that its engine (exact) proposes for each query" in pages.header(workspace, workspace.tasks[TASK])
 
 
 def test_windows_without_their_map_are_placeholders(
@@ -244,6 +243,7 @@ def test_windows_without_their_map_are_placeholders(
     workspace = open_source(SourceOptions(source=str(flown[0]), model=model_file, data=data))
     analysis = StateAnalyser(workspace).analyse(replace(_state(0), why=True), 10)
     assert "give that map as --map" in evidence.page(analysis, workspace)
+    assert not analysis.task.of_map
     assert workspace.card(analysis.task, analysis.chosen.index).std() < 60
     assert analysis.ranking.relevant is None  # the data set's places are not in the index
 

@@ -54,7 +54,10 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
     ("options", "message"),
     [
         (["--paths", "paths.csv"], "--paths is of a source, and none is given"),
-        ([str(DEMO), "--paths", "paths.csv"], "demo is a data set, and --paths fits arrays of descriptors; leave it out"),
+        (
+            [str(DEMO), "--paths", "paths.csv"],
+            "demo is a data set, and --paths fits arrays of descriptors; leave it out",
+        ),
         (["absent.npy", "--gallery", "absent.npy"], "no file of query descriptors at absent.npy"),
     ],
 )

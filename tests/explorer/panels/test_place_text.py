@@ -79,8 +79,9 @@ def test_the_judge_of_right_answers_is_named() -> None:
     place = workspace_of(DEMO_FLIGHT)
     place.flight.retrieval = SimpleNamespace(sizes=np.array([99.2, 99.2]))
     place.flight.late_tags = None
+    task = cast(Any, SimpleNamespace(of_map=True))
     said = "Right is a piece, 99 m wide, on which the photo's middle lies; its GPS tag is the judge."
-    assert (place_text.criterion(place), place_text.season(place)) == (
+    assert (place_text.criterion(place, task), place_text.season(place)) == (
         said,
         "Map and photos are of different seasons.",
     )
@@ -91,7 +92,7 @@ def test_the_judge_of_right_answers_is_named() -> None:
     same.flight.retrieval, same.choices = SimpleNamespace(sizes=np.array([26.0, 99.6])), place.choices
     same.flight.late_tags = SimpleNamespace(lag=2.71, median=15.2)
     same.opened = lambda: {"other": place}
-    assert place_text.criterion(same) == (
+    assert place_text.criterion(same, task) == (
         "Right is a piece, 26 to 100 m wide, on which the photo's middle lies, so the middle of a large piece may lie farther "
         "off than that of a small one. GPS tags here lie 15 m off in the median, some of "
         "which a lag of 2.7 s explains, so the judge is the program's second method, which lays the photo's details over the "

@@ -113,3 +113,4 @@ def test_welchs_test_is_scipys(first: int, second: int) -> None:
 def test_welchs_test_takes_several_runs_with_a_spread() -> None:
     assert welch_test(np.array([70.0]), np.array([71.0, 72.0])) is None
     assert welch_test(np.array([70.0, 70.0]), np.array([71.0, 71.0])) is None
+    assert welch_test(np.array([70.0, 70.0 + 1e-13]), np.array([71.0, 71.0])) is None

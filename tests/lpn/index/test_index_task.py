@@ -185,7 +185,8 @@ def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
     task = index_task(model, "model.onnx", index, queries, on_progress=lambda *count: said.append(count))
     assert said[0] == (0, 10)
     assert said[-1] == (10, 10)
-    sentence = f"of 30 in the index: the 2 that {engine} proposes for each query, and the true ones; ranks and AP are among these"
+    proposed = f"the 2 that its engine ({engine}) proposes for each query"
+    sentence = f"of 30 in the index: {proposed}, and the true ones; ranks and AP are among these"
     assert 10 <= task.tiles < PLACES
     assert task.gallery_description == f"{task.tiles} tiles {sentence}"
     assert sentence in task.evaluate().sentence

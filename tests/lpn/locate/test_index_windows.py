@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.cli.locate import locate_files
+from lpn.cli.locate import LocateCommand
 from lpn.core.arrays import Float32Array
+from lpn.core.consoles import Console
 from lpn.core.errors import InputError, StoreError
 from lpn.flights import Flight, Frame
 from lpn.flights.base import HeadingSource
@@ -23,7 +24,6 @@ from lpn.index.from_map import index_windows as fill_index
 from lpn.index.from_map import window_describer
 from lpn.locate import index_windows
 from lpn.locate.index_windows import WindowIndex
-from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import retrieve
 from lpn.maps import Map, NamedWindow, Window
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, small_flight, write_map
@@ -220,7 +220,7 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
     for model, sizes in ((None, None), (tmp_path / "lpn.onnx", (60.0,))):
         with pytest.raises(InputError, match="give --index with --model and without --size"):
-            locate_files(tmp_path, tmp_path, model, None, "auto", LocateOptions(sizes=sizes), None, True, "index")
+            LocateCommand(map=tmp_path, flight=tmp_path, model=model, size=sizes, index="index").located(Console())
 
 
 @pytest.mark.parametrize(("told", "most"), [(None, None), (90.0, None), (None, 60)])

@@ -988,7 +988,7 @@ def test_the_command_says_beside_the_track_how_many_points_are_guesses(
 ) -> None:
     located = locate(town, flight, None, SIFT)
     located.frames[0].stages = {"retrieval": StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)}
-    monkeypatch.setattr("lpn.cli.locate.locate_files", lambda *_: located)
+    monkeypatch.setattr("lpn.cli.locate.LocateCommand.located", lambda *_: (None, located))
     track = tmp_path / "track.geojson"
     assert main(["locate", "--map", "town", "--flight", "monday", "--best", "--out", str(track)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
