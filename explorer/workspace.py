@@ -404,7 +404,10 @@ class Workspace:
         with self._mosaic_lock:
             if task.name not in self._mosaics:
                 if self.basemap is not None:
-                    drawn = mosaic.draw_map(task.geometry, self.basemap)
+                    west, south, east, north = task.geometry.bounds()
+                    origin = task.geometry.origin
+                    x, y = self.basemap.frame.xy([origin.latitude], [origin.longitude])[0].tolist()
+                    drawn, _ = self.basemap.picture((x + west, y + south, x + east, y + north), mosaic.LARGEST)
                 elif task.depth is not None:
                     drawn = mosaic.empty(task.geometry)
                 else:

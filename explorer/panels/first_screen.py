@@ -471,7 +471,7 @@ def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:
     """Return what the file of the photo says of it; () where there is no file that can be read."""
     state = analysis.state
     if state.upload is not None:
-        return () if state.upload.file is None else tuple(state.upload.file.facts)
+        return state.upload.facts
     picture = analysis.task.queries[state.query]
     path = picture.cut.frame.file if isinstance(picture.cut, TurnedFrame) else picture.path
     try:

@@ -21,8 +21,6 @@ from lpn.datasets import Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.explain import Correspondences, Evidence
-from lpn.flights import Frame
-from lpn.flights.photo_file import PhotoFile
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
 from lpn.tasks.task import RankUnderWeights, Task
@@ -37,19 +35,17 @@ class OwnPicture:
     Attributes:
         picture: (H, W, 3) uint8.
         place: latitude and longitude of the camera in degrees; None if the file has none.
-        frame: what the file tells of the camera; None if that was not read.
         key: names it in the addresses of the page that holds it; empty where none does.
         day: on which it was taken; None if its file does not tell.
-        file: the file that it was read from; None if that is not known.
+        facts: names and values that its file tells, for people.
     """
 
     name: str
     picture: UInt8Array
     place: tuple[float, float] | None = None
-    frame: Frame | None = None
     key: str = ""
     day: date | None = None
-    file: PhotoFile | None = None
+    facts: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -393,7 +393,7 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     monkeypatch.setattr("lpn.analysis.answer_context.FEWEST_GRADED", 10)
     own = small_worlds.place(3)
     data = images.jpeg(own, 90)
-    photo = OwnPicture("mine.jpg", own, file=PhotoFile.of(data, Path("mine.jpg")))
+    photo = OwnPicture("mine.jpg", own, facts=tuple(PhotoFile.of(data, Path("mine.jpg")).facts))
     with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
         patch.setattr(rendered, "is_rendered", lambda _: True)
         told = first_screen.said(wrong, workspace)
