@@ -2,7 +2,7 @@
 
 The shares s_i of the parts, with their terms under CSLS, add up to the squared distance that is ranked by. The answer has in each
 part the gain g_i = s_i(rival) - s_i(answer) over its rival, and the gains add up to its lead. The rival of a right answer is the
-nearest wrong tile. That of a wrong answer is the nearest true one, and that of an answer of unknown truth the next tile.
+nearest wrong tile, and that of a wrong answer the nearest true one. Without a known true tile, it is the next tile.
 
 - Right: a part *decides* if a wrong tile is first without it, by the parts that are left. If none does, the part of the largest
   gain *adds most* to the lead.
@@ -79,15 +79,11 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
         error_m: metres from what the query shows to the first tile; None where that is unknown.
     """
     answer = ranking.match(0)
-    if ranking.relevant is None:
-        return _unknown(ranking, answer)
     rival = ranking.hardest_negative() if answer.true else ranking.positive()
     if rival is None and answer.true:
         return Verdict(True, "Found: there is no wrong tile", "All tiles that are searched show the place.", answer)
     if rival is None:
-        return Verdict(
-            False, "No true tile", "The gallery has no tile of this place, so no answer can be right.", answer
-        )
+        return _without_truth(ranking, answer)
     words, gains = _Words(names, noun), _gains(ranking, answer, rival)
     found = Verdict(answer.true, "", "", answer, rival, gains)
     counted = np.flatnonzero(_counted(ranking))
@@ -99,12 +95,16 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
     return Verdict(answer.true, headline, sentence, answer, rival, gains, parts)
 
 
-def _unknown(ranking: Ranking, answer: Match) -> Verdict:
+def _without_truth(ranking: Ranking, answer: Match) -> Verdict:
+    """Compare an answer with the next tile where the truth is not known, or no tile is true."""
     rival = next(iter(ranking.top(2)[1:]), None)
-    if rival is None:
-        return Verdict(None, "No truth is known", "There is no other tile.", answer)
-    leads = f"It leads the next tile by {shown_difference(rival.distance2, answer.distance2):.3f}."
-    return Verdict(None, "No truth is known", leads, answer, rival, _gains(ranking, answer, rival))
+    lead = None if rival is None else shown_difference(rival.distance2, answer.distance2)
+    gains = None if rival is None else _gains(ranking, answer, rival)
+    if ranking.relevant is not None:
+        why = "The gallery has no tile of this place, so no answer can be right."
+        return Verdict(False, "No true tile", why, answer, rival, gains)
+    leads = "There is no other tile." if lead is None else f"It leads the next tile by {lead:.3f}."
+    return Verdict(None, "No truth is known", leads, answer, rival, gains)
 
 
 def _gains(ranking: Ranking, answer: Match, rival: Match) -> Float64Array:
@@ -197,8 +197,8 @@ class _Words:
             others = listed([self._short[part] for part in wrong]) if len(true) > 1 < len(wrong) else self.lower(wrong)
             return f"{self.named(true)} prefer{_s(true)} the truth, {others} {outvote} {them}"
         if len(wrong) < len(counted):
-            others = [part for part in counted if part not in wrong]
-            rest = f"{self.lower(others)} hardly differs" if len(others) == 1 else "the others hardly differ"
+            even = [part for part in counted if part not in wrong]
+            rest = f"{self.lower(even)} hardly differs" if len(even) == 1 else "the others hardly differ"
             return f"{self.named(wrong)} prefer{_s(wrong)} the wrong tile, {rest}"
         number = "Both" if len(wrong) == 2 else f"All {dict(enumerate(_NUMBERS, 3)).get(len(wrong), len(wrong))}"
         of_all = "" if len(counted) == len(self._names) else " that count"
