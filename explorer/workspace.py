@@ -565,7 +565,7 @@ class StateAnalyser:
 
         Raises:
             BusyError: when the inference queue is full; the caller may retry.
-            SupersededError: when a newer state superseded this one, see `RequestContext.retry_superseded`.
+            SupersededError: when a newer state superseded this one, see `RequestContext.answering`.
             LPNError: when the query cannot be analysed.
         """
         change = state.change

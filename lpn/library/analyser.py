@@ -97,7 +97,7 @@ class QueryAnalyser:
     ) -> None:
         self._model, self._describe_tile, self._load = model, describe_tile, load
         self._source: _LastValue[UInt8Array] = _LastValue()
-        self._query: _LastValue[DescribedPicture] = _LastValue()
+        self._query: tuple[Hashable, DescribedPicture] | None = None
         self._zoom: _LastValue[float] = _LastValue()
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
@@ -124,7 +124,18 @@ class QueryAnalyser:
         zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
         query_key = source_key, task.key, index, request.change
         change = request.change.for_picture(picture, zoom)
-        query = self._query.get(query_key, lambda: self._describe(task, index, source, change))
+        if self._query is None or self._query[0] != query_key:
+            if self._model is not None:
+                model = self._model.for_task(*task.views)
+                described = retrieval.describe_picture(model, source, task.query_view, change)
+            elif index is not None:
+                described = DescribedPicture(source, task.query_descriptors[index], None, None)
+            else:
+                raise InputError(
+                    f"{task.model_name} has no network, only descriptors; choose a query of the data set."
+                )
+            self._query = query_key, described
+        query = self._query[1]
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
@@ -160,15 +171,6 @@ class QueryAnalyser:
         if self._model is None or task.calibration is None:
             return 1.0
         return task.calibration.own_zoom(self._model, own.picture, task.query_view)
-
-    def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
-        if self._model is not None:
-            return retrieval.describe_picture(self._model.for_task(*task.views), source, task.query_view, change)
-        if index is None:
-            raise InputError(
-                f"{task.model_name} has descriptors but no network to describe other pictures; choose a query of the data set."
-            )
-        return DescribedPicture(source, task.query_descriptors[index], None, None)
 
 
 def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64Array | None:

@@ -574,7 +574,13 @@ def test_the_workbench_speaks_plain_words_until_everything_is_shown(workspace: W
     for word in ("part ", "d²", "R@1", "AP ", "cosine", "level", "gap"):
         assert word in expert
         assert word not in plain
-    for word in ("ring ", "right at once", "It leads the nearest wrong tile by ", "how far the next one is behind", "likeness"):
+    for word in (
+        "ring ",
+        "right at once",
+        "It leads the nearest wrong tile by ",
+        "how far the next one is behind",
+        "likeness",
+    ):
         assert word in plain
     state = SessionState(TASK, 4, first_screen=True, plain=True)
     everything = session_state.show_everything(state)
