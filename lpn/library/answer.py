@@ -81,6 +81,7 @@ class Answer:
     Attributes:
         task: the query's; its gallery was searched.
         name: the query's name.
+        index: the query's position; None for a picture that is none of the task's queries.
         query: the query after its change, with its descriptor.
         ranking: of the gallery, under the part weights of the search.
         matches: the nearest tiles.
@@ -104,6 +105,7 @@ class Answer:
     chosen: Match
     describe_tile: Callable[[Task, int], DescribedPicture]
     source: UInt8Array
+    index: int | None = None
     tile: DescribedPicture | None = None
     positive: Match | None = None
     errors_m: Float64Array | None = None
@@ -158,26 +160,33 @@ class Answer:
             PictureError: if the picture cannot be read any more.
         """
         tile, evidence = self._pair(rank)
-        model, contract, views = self.task.model, self.task.contract, self.task.views
-        assert model is not None  # it gave the cells
-        (one, first), (other, second) = (
-            (
-                model.as_partitioned(shown.picture, view),
-                PartAreas.of(contract, view, self.task.map_sizes[view], shown.trace),
-            )
-            for shown, view in zip((self.query, tile), views, strict=True)
-        )
+        (one, first), (other, second) = self.drawn(self.query, 0), self.drawn(tile, 1)
+        views = self.task.views
         name = printable(self.task.gallery[int(self.ranking.order[rank - 1])].name)
         titles = f"Query, {views[0]}", f"Rank {rank} of {self.task.tiles:,}, {views[1]}: {name}"
-        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, contract, (first, second)))
+        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, self.task.contract, (first, second)))
+
+    def drawn(self, described: DescribedPicture, side: int) -> tuple[UInt8Array, PartAreas | None]:
+        """Return the picture on which the parts of the query (side 0) or of a tile (1) are drawn, and their areas.
+
+        The areas are None if neither a partition nor the picture's cells are known.
+        """
+        task, view = self.task, self.task.views[side]
+        picture = described.picture if task.model is None else task.model.as_partitioned(described.picture, view)
+        return picture, PartAreas.of(task.contract, view, task.map_sizes[view], described.trace)
+
+    def described(self, match: Match) -> DescribedPicture:
+        """Return the picture of a match, described."""
+        if self.tile is not None and match.index == self.chosen.index:
+            return self.tile
+        return self.describe_tile(self.task, match.index)
 
     def _pair(self, rank: int) -> tuple[DescribedPicture, Evidence]:
         """Return the picture at a rank, described, and the evidence for it."""
         if rank not in range(1, len(self.ranking.order) + 1):
             raise InputError(f"There is no rank {rank}; the gallery has ranks 1 to {len(self.ranking.order)}.")
         match = self.ranking.match(rank - 1)
-        tile = self.tile if self.tile is not None and match.index == self.chosen.index else None
-        tile = tile or self.describe_tile(self.task, match.index)
+        tile = self.described(match)
         pair = pair_evidence(self.query, tile, self.ranking.weights, csls=self.ranking.csls_of(match.index))
         if pair is None:
             raise InputError(f"{verdicts.no_cells(self.task.contract)} Its answers have no figure.")

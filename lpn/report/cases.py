@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,7 +18,7 @@ from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweig
 from lpn.explain.part_activation import part_activation
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer, pair_evidence
-from lpn.retrieval import DescribedPicture, Match, Ranking
+from lpn.retrieval import Match
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
 
@@ -103,25 +103,20 @@ class Options:
     Attributes:
         matches: number of tiles listed for each query, 1 or more.
         change: the change that is applied to each query first.
-        compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
         said: the screen's words on a single query; they stand first.
         doubtful: queries of the task for which no tile is right for certain; they are not graded, nor counted in its figures.
-        unsure: of the report's queries, those whose answer as it is shown is not graded; by default those that are doubtful.
+        title: of a report that tells a story, which has no figures of all queries; empty for a report on queries.
+        captions: what a story says of each answer.
     """
 
     matches: int = 5
     change: Change = UNCHANGED
-    compared_tile: int | None = None
     selection: str = ""
     said: Said | None = None
     doubtful: Collection[int] = ()
-    unsure: Collection[int] | None = None
-
-    @property
-    def ungraded(self) -> Collection[int]:
-        """The queries whose answers are not graded where they are shown."""
-        return self.doubtful if self.unsure is None else self.unsure
+    title: str = ""
+    captions: Sequence[Sequence[str]] = ()
 
     def __post_init__(self) -> None:
         if self.matches < 1:
@@ -152,20 +147,22 @@ class Case:
     """One query: its answer, and what a report adds to it.
 
     Attributes:
-        doubtful: see `Options`; its place counts as not known.
+        doubtful: no tile is right for certain, so it is not graded.
+        matches: the nearest tiles, then the nearest positive if it is not among them.
         facts: names and values of the query's metadata.
-        picture: the query's picture on which parts are drawn, see `Model.as_partitioned`.
+        picture: the query's picture on which parts are drawn, see `Answer.drawn`.
         areas: of its parts; None if neither a partition nor its cells are known.
         pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
             negative. The counterpart of another tile is the nearest positive.
         margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
         without: ranks of the positive without each part; None if no positive is known.
         change: the smallest change of part weights that puts a positive first; None if impossible or needless.
-        effect: the effect of `change` on all queries of the task; None for a gallery that only searches know.
+        effect: the effect of `change` on all queries of the task; None in a story, and where only searches know the gallery.
     """
 
     answer: Answer
     doubtful: bool
+    matches: list[Match]
     facts: list[tuple[str, str]]
     picture: UInt8Array
     areas: PartAreas | None
@@ -174,12 +171,6 @@ class Case:
     without: RanksWithoutParts | None
     change: Reweighting | None
     effect: Effect | None
-
-    @property
-    def matches(self) -> list[Match]:
-        """The nearest tiles, then the nearest positive if it is not among them."""
-        listed, positive = self.answer.matches, self.answer.positive
-        return listed if positive is None or positive.rank <= len(listed) else [*listed, positive]
 
     @property
     def margin_shown(self) -> float | None:
@@ -194,25 +185,24 @@ class Cases:
     """Makes the cases of one report; caches described tiles across cases."""
 
     def __init__(self, task: Task, options: Options) -> None:
-        if options.compared_tile is not None and not 0 <= options.compared_tile < len(task.gallery):
-            raise InputError(
-                f"There is no gallery picture {options.compared_tile}; the gallery has positions 0 to {len(task.gallery) - 1}."
-            )
         if task.model is None and options.change:
             raise InputError(
                 f"{task.model_name} has saved descriptors but no network, so queries cannot be changed; leave changes out."
             )
         self._task, self._options = task, options
-        self._tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
-        self._analyser = QueryAnalyser(task.model, lambda _, index: self._tile(index))
+        self._graded = task.without_truth(options.doubtful)
+        tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
+        self._analyser = QueryAnalyser(task.model, lambda _, index: tile(index))
 
-    def make(self, query: int | OwnPicture) -> Case:
-        """Analyse one query."""
+    def make(self, query: int | OwnPicture | Answer) -> Case:
+        """Answer one query, or take the answer that is given."""
         task, options = self._task, self._options
-        index = None if isinstance(query, OwnPicture) else query
-        weights = None if task.weights is None else tuple(task.part_weights.tolist())
-        request = QueryRequest(query, options.change, weights, compare=options.compared_tile)
-        answer = self._analyser.analyse(task, request, options.matches)
+        if isinstance(query, Answer):
+            answer = query
+        else:
+            weights = None if task.weights is None else tuple(task.part_weights.tolist())
+            request = QueryRequest(query, options.change, weights)
+            answer = self._analyser.analyse(self._graded, request, options.matches)
         ranking, chosen, positive = answer.ranking, answer.chosen, answer.positive
         other = ranking.hardest_negative() if chosen.true else positive
         margin = None
@@ -220,40 +210,26 @@ class Cases:
             true, wrong = (chosen, other) if chosen.true else (other, chosen)
             margin = counterfactual.margin(ranking, true.index, wrong.index)
         change = None if positive is None or positive.rank == 1 else counterfactual.smallest_change(ranking)
+        below = [] if positive is None or positive.rank <= options.matches else [positive]
+        picture, areas = answer.drawn(answer.query, 0)
+        index = answer.index
+        placed = index is not None and (index in options.doubtful or task.truth is None or task.truth[index].known)
         return Case(
             answer=answer,
-            doubtful=index in options.ungraded,
-            facts=self._facts(index),
-            picture=self._partitioned(answer.query.picture, 0),
-            areas=self._areas(answer.query, 0),
-            pairs=tuple(self._pair(answer.query, match, ranking) for match in (chosen, other) if match is not None),
+            doubtful=placed and answer.verdict.sign is None,
+            matches=[*ranking.top(options.matches), *below],
+            facts=[] if index is None or options.title else self._facts(index),
+            picture=picture,
+            areas=areas,
+            pairs=tuple(_pair(answer, match) for match in (chosen, other) if match is not None),
             margin=margin,
             without=counterfactual.ranks_without_parts(ranking),
             change=change,
-            effect=None if change is None else self._effect(change),
+            effect=None if change is None or options.title else self._effect(change),
         )
 
-    def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:
-        task = self._task
-        return picture if task.model is None else task.model.as_partitioned(picture, task.views[side])
-
-    def _pair(self, query: DescribedPicture, match: Match, ranking: Ranking) -> Pair:
-        tile = self._tile(match.index)
-        evidence = pair_evidence(query, tile, self._task.part_weights, csls=ranking.csls_of(match.index))
-        activation = None
-        if query.trace is not None and tile.trace is not None:
-            activation = part_activation(query.trace), part_activation(tile.trace)
-        evidence_of_pair = None if evidence is None else evidence.evidence
-        return Pair(match, self._partitioned(tile.picture, 1), self._areas(tile, 1), evidence_of_pair, activation)
-
-    def _areas(self, described: DescribedPicture, side: int) -> PartAreas | None:
-        view = self._task.views[side]
-        return PartAreas.of(self._task.contract, view, self._task.map_sizes[view], described.trace)
-
-    def _facts(self, index: int | None) -> list[tuple[str, str]]:
-        if index is None:
-            return []
-        table = self._task.table
+    def _facts(self, index: int) -> list[tuple[str, str]]:
+        table = self._graded.table
         names = [column.name for column in picture_columns(table)] + [TAGS, NOTE]
         columns = [table.columns[name] for name in names if name in table.columns]
         return [
@@ -263,5 +239,14 @@ class Cases:
         ]
 
     def _effect(self, change: Reweighting) -> Effect | None:
-        task = self._task
+        task = self._graded
         return effect_on(task, task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
+
+
+def _pair(answer: Answer, match: Match) -> Pair:
+    query, tile, ranking = answer.query, answer.described(match), answer.ranking
+    evidence = pair_evidence(query, tile, ranking.weights, csls=ranking.csls_of(match.index))
+    activation = None
+    if query.trace is not None and tile.trace is not None:
+        activation = part_activation(query.trace), part_activation(tile.trace)
+    return Pair(match, *answer.drawn(tile, 1), None if evidence is None else evidence.evidence, activation)

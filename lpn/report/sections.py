@@ -35,8 +35,9 @@ class _PairEvidence:
     bars: list[Markup]
 
 
-def section(case: Case, task: Task, number: int) -> Markup:
+def section(case: Case, number: int) -> Markup:
     """Render everything about one query."""
+    task = case.answer.task
     headline, reason = summary(case)
     return render(
         "query.html.j2",

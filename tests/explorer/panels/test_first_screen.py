@@ -37,7 +37,7 @@ from explorer.panels.navigation import Navigation
 from explorer.panels.stage_controls import StageControls
 from explorer.session_state import SessionState, StateChange
 from explorer.stories import exported
-from explorer.stories.story import Step
+from explorer.stories.story import Step, Story
 from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
@@ -1044,18 +1044,10 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
         views = Mock(_workspace=workspace)
         ClientViews._draw_stage(views, analysis)
         assert views.stage.show.call_args.args[0].chosen.true is None
-        drawn = exported._slide(workspace, Step(""), analysis)
-        assert drawn.right is None
-        of_slide = [*drawn.analysis.matches, drawn.analysis.chosen, *(match for match, *_ in drawn.ranked)]
-        assert {one.true for one in of_slide} == {None}
-        assert drawn.analysis.positive is not None
-        assert drawn.analysis.positive.true is None
     with speaking(workspace.vocabulary(False)):
         said = text(pages.verdict(analysis, workspace))
         assert not re.search("[✓✗]|Wrong|true tile|place photographed", said)
         assert "? By its look: wrong, if its details are right The model compared 224 pieces" in said
-        drawn = exported._slide(workspace, Step(""), analysis)
-        assert (drawn.right, drawn.headline) == (None, "By its look: wrong, if its details are right")
         assert "wrong tile" not in comparison.page(analysis, workspace, compared, None, computing=False)
     # Nor do the table, the map, and a report's part for experts.
     lab = FailureLab(workspace)
@@ -1078,9 +1070,11 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
     assert (doubted in joined, placed in joined) == (False, True)
     ranking = workspace.rankings[state.task]
     assert [sign for *_, sign in entries(ranking, [doubted, placed], workspace.graded(ranking))] == [None, 0]
+    address = UrlState(workspace)
     for make in (
         lambda: reports.of_analysis(workspace, analysis),
         lambda: reports.of_selection(workspace, findings.task, [doubted], "one"),
+        lambda: exported.export(workspace, address, Story("One", (Step(address.write(analysis.state)),))),
     ):
         experts = make()[1].decode().partition("</style>")[2].partition("<section")[2]
         assert "It is not graded, as no tile is right for certain" in text(experts)
