@@ -6,15 +6,15 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from lpn.analysis.comparison import effect_on
+from lpn.analysis.comparison import Comparison, effect_on
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.numbers import shown_difference
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.drawing.part_areas import PartAreas
-from lpn.explain import Evidence, counterfactual
-from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
+from lpn.explain import Evidence
+from lpn.explain.counterfactual import Effect
 from lpn.explain.part_activation import part_activation
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer, pair_evidence
@@ -45,28 +45,47 @@ class SaidPicture:
 
 
 @dataclass(frozen=True)
-class SaidDetails:
+class DetailPin:
+    """A detail that photo and map show, by its number in both.
+
+    Attributes:
+        in_photo, on_map: per cent of the width and height of the pictures.
+        metres: from where the photo's place has it to where the map has it, two digits.
+    """
+
+    number: int
+    in_photo: tuple[float, float]
+    on_map: tuple[float, float]
+    metres: str
+
+
+@dataclass(frozen=True)
+class DetailsPair:
     """A photo beside the map about it, with the same details numbered in both.
 
     Attributes:
         sentence: how many details agree, and how well.
-        photo, ground: the pictures as data URIs.
+        photo, ground, laid: the photo, the map, and the photo laid over it, as data URIs.
         size: their width and height in pixels.
         frame: the photo's corners on the map, per cent of its width and height.
         colour: of the frame, in CSS.
-        pins: for each detail its places in photo and map, per cent of width and height, and the metres between where the photo
-            has it and where the map has it, as a number.
+        pins: the numbered details.
         limit: metres within which a detail counts, as a number.
+        heading: what points up on the map, degrees clockwise from north, -180 up to 180.
+        scale: metres of the scale, and per cent of the map's width that it takes.
     """
 
     sentence: str
     photo: str
     ground: str
+    laid: str
     size: tuple[int, int]
-    frame: tuple[tuple[float, float], ...]
+    frame: list[tuple[float, float]]
     colour: str
-    pins: tuple[tuple[tuple[float, float], tuple[float, float], str], ...]
+    pins: list[DetailPin]
     limit: str
+    heading: float
+    scale: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -93,7 +112,7 @@ class Said:
     map: tuple[tuple[str, str], ...] = ()
     reasons: tuple[tuple[str, tuple[str, ...]], ...] = ()
     judged: tuple[str, ...] = ()
-    details: SaidDetails | None = None
+    details: DetailsPair | None = None
 
 
 @dataclass(frozen=True)
@@ -154,10 +173,8 @@ class Case:
         areas: of its parts; None if neither a partition nor its cells are known.
         pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
             negative. The counterpart of another tile is the nearest positive.
-        margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
-        without: ranks of the positive without each part; None if no positive is known.
-        change: the smallest change of part weights that puts a positive first; None if impossible or needless.
-        effect: the effect of `change` on all queries of the task; None in a story, and where only searches know the gallery.
+        comparison: of the nearest positive with a wrong tile; None if no positive is known, or no tile is wrong.
+        effect: what the smallest change of weights does to all queries; None in a story, and where only searches know the gallery.
     """
 
     answer: Answer
@@ -167,18 +184,14 @@ class Case:
     picture: UInt8Array
     areas: PartAreas | None
     pairs: tuple[Pair, ...]
-    margin: Margin | None
-    without: RanksWithoutParts | None
-    change: Reweighting | None
+    comparison: Comparison | None
     effect: Effect | None
 
     @property
-    def margin_shown(self) -> float | None:
-        """The margin as it is shown beside both squared distances, see `shown_difference`; None without one."""
-        if self.margin is None:
-            return None
-        distance2 = {pair.match.index: pair.match.distance2 for pair in self.pairs}
-        return shown_difference(distance2[self.margin.negative], distance2[self.margin.positive])
+    def margin(self) -> float | None:
+        """The margin of the positive as it is shown beside both squared distances, see `shown_difference`."""
+        pair = self.comparison
+        return None if pair is None else shown_difference(pair.other.distance2, pair.followed.distance2)
 
 
 class Cases:
@@ -205,11 +218,7 @@ class Cases:
             answer = self._analyser.analyse(self._graded, request, options.matches)
         ranking, chosen, positive = answer.ranking, answer.chosen, answer.positive
         other = ranking.hardest_negative() if chosen.true else positive
-        margin = None
-        if other is not None:
-            true, wrong = (chosen, other) if chosen.true else (other, chosen)
-            margin = counterfactual.margin(ranking, true.index, wrong.index)
-        change = None if positive is None or positive.rank == 1 else counterfactual.smallest_change(ranking)
+        comparison = None if positive is None else Comparison.of(ranking, chosen)
         below = [] if positive is None or positive.rank <= options.matches else [positive]
         picture, areas = answer.drawn(answer.query, 0)
         index = answer.index
@@ -222,10 +231,8 @@ class Cases:
             picture=picture,
             areas=areas,
             pairs=tuple(_pair(answer, match) for match in (chosen, other) if match is not None),
-            margin=margin,
-            without=counterfactual.ranks_without_parts(ranking),
-            change=change,
-            effect=None if change is None or options.title else self._effect(change),
+            comparison=comparison,
+            effect=None if comparison is None or options.title else self._effect(comparison),
         )
 
     def _facts(self, index: int) -> list[tuple[str, str]]:
@@ -238,9 +245,11 @@ class Cases:
             if column.known[index]
         ]
 
-    def _effect(self, change: Reweighting) -> Effect | None:
-        task = self._graded
-        return effect_on(task, task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
+    def _effect(self, comparison: Comparison) -> Effect | None:
+        task, change = self._graded, comparison.change
+        if comparison.followed.rank == 1 or change is None or not task.lists_gallery:
+            return None
+        return effect_on(task, task.weights, change.weights, task.outcomes.rank)
 
 
 def _pair(answer: Answer, match: Match) -> Pair:

@@ -171,5 +171,5 @@ def _line(case: Case) -> _ContentsLine:
             for match, entry in ((match, answer.task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
-        case.margin_shown,
+        case.margin,
     )
