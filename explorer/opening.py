@@ -33,7 +33,6 @@ from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.opening import (
     by_csls,
     calibrated,
@@ -192,13 +191,13 @@ def _offer_scorings(
         calibrate, csls: see `open_model`.
         report: receives the progress of a calibration; by default the terminal shows it.
     """
-    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
+    tasks = list(workspace.tasks.values())
     if csls:
         check_neighbours(csls, max(len(task.queries) for task in tasks))
     asked = task_calibration(model, dataset, calibrate, report)
     ready = asked or shipped_calibration(model, dataset)
 
-    def rank(scored: Iterable[GalleryTask]) -> None:
+    def rank(scored: Iterable[Task]) -> None:
         for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
             workspace.rankings[ranking.task.key] = ranking
 

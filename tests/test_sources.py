@@ -63,7 +63,7 @@ def options(
         "data": ["--data", data, *model],
         "published": ["published", "--saved", saved, "--data", data, "--n-parts", "4"],
         "arrays": ["arrays", *arrays, "--data", data],
-        "index": ["index", "--index", index, "--data", data, *model, "--depth", "10"],
+        "index": ["index", "--index", index, "--data", data, *model],
         "flight": ["flight", *flown, *model],
     }
     special: dict[tuple[str, str], list[str | Path]] = {
@@ -77,7 +77,7 @@ def options(
             folder / "gallery.npz",
             *arrays[4:],
         ],
-        ("compare", "index"): ["index", index, folder / "again", "--data", data, *model, "--depth", "10"],
+        ("compare", "index"): ["index", index, folder / "again", "--data", data, *model],
         ("compare", "flight"): ["flight", model_file, one_part_model_file, *flown, "--page", folder / "page.html"],
         ("evaluate", "published"): ["published", "--saved", saved, "--n-parts", "4"],
         ("evaluate", "flight"): ["flight", *flown, *model, "--no-register"],
@@ -140,17 +140,15 @@ def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str]
     for source in ("data", "published", "arrays", "index"):
         assert main(["evaluate", *options("evaluate", source), "--json", str(tmp_path / "figures.json")]) == 0
         figures = json.loads((tmp_path / "figures.json").read_text())
-        recalls.append([figures["queries"], figures["gallery"], *(figures[f"recall@{k}"] for k in (1, 5, 10))])
-        # AP takes all ranks, which a search to a depth does not tell.
-        assert (figures["ap"] is None) == (source == "index")
+        recalls.append(
+            [figures["queries"], figures["gallery"], *(figures[f"recall@{k}"] for k in (1, 5, 10)), figures["ap"]]
+        )
         assert main(["failures", *options("failures", source), "--csv", str(tmp_path / "f.csv"), "--sort", "name"]) == 0
         lines = (tmp_path / "f.csv").read_text().splitlines()
         column = lines[0].split(",").index("rank")
         ranks.append([line.split(",")[column] for line in lines[1:]])
     assert all(figures == recalls[0] for figures in recalls)
-    assert ranks[0] == ranks[1] == ranks[2]
-    # A search to a depth of 10 does not tell the other ranks.
-    assert [rank if float(rank) <= 10 else "> 10" for rank in ranks[0]] == ranks[3]
+    assert ranks[0] == ranks[1] == ranks[2] == ranks[3]
 
 
 def test_an_option_of_another_source_names_that_source(capsys: pytest.CaptureFixture[str]) -> None:

@@ -67,8 +67,6 @@ def page(
         no_place=no_place(analysis),
         swatches=[theme.css(colour) for colour in colours],
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
-        depth=ranking.depth,
-        describe_rank=verdicts.describe_rank,
         effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )

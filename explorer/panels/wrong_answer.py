@@ -105,10 +105,7 @@ def _overall(listed: Int64Array, known: BoolArray, workspace: Workspace) -> str:
 def _sentence(analysis: StateAnalysis, right: str) -> str:
     compared = f"The model compared {analysis.task.tiles:,} {verdicts.pictures_of(analysis.task)} and chose"
     positive = analysis.positive
-    if positive is None:
-        came = "none of them shows the place"
-    else:
-        came = f"{right} is not near the top" if positive.beyond else f"{right} came {ordinal(positive.rank)}"
+    came = "none of them shows the place" if positive is None else f"{right} came {ordinal(positive.rank)}"
     return f"{compared} {_away(analysis)}; {came}."
 
 
@@ -160,7 +157,7 @@ def _scale(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[st
     """Say if a photo that is laid over the map shows ground of another width than the answer, and that than the right one."""
     task, registered, positive = analysis.task, workspace.details(analysis), analysis.positive
     query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
-    true = None if positive is None or positive.beyond else task.gallery[positive.index].cut
+    true = None if positive is None else task.gallery[positive.index].cut
     if registered is None or not registered.accepted or registered.width is None:
         return []
     if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(true, WindowCut):

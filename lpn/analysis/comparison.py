@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy.typing as npt
 
 from lpn.core.arrays import Int64Array
-from lpn.core.errors import InputError
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
 from lpn.retrieval import Match, Ranking
@@ -53,15 +52,7 @@ class Comparison:
 def effect_on(
     task: Task, before: npt.ArrayLike | None, after: npt.ArrayLike, first: Int64Array | None = None
 ) -> Effect:
-    """Compare two sets of part weights over all queries of a task, see `counterfactual.effect`.
-
-    Raises:
-        InputError: when the task searches its gallery, as that takes a search for each query.
-    """
-    if not task.lists_gallery:
-        raise InputError(
-            "The effect of weights on all queries takes a search for each of them, so it is computed in memory only."
-        )
+    """Compare two sets of part weights over all queries of a task, see `counterfactual.effect`."""
     return counterfactual.effect(
         *task.compared, before, after, task.query_labels, task.gallery_labels, task.truth, first
     )

@@ -50,11 +50,10 @@ class RankedModel:
         name: to display.
         task: such as "drone-to-satellite".
         gallery_name: with its size, such as "full gallery, 951".
-        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder; of an index the names of
-            the true tiles, as it does not list the others.
+        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder.
         labels: the place of each query, (Q,).
-        first: 0-based rank of each query's first true match, -1 without one, (Q,); the depth of a search beyond it.
-        precision: average precision of each query, 0 .. 1, (Q,); NaN if a search does not return all ranks.
+        first: 0-based rank of each query's first true match, -1 without one, (Q,).
+        precision: average precision of each query, 0 .. 1, (Q,).
     """
 
     name: str
@@ -146,15 +145,9 @@ class ModelTable:
 
     @cached_property
     def figures(self) -> list[dict[str, Estimate]]:
-        """For each model its `R@1`, `R@5`, `R@10`, and `AP`, in percent; without `AP` if a ranking is incomplete."""
-        ranked_all = not any(np.isnan(one.precision).any() for one in self.models)
-        names = [*(f"R@{depth}" for depth in DEPTHS), *(["AP"] if ranked_all else [])]
-        values = np.stack(
-            [
-                [*(one.within(depth) for depth in DEPTHS), *([one.precision] if ranked_all else [])]
-                for one in self.models
-            ]
-        )
+        """For each model its `R@1`, `R@5`, `R@10`, and `AP`, in percent."""
+        names = [*(f"R@{depth}" for depth in DEPTHS), "AP"]
+        values = np.stack([[*(one.within(depth) for depth in DEPTHS), one.precision] for one in self.models])
         estimates = intervals(
             values.reshape(-1, self.queries).astype(np.float64), self.models[0].labels, self.seed, self.resamples
         )
@@ -291,33 +284,16 @@ def rank_published(saved: PublishedResult, name: str, dataset: Dataset, gallery:
 def rank_task(task: Task, name: str, weights: Sequence[float] | None = None) -> RankedModel:
     """Rank an opened task, whatever it was opened from, under part weights, equal ones by default.
 
-    Indexes count as one gallery if they hold the same number of tiles and the same true ones.
-
     Raises:
         InputError: when no query's truth is known.
-        StoreError: when an index cannot be read.
     """
     task = replace(task, weights=weights)
     task.check_truth()
-    if task.lists_gallery:
-        pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
-        query, gallery = task.compared
-        if weights is not None:
-            query = query * task.part_weights[:, None]
-        return _ranked(name, task.root, pictures, "full", (query, gallery), (task.query_labels, task.gallery_labels))
-    retrieval, known = task.retrieved, task.known
-    kept = np.ones(len(task.queries), bool) if known is None else known
-    queries = np.array(geo.names_below(task.root, task.queries), object)
-    return RankedModel(
-        name,
-        task.name,
-        f"index, {task.tiles:,}",
-        tuple(queries[kept].tolist()),
-        frozenset(task.tile_name(i) for lists in task.truth or () for i in lists.good.tolist()),
-        task.query_labels[kept],
-        retrieval.first[kept],
-        retrieval.precision[kept],
-    )
+    pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
+    query, gallery = task.compared
+    if weights is not None:
+        query = query * task.part_weights[:, None]
+    return _ranked(name, task.root, pictures, "full", (query, gallery), (task.query_labels, task.gallery_labels))
 
 
 def _repeated(names: Sequence[str]) -> str:

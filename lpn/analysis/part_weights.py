@@ -51,11 +51,7 @@ def why_not(task: Task) -> str:
     """Say why a task has no figures under other part weights, as a sentence; empty if it has."""
     if task.contract.n_parts == 1:
         return "The model has one part, so there are no weights to compare."
-    if not task.lists_gallery:
-        return "These figures need the gallery in memory; in an index, other weights take a search for each query."
-    if task.known is not None and not task.known.any():
-        return task.no_truth
-    return ""
+    return task.no_truth
 
 
 class WeightedTask:

@@ -184,18 +184,16 @@ class ComparisonOfArrays(ComparisonOfSources):
 
 @dataclass(kw_only=True)
 class ComparisonOfIndexes(ComparisonOfSources):
-    """Compare several indexes of the same tiles, such as an exact one and an approximate one, by the searches of one model."""
+    """Compare several indexes of the same tiles by the rankings of one model."""
 
     indexes: Annotated[tuple[str, ...], tyro.conf.Positional]
     """Indexes, made by lpn index: folders, or milvus://host:port/collection."""
     data: Path
     """Data set of the queries."""
     model: ModelOptions
-    depth: int = 100
-    """Number of tiles that a search returns."""
 
     def _ranked(self) -> Iterator[RankedModel]:
-        sources = [Indexed(index=index, model=self.model, data=self.data, depth=self.depth) for index in self.indexes]
+        sources = [Indexed(index=index, model=self.model, data=self.data) for index in self.indexes]
         return self._ranked_sources(list(zip(self.indexes, sources, strict=True)))
 
 

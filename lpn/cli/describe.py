@@ -100,7 +100,7 @@ class DescribeCommand:
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
         named = NamedWindow.all_of(windows, basemap.frame)
-        rounded, names = [window.on(basemap.frame) for window in named], [window.name for window in named]
+        rounded, names = NamedWindow.all_on(named, basemap.frame), [window.name for window in named]
         store = describe_windows(model, basemap, rounded, self.out, view, self.precision, names)
         self._report(store, model, "windows")
         return 0

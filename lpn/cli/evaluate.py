@@ -174,7 +174,7 @@ class EvaluationOfArrays(EvaluationOfSource):
 
 @dataclass(kw_only=True)
 class EvaluationOfIndex(EvaluationOfSource):
-    """Measure recall of the searches of an index; AP needs all ranks, and a search returns only the first."""
+    """Measure the ranking of an index's tiles for the queries of a data set, of a folder, or of a flight."""
 
     source: Indexed
 

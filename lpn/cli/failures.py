@@ -131,7 +131,6 @@ def _print_breakdown(console: Console, task: Task, rows: Int64Array, top: int) -
     from lpn.tasks.query_outcomes import picture_columns
 
     table, outcomes, part_names = task.table, task.outcomes, task.part_names
-    task = task.current()
     failures = int(outcomes.failed[rows].sum())
     if failures:
         if len(part_names) > 1:

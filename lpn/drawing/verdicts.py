@@ -17,7 +17,6 @@ from lpn.explain.counterfactual import Effect, Reweighting
 from lpn.explain.lead_places import LeadPlace, middle_of
 from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.models.contract import Contract
-from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
@@ -27,11 +26,6 @@ _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "
 _ALIKE = 0.9
 # A guessed heading is right, or roughly so, within so many degrees; a sweep goes in steps of 15.
 _RIGHT_HEADING, _ROUGH_HEADING = 15.0, 45.0
-
-
-def describe_rank(match: Match) -> str:
-    """Return "12th", or "not among the 100 found" where a search did not return the tile."""
-    return f"not among the {match.rank - 1} found" if match.beyond else ordinal(match.rank)
 
 
 def describe_position(cells: Float64Array, view: View) -> str:

@@ -216,7 +216,7 @@ class Answer:
 
     def _listed(self, match: Match) -> dict[str, Any]:
         return {
-            "rank": match.rank_text if match.beyond else match.rank,
+            "rank": match.rank,
             "name": self.task.gallery[match.index].name,
             "true": match.true,
             "score": match.score,

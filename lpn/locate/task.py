@@ -28,7 +28,7 @@ from lpn.maps import Map
 from lpn.maps.named_window import WindowCut, caption_of, describe_place
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.task import Task
 
 TASK = "drone-to-satellite"
 _OFF_TAG = "Distance from the photo's GPS tag, or from its correction by hand; tags themselves may be metres off"
@@ -43,7 +43,7 @@ _VERDICTS = {
 }
 
 
-def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> GalleryTask:
+def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
     Scores are those of the retrieval. Where it centred and whitened the descriptors, the task's model does so too
@@ -75,7 +75,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(retrieval.windows_described).tobytes()).hexdigest()
     if retrieval.means:
         model = model.centred(retrieval.means, retrieval.whitening)
-    return GalleryTask(
+    return Task(
         name=TASK,
         model=model,
         model_name=printable(model_name),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -107,19 +106,16 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
     """List the results of all queries as names, percentages, and meanings; empty if no query's place is known."""
     if not task.metrics["queries"]:
         return []
-    figures = [
+    return [
         ("R@1", task.metrics["recall@1"], "true tile first"),
         ("R@5", task.metrics["recall@5"], "among the first 5"),
         ("R@10", task.metrics["recall@10"], "among the first 10"),
         ("AP", task.metrics["ap"], "mean average precision"),
     ]
-    # AP needs all ranks, and a search returns only the first.
-    return [figure for figure in figures if not math.isnan(figure[1])]
 
 
 def _gallery(task: Task) -> str:
-    tiles = f"{len(task.gallery):,} tiles" if task.lists_gallery else task.gallery_description
-    return f"{tiles}, pieces of the map" if task.of_map else tiles
+    return f"{task.gallery_description}, pieces of the map" if task.of_map else task.gallery_description
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:

@@ -46,9 +46,8 @@ class Figures:
 
     Attributes:
         gallery_name: "full gallery", or "without distractors", where the places that no query shows are dropped.
-        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery. NaN where K
-            lies beyond the depth of a search.
-        ap: mean average precision in percent; NaN if a search does not return all ranks.
+        recall: Recall@K in percent for "1", "5", "10", and "1%"; the last takes K from the size of the full gallery.
+        ap: mean average precision in percent.
         queries: number of queries (places, if queries are averaged).
         gallery: number of ranked gallery pictures; of a full gallery all that there are, junk included.
     """

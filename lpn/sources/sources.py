@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
@@ -357,8 +358,6 @@ class Indexed(TaskSource):
     """Map whose windows the index holds, from which their pictures are cut; --flight needs it."""
     flight: Path | None = None
     """Flight over that map, a folder of lpn flight or one of photos, whose frames are the queries."""
-    depth: int = 100
-    """Number of tiles that a search returns; ranks beyond it are not known."""
 
     @property
     def title(self) -> str:
@@ -374,7 +373,6 @@ class Indexed(TaskSource):
         from lpn.flights import open_flight
         from lpn.index import open_index
         from lpn.index.queries import dataset_queries, picture_queries
-        from lpn.index.shared import SharedIndex
         from lpn.index.task import index_task
         from lpn.locate.index_queries import flight_queries
         from lpn.maps import open_map
@@ -388,24 +386,18 @@ class Indexed(TaskSource):
             )
         model = self.model.load()
         scoring.part_weights(model.n_parts, weights)
-        index = SharedIndex(open_index(self.index))
         ground = None if self.map is None else open_map(self.map)
-        if self.flight is not None and ground is not None:
-            queries = flight_queries(
-                model,
-                open_flight(self.flight),
-                ground,
-                index,
-                self.flight,
-                lambda done, total: on_progress("frames", done, total),
-            )
-        elif self.pictures is not None:
-            queries = picture_queries(model, self.pictures, index, self.data)
-        else:
-            assert self.data is not None
-            queries = dataset_queries(model, open_dataset(self.data), index)
-        query_positions(names, queries.pictures, queries.data_name)
-        task = index_task(model, self.model.name, index, queries, self.depth, ground)
+        with open_index(self.index) as index:
+            if self.flight is not None and ground is not None:
+                frames = partial(on_progress, "frames")
+                queries = flight_queries(model, open_flight(self.flight), ground, index, self.flight, frames)
+            elif self.pictures is not None:
+                queries = picture_queries(model, self.pictures, index, self.data)
+            else:
+                assert self.data is not None
+                queries = dataset_queries(model, open_dataset(self.data), index)
+            query_positions(names, queries.pictures, queries.data_name)
+            task = index_task(model, self.model.name, index, queries, ground, partial(on_progress, "searches"))
         return OpenedSource([weighted(task, weights)], model, model, map=ground)
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from lpn.models.contract import Contract
 from lpn.retrieval.saved import PlainArrays, places_of
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.task import Task
 
 
-def array_task(arrays: PlainArrays, name: str) -> GalleryTask:
+def array_task(arrays: PlainArrays, name: str) -> Task:
     """Return the task of plain arrays; it has a map if every gallery picture has a position.
 
     Args:
@@ -27,7 +27,7 @@ def array_task(arrays: PlainArrays, name: str) -> GalleryTask:
         mirror="none",
     )
     tiles = places_of(arrays.positions)
-    return GalleryTask(
+    return Task(
         name="-to-".join(views),
         model=None,
         model_name=name,

@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.errors import InputError
 from lpn.datasets import Dataset
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import FULL, Figures, Result, evaluate_descriptors
+from lpn.retrieval.evaluate import Result, evaluate_descriptors
 from lpn.retrieval.protocol import Protocol
 from lpn.tasks.opening import task_calibration
 from lpn.tasks.task import Task
 
 
 def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
-    """Evaluate a task by its own descriptors, or by the searches of its index.
+    """Evaluate a task by its own descriptors.
 
     Part weights of the task do not count; CSLS of the task does, unless the protocol has its own. Queries whose truth is not
     known are left out.
 
     Args:
-        protocol: of an index only the default, as its searches compare whole descriptors.
+        protocol: what is evaluated; by default whole descriptors.
 
     Raises:
-        InputError: when no query's truth is known, or the protocol needs pictures, or descriptors that a search does not return.
-        StoreError: when an index cannot be read.
+        InputError: when no query's truth is known, or the protocol needs pictures.
     """
     task = replace(task, weights=None)
     if task.neighbours:
         protocol = replace(protocol or Protocol(), csls=(protocol and protocol.csls) or task.neighbours)
     task.check_truth()
-    if not task.lists_gallery:
-        return _evaluate_searches(task, protocol or Protocol())
     made = "descriptors as saved" if task.model is None else "each part normalised"
     result = evaluate_descriptors(
         task.sides(),
@@ -44,7 +39,11 @@ def evaluate_task(task: Task, protocol: Protocol | None = None) -> Result:
         task.truth,
         task.name,
         protocol,
-        clauses=[made, *([] if task.calibration is None else [task.calibration.describe()])],
+        clauses=[
+            made,
+            *([] if task.calibration is None else [task.calibration.describe()]),
+            *([f"tiles {task.of_index}"] if task.of_index else []),
+        ],
     )
     changed = protocol is not None and (protocol.average or protocol.csls or protocol.centre or protocol.parts)
     return result if changed else replace(result, errors=_errors(task))
@@ -58,34 +57,9 @@ def protocol_calibration(
     return task_calibration(model, dataset, False if calibrate is None and own else calibrate)
 
 
-def _evaluate_searches(task: Task, protocol: Protocol) -> Result:
-    if protocol != Protocol():
-        raise InputError(
-            "An index compares whole descriptors of queries as they are; evaluate its data set with other parts, changes, or "
-            "re-rankings."
-        )
-    started = time.perf_counter()
-    retrieval, known = task.retrieved, task.known
-    values = retrieval.metrics(known)
-    recall = {key.removeprefix("recall@"): value for key, value in values.items() if key.startswith("recall@")}
-    parts = tuple(range(1, task.contract.n_parts + 1))
-    return Result(
-        galleries=(Figures(FULL, recall, values["ap"], int(values["queries"]), task.tiles),),
-        task=task.name,
-        protocol=protocol,
-        parts=parts,
-        cropped=False,
-        listed=True,
-        sentence=f"Protocol: {task.gallery_description}; a query without a true match counts as missed; ranks beyond the depth, "
-        "and so AP, are not known.",
-        seconds=time.perf_counter() - started,
-        errors=_errors(task),
-    )
-
-
 def _errors(task: Task) -> Float64Array | None:
     """Return metres from each query of known truth to its answer, (K,); None without positions."""
-    geometry, known = task.current().geometry, task.known
+    geometry, known = task.geometry, task.known
     if geometry is None:
         return None
     answers = task.retrieved.best

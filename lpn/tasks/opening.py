@@ -24,9 +24,9 @@ from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks import notes
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.notes import Note
 from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
+from lpn.tasks.task import Task
 
 _ROLES: tuple[Role, Role] = ("query", "gallery")
 
@@ -41,7 +41,7 @@ def describe_task(
     calibration: Calibration | None = None,
     on_progress: CountProgress | None = None,
     neighbours: int = 0,
-) -> GalleryTask:
+) -> Task:
     """Describe queries and gallery of a task, or read their stored descriptors.
 
     Args:
@@ -89,7 +89,7 @@ def describe_task(
         model = calibration.applied(model)
     query_labels, gallery_labels = pictures.labels
     identities = query_side.identity, gallery_side.identity
-    return GalleryTask(
+    return Task(
         name=name,
         model=model,
         model_name=printable(model_name),
@@ -127,7 +127,7 @@ def scored_tasks(
     names: Sequence[str],
     on_progress: CountProgress | None = None,
     neighbours: int = NEIGHBOURS,
-) -> list[GalleryTask]:
+) -> list[Task]:
     """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
 
     Args:
@@ -145,7 +145,7 @@ def scored_tasks(
     return tasks + by_csls(tasks, neighbours)
 
 
-def by_csls(tasks: Iterable[GalleryTask], neighbours: int) -> list[GalleryTask]:
+def by_csls(tasks: Iterable[Task], neighbours: int) -> list[Task]:
     """Return those of some tasks that have K queries or more, re-ranked by CSLS."""
     return [replace(task, neighbours=neighbours) for task in tasks if len(task.queries) >= neighbours]
 

@@ -7,13 +7,13 @@ from lpn.datasets import Dataset
 from lpn.models.spec import Layout, ModelSpec
 from lpn.retrieval.saved import PublishedResult, published_pictures
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.task import Task
 
 # Size of the feature map for drawing rings without a network: that of a ResNet-50 at 256 pixels.
 SAVED_MAP = (16, 16)
 
 
-def published_task(saved: PublishedResult, dataset: Dataset) -> GalleryTask:
+def published_task(saved: PublishedResult, dataset: Dataset) -> Task:
     """Return the task of a published result on its pictures.
 
     Rings are drawn as University-1652's LPN divides them, and for panoramas as the published CVUSA models do.
@@ -26,7 +26,7 @@ def published_task(saved: PublishedResult, dataset: Dataset) -> GalleryTask:
     layout: Layout = "cvusa" if dataset.panoramas else "university"
     spec = ModelSpec(views=tuple(dict.fromkeys(pictures.views)), n_parts=saved.n_parts, layout=layout, shared=False)
     contract = spec.contract()
-    return GalleryTask(
+    return Task(
         name=pictures.name,
         model=None,
         model_name=saved.name,

@@ -37,13 +37,9 @@ def why_not(task: Task) -> str:
     """Say why queries of a task are not changed, as a sentence about turned ones; empty if they can be."""
     if task.model is None:
         return "These are descriptors without their network, so queries cannot be turned."
-    if not task.lists_gallery:
-        return "The gallery is searched in an index; turned queries are measured with a gallery in memory."
     if any(picture.cut is not None for picture in task.queries):
         return "The queries are cut out of other pictures, so descriptors of turned ones are not kept."
-    if task.known is not None and not task.known.any():
-        return task.no_truth
-    return ""
+    return task.no_truth
 
 
 def turned(task: Task, degrees: float, progress: CountProgress | None = None) -> TurnedFigures:

@@ -143,13 +143,8 @@ def _right(ranking: Ranking, found: Verdict, counted: Int64Array, words: _Words)
 
 def _wrong(found: Verdict, gains: Float64Array, counted: Int64Array, words: _Words) -> tuple[str, tuple[int, ...], str]:
     assert found.rival is not None
-    total, rank = float(gains.sum()), found.rival.rank_text
+    total = float(gains.sum())
     behind = f"The nearest true tile is {ordinal(found.rival.rank)}, {found.lead:.3f} behind the answer."
-    if found.rival.beyond:
-        behind = f"The nearest true tile is {found.lead:.3f} behind the answer; its rank is {rank}."
-        if total < 0:
-            leads = f"It would lead the answer by {-found.lead:.3f}: the index searches approximately."
-            return "Missed: the search did not return the true tile", (), leads
     if len(counted) == 1:
         return f"The truth lies {found.lead:.3f} farther than the answer", (), behind
     for bound in _BOUNDS[: 2 if total < _TIE else 3]:

@@ -149,7 +149,7 @@ def windows(model_file: Path, make_once: MakeOnce, tmp_path_factory: pytest.Temp
         ):
             assert main([str(part) for part in command]) == 0
         save_result(saved, data, model_file)
-        index = Indexed(index=str(folder / "index"), model=ModelOptions(model=model_file), data=data, depth=12)
+        index = Indexed(index=str(folder / "index"), model=ModelOptions(model=model_file), data=data)
         others = {
             "index": LazyWorkspace("index", lambda _: open_source(index)),
             "saved": LazyWorkspace("saved", lambda _: open_source(Published(saved=saved, data=data, n_parts=4))),

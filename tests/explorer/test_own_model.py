@@ -121,9 +121,7 @@ def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, m
         [gallery[i].path.relative_to(data).as_posix() for i in range(len(gallery))], whole.task.gallery_descriptors
     )
     index.close()
-    opened = open_source(
-        Indexed(index=str(tmp_path / "index"), model=ModelOptions(model=Path("m.pth")), data=data, depth=10)
-    )
+    opened = open_source(Indexed(index=str(tmp_path / "index"), model=ModelOptions(model=Path("m.pth")), data=data))
     assert list(opened.tasks) == [name]
     found = analysed(opened, name)
     assert [one.distance2 for one in found.matches] == pytest.approx([one.distance2 for one in whole.matches], abs=1e-5)

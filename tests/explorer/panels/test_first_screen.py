@@ -617,7 +617,8 @@ def test_on_the_demo_the_constants_of_both_tiles_lie_on_the_cells_of_their_parts
     answer, other = (
         float(
             (
-                explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).constants * weights
+                explain.side_evidence(analysis.query.trace, analysis.task.gallery_descriptors[index]).constants
+                * weights
             ).sum()
         )
         for index in (before.matches[0].index, lead.index)

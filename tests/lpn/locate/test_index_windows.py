@@ -151,7 +151,7 @@ def test_windows_of_another_overlap_or_size_do_not_stand_for_those_that_lack(
     where = tmp_path / "sizes"
     windows = NamedWindow.all_of(town.pyramid([40.0], 0.5), town.frame)
     with create_index(where, KIND) as index:
-        rounded = [one.on(town.frame) for one in windows]
+        rounded = NamedWindow.all_on(windows, town.frame)
         index.add([one.name for one in windows], window_describer(GridModel(), town)(rounded))  # type: ignore[arg-type]
     _fill(where, town, [60.0], stop=8, block=8)
     assert _partial(where, town) == ["The index holds 89 of some 117"]
@@ -167,7 +167,7 @@ def test_windows_that_lie_close_together_do_not_make_an_estimate_grow_without_en
 ) -> None:
     named = NamedWindow.all_of([Window(0.1 * i, 0.0, 60.0) for i in range(5)], town.frame)
     with create_index(tmp_path / "index", KIND) as index:
-        close = [one.on(town.frame) for one in named]
+        close = NamedWindow.all_on(named, town.frame)
         index.add([one.name for one in named], window_describer(GridModel(), town)(close))  # type: ignore[arg-type]
     monkeypatch.setattr(index_windows, "_MOST_ESTIMATED", 1000)
     (told,) = _partial(tmp_path / "index", town)
