@@ -38,6 +38,7 @@ from lpn.core.errors import InputError, LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
+    from lpn.core.consoles import progress_bars
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
@@ -74,6 +75,7 @@ __all__ = [
     "load_picture",
     "open_dataset",
     "open_task",
+    "progress_bars",
 ]
 
 _MODULE_OF = {
@@ -88,6 +90,7 @@ _MODULE_OF = {
     "Task": "lpn.tasks.task",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
+    "progress_bars": "lpn.core.consoles",
 }
 
 if not TYPE_CHECKING:

@@ -22,7 +22,7 @@ from lpn.analysis.model_table import (
 )
 from lpn.analysis.text_tables import TableSection, TextTable, markdown_text
 from lpn.core.errors import InputError
-from lpn.core.progress import Progress
+from lpn.core.progress import report_progress
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
 from lpn.descriptors import descriptor_reader
@@ -179,7 +179,6 @@ def leaderboard(
     weathers: bool = False,
     seed: int = 0,
     resamples: int = RESAMPLES,
-    on_progress: Progress | None = None,
     calibrations: Mapping[str, Calibration | None] = MappingProxyType({}),
     csls: int = 0,
 ) -> Leaderboard:
@@ -213,8 +212,7 @@ def leaderboard(
     def report() -> None:
         nonlocal done
         done += 1
-        if on_progress is not None:
-            on_progress("measures", done, stages)
+        report_progress("Taking measures", done, stages)
 
     def figures(name: str, task: str, change: Change = UNCHANGED, parts: tuple[int, ...] | None = None) -> RecallAndAP:
         protocol = Protocol(change, parts, csls=csls)

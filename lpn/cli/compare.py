@@ -85,11 +85,10 @@ class ComparisonOfSources(ABC):
     def _ranked_sources(self, sources: Sequence[tuple[str, TaskSource]]) -> Iterator[RankedModel]:
         """Rank the first task of each source, under a name that tells it from the others."""
         from lpn.analysis.model_table import rank_task
-        from lpn.sources.opened import open_first_task
 
         _check_several(len(sources))
         for name, source in sources:
-            yield rank_task(open_first_task(source), name)
+            yield rank_task(source.open().task, name)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -217,14 +216,12 @@ class ComparisonOfFlights(ComparisonOfSources):
             super().run()
             return
         from lpn.analysis.leaderboard import task_leaderboard
-        from lpn.core.consoles import stage_bars
 
         models, sizes = _networks(self.page, self.comparison, self.models)
         tasks = {}
-        with stage_bars() as on_progress:
-            for name, options in self.models.options().items():
-                source = Flown(map=self.map, flight=self.flight, model=options)
-                tasks[name] = source.locate(on_progress=on_progress, loaded=models[name]).task
+        for name, options in self.models.options().items():
+            source = Flown(map=self.map, flight=self.flight, model=options)
+            tasks[name] = source.locate(loaded=models[name]).task
         title = f"{self.flight.resolve().name} over {self.map.resolve().stem}"
         board = task_leaderboard(title, models, sizes, tasks, self.comparison.seed, self.comparison.resamples)
         _write_page(board, self.page, self.comparison.json)
@@ -278,7 +275,6 @@ class CompareCommand(ComparisonOfSources):
 
     def _measure_page(self, page: Path) -> None:
         from lpn.analysis.leaderboard import leaderboard
-        from lpn.core.consoles import stage_bars
         from lpn.datasets import open_dataset
         from lpn.tasks.opening import alike_calibrations
 
@@ -293,19 +289,17 @@ class CompareCommand(ComparisonOfSources):
         }
         models = {titles[name]: model for name, model in models.items()}
         sizes = {titles[name]: size for name, size in sizes.items()}
-        with stage_bars("Taking {}") as on_progress:
-            board = leaderboard(
-                models,
-                sizes,
-                dataset,
-                self.turns,
-                self.weathers,
-                self.comparison.seed,
-                self.comparison.resamples,
-                on_progress,
-                dict(zip(models, calibrations, strict=True)),
-                self.csls,
-            )
+        board = leaderboard(
+            models,
+            sizes,
+            dataset,
+            self.turns,
+            self.weathers,
+            self.comparison.seed,
+            self.comparison.resamples,
+            dict(zip(models, calibrations, strict=True)),
+            self.csls,
+        )
         _write_page(board, page, self.comparison.json)
 
     def _ranked(self) -> Iterator[RankedModel]:

@@ -14,7 +14,6 @@ from lpn.cli.locate import MapError
 from lpn.core.errors import InputError
 from lpn.descriptors.weather import WeatherName
 from lpn.sources import Arrays, CslsOption, Data, Flown, Indexed, KindOption, PoolingOption, ProviderOption, Published
-from lpn.sources.opened import open_first_task
 
 if TYPE_CHECKING:
     from lpn.core.consoles import Console
@@ -181,7 +180,7 @@ class EvaluationOfIndex(EvaluationOfSource):
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.tasks.evaluation import evaluate_task
 
-        task = open_first_task(self.source)
+        task = self.source.open().task
         return f"{task.model_name} on {task.data_name}, {task.gallery_description}", evaluate_task(task)
 
 

@@ -108,7 +108,7 @@ class ExplainCommand:
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(self.view_query)
         console = wide_console(100)
-        losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
+        losses = _losses(model, query, self.view_query, tile) if self.covering else None
         of: dict[str, Any] = {"model": model.fingerprint, "query": str(self.query), "match": str(self.match)}
         of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
         if losses is not None:
@@ -162,19 +162,13 @@ def _csls(task: Task, query: DescribedPicture, tile: DescribedPicture) -> tuple[
     return CslsTerms.of_query(cosines, of_tile, task.neighbours).query, of_tile[0]
 
 
-def _losses(
-    model: Model, query: DescribedPicture, view: View, tile: DescribedPicture, console: Console
-) -> Float32Array:
+def _losses(model: Model, query: DescribedPicture, view: View, tile: DescribedPicture) -> Float32Array:
     """Return the loss of each part's cosine for each covered square."""
-    from rich.progress import Progress
-
+    from lpn.core.progress import tracked
     from lpn.explain import occlusion
 
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("Covering", total=occlusion.SQUARES**2)
-        for progress in occlusion.occlude(model, query.picture, view, tile.descriptor):
-            bar.update(task, completed=progress[0])
-    return progress[1]
+    steps = occlusion.occlude(model, query.picture, view, tile.descriptor)
+    return list(tracked("Covering squares", steps, occlusion.SQUARES**2))[-1][1]
 
 
 def _show(

@@ -16,7 +16,7 @@ from lpn.core.errors import InputError
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import NAMED, Data, TaskSource
-from lpn.sources.opened import open_first_task, open_with_notes
+from lpn.sources.opened import open_with_notes
 
 if TYPE_CHECKING:
     from lpn.analysis.breakdown import Rate
@@ -108,7 +108,7 @@ class FailuresCommand(FailuresOfSource):
             return table
         model = replace(self.source.model, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
         scored = replace(self.source, calibrate=task.calibration is not None)  # alike, whatever ships for either
-        second = open_first_task(replace(scored, model=model, task=cast(TaskName, task.name)))
+        second = replace(scored, model=model, task=cast(TaskName, task.name)).open().task
         return table.with_columns(compared_ranks(table, second.outcomes.rank))
 
 

@@ -16,7 +16,7 @@ from lpn.core.files import check_outputs, printable
 from lpn.sources import KindOption, ProviderOption
 
 if TYPE_CHECKING:
-    from lpn.core.progress import CountProgress, Progress
+    from lpn.core.progress import CountProgress, Listener
     from lpn.live.frames import Say
     from lpn.live.locator import LiveOptions
     from lpn.live.run import FixOutput, LiveRun
@@ -131,7 +131,7 @@ class LiveCommand(LiveInput):
         _say(f"{count} frames were located.")
 
 
-def _progress(receivers: Sequence[CountProgress]) -> Progress:
+def _progress(receivers: Sequence[CountProgress]) -> Listener:
     """Return what hands the number of described windows on."""
 
     def report(_stage: str, done: int, total: int) -> None:

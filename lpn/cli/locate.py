@@ -148,7 +148,7 @@ def locate_files(
     pooling: str | None = None,
     on_opened: Callable[[Map, Flight], None] | None = None,
 ) -> LocatedFlight:
-    """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight, with a progress bar.
+    """Open map, flight, model, and, if `corrected`, a person's corrections; locate the flight.
 
     Args:
         index: of the map's windows, see `WindowIndex`.
@@ -159,7 +159,6 @@ def locate_files(
         InputError: if the limit is below 1, a kind, a pooling, or an index is given without a model, or sizes are given beside
             an index.
     """
-    from lpn.core.consoles import stage_bars
     from lpn.flights import open_flight
     from lpn.locate import corrections
     from lpn.locate.index_windows import WindowIndex
@@ -182,8 +181,7 @@ def locate_files(
     kept = corrections.read_corrections(own_file(flight_path, corrections.NAME)) if corrected else {}
     network = None if model is None else lpn.load(model, provider, kind=kind, pooling=pooling)
     indexed = None if index is None or network is None else WindowIndex(index, network, basemap)
-    with stage_bars("{}") as report:
-        return locate(basemap, flight, network, options, report, kept, indexed)
+    return locate(basemap, flight, network, options, kept, indexed)
 
 
 def _share(percent: float) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from abc import ABC
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
@@ -55,12 +56,11 @@ class ReportOfSource(ABC):
     report: ReportOptions
 
     def run(self) -> None:
-        from rich.progress import Progress
-
         from lpn import report
         from lpn.cli.explain import part_values
         from lpn.core.consoles import Console
         from lpn.core.files import check_outputs, write_atomic
+        from lpn.core.progress import report_progress
 
         options = self.report
         if options.query and (options.failures is not None or options.where):
@@ -77,13 +77,10 @@ class ReportOfSource(ABC):
         else:
             chosen, selection = _chosen(task, options)
         contents = replace(contents, selection=selection, doubtful=doubtful)
-        console = Console()
-        with Progress(console=console, transient=True) as bar:
-            line = bar.add_task("Reporting", total=None)
-            page = report.build(task, chosen, contents, lambda done, of: bar.update(line, completed=done, total=of))
+        page = report.build(task, chosen, contents, partial(report_progress, "Reporting"))
         write_atomic(options.out, page)
         count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
-        console.print(
+        Console().print(
             f"{options.out}: {count}, {len(page) / 1e6:.1f} MB", highlight=False, markup=False, soft_wrap=True
         )
 
@@ -121,7 +118,6 @@ class ReportOfFlight(ReportOfNetwork):
     def _graded(self, opened: OpenedSource) -> tuple[Task, Collection[int]]:
         import numpy as np
 
-        from lpn.core.consoles import stage_bars
         from lpn.locate.grades import doubtful_photos
         from lpn.locate.pipeline import registered
         from lpn.locate.task import stage_columns
@@ -130,8 +126,7 @@ class ReportOfFlight(ReportOfNetwork):
         assert located is not None
         if not self.register:
             return task, ()
-        with stage_bars("{}") as on_progress:
-            located = registered(located, opened.network, on_progress=on_progress)
+        located = registered(located, opened.network)
         best, first = task.retrieved.best, task.retrieved.first
         doubtful = set(np.flatnonzero(doubtful_photos(located, task, best, first)).tolist())
         task = replace(task, columns=[*task.columns, *stage_columns(located)])

@@ -53,7 +53,7 @@ class SweepOfSource(ABC):
     sweep: SweepOptions
 
     def run(self) -> None:
-        from lpn.core.consoles import stage_bars, wide_console
+        from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic
         from lpn.drawing.plots import pyplot
 
@@ -62,15 +62,14 @@ class SweepOfSource(ABC):
         if options.png is not None:
             pyplot()  # fail before the long computation
         console = wide_console()
-        with stage_bars() as on_progress:
-            opened = self.source.open([options.query], part_values(options.weights), on_progress)
+        opened = self.source.open([options.query], part_values(options.weights))
         task, model = opened.task, opened.model
         if model is None:
             raise InputError(
                 f"No query of {task.model_name} can be changed, as it holds descriptors and no network; sweep a query of a data "
                 "set with a model."
             )
-        profile = _swept(task, model, options, console)
+        profile = _swept(task, model, options)
         title = f"{options.query} ({task.name}, {model.describe()})"
         _print(profile, title, task.views, console)
         if options.csv is not None:
@@ -88,9 +87,8 @@ class SweepCommand(SweepOfSource):
     source: Data
 
 
-def _swept(task: Task, model: Model, options: SweepOptions, console: Console) -> SweepResult:
-    from rich.progress import track
-
+def _swept(task: Task, model: Model, options: SweepOptions) -> SweepResult:
+    from lpn.core.progress import tracked
     from lpn.explain import sweeps
 
     if options.over == "weather" and task.query_view == "satellite":
@@ -104,8 +102,7 @@ def _swept(task: Task, model: Model, options: SweepOptions, console: Console) ->
     changes = [change.for_picture(query) for change in steps]
     ranks = task.ranks_under(position)
     points = sweeps.sweep_points(model, query.load_cropped(), task.query_view, changes, ranks)
-    done = track(points, f"Describing {options.query}", len(changes), console=console, transient=True)
-    return sweeps.SweepResult(options.over, tuple(done))
+    return sweeps.SweepResult(options.over, tuple(tracked("Describing the query changed", points, len(changes))))
 
 
 def _subject(profile: SweepResult) -> str:
@@ -170,7 +167,7 @@ def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
 
 def _draw(profile: SweepResult, title: str) -> bytes:
     """Draw scores, part cosines, and rank over the transform as a PNG file."""
-    from lpn.drawing.plots import png, pyplot
+    from lpn.drawing.plots import encode, pyplot
     from lpn.explain.sweeps import UNITS, swept_label, swept_value
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
@@ -194,4 +191,4 @@ def _draw(profile: SweepResult, title: str) -> bytes:
     below.set_yticks(ticks, [str(tick) for tick in ticks])
     below.set_ylim(last * 1.2, 0.8)
     figure.tight_layout()
-    return png(figure, dpi=120)
+    return encode(figure, dpi=120)

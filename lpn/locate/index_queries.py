@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array
 from lpn.core.files import printable
+from lpn.core.progress import report_progress
 from lpn.core.views import views_of
 from lpn.datasets import Picture
 from lpn.datasets.geo import Position
@@ -33,7 +34,6 @@ def flight_queries(
     basemap: Map,
     index: SharedIndex,
     root: Path,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> IndexQueries:
     """Describe frames as they are compared with the windows of an index.
 
@@ -45,7 +45,6 @@ def flight_queries(
     Args:
         basemap: map of the windows.
         root: folder of the flight, where a person's notes are kept.
-        on_progress: called with the numbers of described and of all pictures.
 
     Raises:
         InputError: if the model's branches have roles, and it has one view.
@@ -77,7 +76,7 @@ def flight_queries(
                 log.warning("%s", error)
             unreadable.add(owners[j])
         done += len(batch.items) + len(batch.broken)
-        on_progress(done, len(cuts))
+        report_progress("Describing frames", done, len(cuts))
     chosen = [
         _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
         for i in range(len(flight.frames))

@@ -12,7 +12,6 @@ import tyro
 
 from lpn.core.errors import InputError
 from lpn.core.files import distinct_names, printable
-from lpn.core.progress import CountProgress, Progress
 from lpn.core.resources import ProviderName
 from lpn.core.texts import listed
 from lpn.core.views import TaskName
@@ -76,10 +75,6 @@ def shipped_model() -> Path:
     sentence = f"The model is {SHIPPED_MODEL}, which ships and knows a rendered city alone; --model takes another."
     terminal().print(sentence, highlight=False, markup=False, soft_wrap=True)
     return SHIPPED_MODEL
-
-
-def no_progress(stage: str, done: int, total: int) -> None:
-    """Report nothing."""
 
 
 def model_names(
@@ -166,14 +161,12 @@ class TaskSource(ABC):
         self,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
     ) -> OpenedSource:
         """Open the source.
 
         Args:
             names: names that queries of the first task must have; they are checked before pictures are described.
             weights: part weights of the task, checked likewise; equal by default.
-            on_progress: called with a stage and the numbers of finished and of all its steps.
 
         Raises:
             LPNError: if a file cannot be used, or there is no such query.
@@ -190,7 +183,6 @@ def open_data(
     every: bool = False,
     names: Sequence[str] = (),
     weights: Sequence[float] | None = None,
-    on_progress: CountProgress | None = None,
 ) -> OpenedSource:
     """Open a data set under an opened model, see `Data`.
 
@@ -199,7 +191,6 @@ def open_data(
         calibrate, csls: see `lpn.open_task`.
         every: open every task that model and data set offer, in place of one.
         names, weights: see `TaskSource.open`.
-        on_progress: see `lpn.tasks.opening.describe_task`, once for each task.
 
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
@@ -212,7 +203,7 @@ def open_data(
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
     calibration = task_calibration(model, dataset, calibrate)
     tasks = [
-        describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress, csls)
+        describe_task(model, model_name, dataset, name, weights, {}, calibration, csls)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
     return OpenedSource(tasks, model if calibration is None else calibration.applied(model), model)
@@ -240,11 +231,9 @@ class Data(TaskSource):
         self,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
     ) -> OpenedSource:
         from lpn.datasets import open_dataset
 
-        del on_progress
         dataset = open_dataset(self.data)
         return open_data(
             self.model.load(),
@@ -269,10 +258,8 @@ class WithoutNetwork(TaskSource):
         self,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
     ) -> OpenedSource:
         """See `TaskSource.open`."""
-        del on_progress
         task = self.task()
         query_positions(names, task.queries, task.data_name)
         return OpenedSource([weighted(task, weights)])
@@ -369,7 +356,6 @@ class Indexed(TaskSource):
         self,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
     ) -> OpenedSource:
         from lpn.datasets import open_dataset
         from lpn.flights import open_flight
@@ -392,14 +378,7 @@ class Indexed(TaskSource):
         index = SharedIndex(open_index(self.index))
         ground = None if self.map is None else open_map(self.map)
         if self.flight is not None and ground is not None:
-            queries = flight_queries(
-                model,
-                open_flight(self.flight),
-                ground,
-                index,
-                self.flight,
-                lambda done, total: on_progress("frames", done, total),
-            )
+            queries = flight_queries(model, open_flight(self.flight), ground, index, self.flight)
         elif self.pictures is not None:
             queries = picture_queries(model, self.pictures, index, self.data)
         else:
@@ -430,14 +409,12 @@ class Flown(TaskSource):
         self,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
     ) -> OpenedSource:
-        return self.locate(None, on_progress, names, weights)
+        return self.locate(None, names, weights)
 
     def locate(
         self,
         overlap: float | None = None,
-        on_progress: Progress = no_progress,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
         shipped: Path | None = None,
@@ -462,7 +439,7 @@ class Flown(TaskSource):
         scoring.part_weights(model.n_parts, weights)
         query_positions(names, flight.frames, flight.name)
         options = LocateOptions(register=False, overlap=LocateOptions.overlap if overlap is None else overlap)
-        located = locate(ground, flight, model, options, on_progress, shipped=shipped)
+        located = locate(ground, flight, model, options, shipped=shipped)
         task = flight_task(model, self.model.name, located, self.flight)
         notes = [printable(note) for note in (*ground.notes, *flight.notes, *located.notes)]
         return OpenedSource([weighted(task, weights)], task.model, model, located, notes=notes)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from lpn.core.errors import InputError
-from lpn.core.progress import CountProgress
+from lpn.core.progress import counted_among
 from lpn.descriptors import cached_descriptors
 from lpn.descriptors.transforms import Change
 from lpn.tasks.task import Task
@@ -46,7 +46,7 @@ def why_not(task: Task) -> str:
     return ""
 
 
-def turned(task: Task, degrees: float, progress: CountProgress | None = None) -> TurnedFigures:
+def turned(task: Task, degrees: float) -> TurnedFigures:
     """Turn all queries of a task, describe them by its model, and measure it.
 
     Descriptors are cached as `lpn evaluate --rotate` caches them, so that a second time takes no network. Those of an upright
@@ -54,23 +54,18 @@ def turned(task: Task, degrees: float, progress: CountProgress | None = None) ->
 
     Args:
         degrees: counter-clockwise.
-        progress: called with the numbers of described and of all queries; an exception stops the work, and what is described
-            already is kept.
 
     Raises:
         InputError: when the task cannot be measured so, see `why_not`.
         LPNError: when a picture cannot be read or the cache cannot be written.
     """
     angle = float(degrees % 360)
-    figures = replace(changed(task, Change(rotate=angle), progress), weights=None).metrics
+    figures = replace(changed(task, Change(rotate=angle)), weights=None).metrics
     return TurnedFigures(angle, figures["recall@1"], figures["ap"], int(figures["queries"]))
 
 
-def changed(task: Task, change: Change, progress: CountProgress | None = None) -> Task:
+def changed(task: Task, change: Change) -> Task:
     """Change all queries of a task, and describe them by its model; the task with their descriptors, cached as `turned` says.
-
-    Args:
-        progress: as for `turned`.
 
     Raises:
         InputError, LPNError: as `turned`.
@@ -88,12 +83,8 @@ def changed(task: Task, change: Change, progress: CountProgress | None = None) -
         rows = np.flatnonzero(zooms == zoom)
         some = [task.queries[row] for row in rows.tolist()]
         zoomed = replace(change, scale=change.scale * float(zoom), around=some[0].panorama)
-
-        def on_progress(count: int, _: int, before: int = done) -> None:
-            if progress is not None:
-                progress(before + count, len(zooms))
-
-        query[rows] = cached_descriptors(task.model, some, task.query_view, zoomed, on_progress)
+        with counted_among(done, len(zooms)):
+            query[rows] = cached_descriptors(task.model, some, task.query_view, zoomed)
         done += len(rows)
     identity = hashlib.sha256(f"{task.identity} {change}".encode()).hexdigest() if task.identity else ""
     return replace(task, query_descriptors=query, identity=identity)

@@ -151,8 +151,8 @@ def windows(model_file: Path, make_once: MakeOnce, tmp_path_factory: pytest.Temp
         save_result(saved, data, model_file)
         index = Indexed(index=str(folder / "index"), model=ModelOptions(model=model_file), data=data, depth=12)
         others = {
-            "index": LazyWorkspace("index", lambda _: open_source(index)),
-            "saved": LazyWorkspace("saved", lambda _: open_source(Published(saved=saved, data=data, n_parts=4))),
+            "index": LazyWorkspace("index", lambda: open_source(index)),
+            "saved": LazyWorkspace("saved", lambda: open_source(Published(saved=saved, data=data, n_parts=4))),
         }
         app = App(open_model(data, model_file, calibrate=True), "127.0.0.1", free_port(), others=others)
         yield Windows(f"http://127.0.0.1:{app.server.get_port()}", data, model_file)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock, Mock
@@ -29,6 +28,7 @@ from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
+from lpn.core.progress import listening, report_progress
 from lpn.datasets import labels_of, open_dataset
 from lpn.drawing import verdicts
 from lpn.retrieval.csls import NEIGHBOURS
@@ -299,7 +299,7 @@ def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace:
 def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
     workspace: Workspace, wide: Path, one_part_model_file: Path
 ) -> None:
-    second = LazyWorkspace("the other", lambda _: open_model(wide, one_part_model_file))
+    second = LazyWorkspace("the other", lambda: open_model(wide, one_part_model_file))
     workspace.beside = [second]
     try:
         assert second.open().wait(PATIENCE)
@@ -345,12 +345,13 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
 ) -> None:
     write_places(tmp_path / "places", 22)
     counts: list[tuple[int, int]] = []
-    calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"), lambda *count: counts.append(count))
+    with listening(lambda _, *count: counts.append(count)):
+        calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"))
     assert counts[-1] == (22, 22)
 
-    def endless(_: object, __: object, on_progress: Callable[[int, int], None]) -> None:
+    def endless(*_: object) -> None:
         while True:
-            on_progress(3, 22)
+            report_progress("Describing", 3, 22)
 
     monkeypatch.setattr("explorer.opening.calibrated", endless)
     opened, client = open_model(tmp_path / "places", model_file), object()

@@ -18,7 +18,6 @@ from lpn.descriptors.weather import WEATHERS
 from lpn.report import build_leaderboard
 from lpn.retrieval.protocol import Protocol
 from lpn.sources import Data, ModelOptions
-from lpn.sources.opened import open_first_task
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -88,7 +87,7 @@ def test_a_page_is_ranked_as_its_options_say(model_file: Path, one_part_model_fi
 
 def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: Path, data: Path) -> None:
     model, dataset = lpn.load(model_file), lpn.open_dataset(data)
-    task = open_first_task(Data(data=data, model=ModelOptions(model=model_file)))
+    task = Data(data=data, model=ModelOptions(model=model_file)).open().task
     tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
     board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20)
     for part, protocol in (("all", Protocol()), ("2", Protocol(parts=(2,)))):

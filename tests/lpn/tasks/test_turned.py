@@ -11,6 +11,7 @@ import pytest
 import lpn
 from lpn.cli import main
 from lpn.core.errors import InputError
+from lpn.core.progress import listening
 from lpn.datasets import open_dataset
 from lpn.tasks.opening import calibrated, describe_task
 from lpn.tasks.turned import turned, why_not
@@ -25,7 +26,8 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
     upright = turned(task, 0)
     assert [upright.recall, upright.ap] == pytest.approx([task.metrics["recall@1"], task.metrics["ap"]])
     counts: list[tuple[int, int]] = []
-    around = turned(task, -90, lambda done, total: counts.append((done, total)))
+    with listening(lambda _, *count: counts.append(count)):
+        around = turned(task, -90)
     assert around.degrees == 270
     assert counts[0] == (0, 24)
     assert counts[-1] == (24, 24)
@@ -35,21 +37,23 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
     assert [around.recall, around.ap] == pytest.approx([expected["recall@1"], expected["ap"]])
     assert around.queries == expected["queries"]
     again: list[tuple[int, int]] = []
-    assert turned(task, 270, lambda done, total: again.append((done, total))) == around
+    with listening(lambda _, *count: again.append(count)):
+        assert turned(task, 270) == around
     assert not again  # all descriptors are cached
 
 
 def test_a_stopped_turn_goes_on_where_it_was(data: Path, model_file: Path) -> None:
     task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
 
-    def stop(done: int, _: int) -> None:
+    def stop(_: str, done: int, __: int) -> None:
         if done:
             raise RuntimeError("stopped")
 
-    with pytest.raises(RuntimeError, match="stopped"):
-        turned(task, 33, stop)
+    with pytest.raises(RuntimeError, match="stopped"), listening(stop):
+        turned(task, 33)
     counts: list[int] = []
-    turned(task, 33, lambda done, _: counts.append(done))
+    with listening(lambda _, done, __: counts.append(done)):
+        turned(task, 33)
     assert counts[0] > 0
 
 
