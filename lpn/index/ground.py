@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -40,9 +39,9 @@ class IndexGeometry(GalleryGeometry):
     borders: tuple[float, float, float, float]
     degrees: Float64Array
 
-    @cached_property
-    def _radians(self) -> Float64Array:
-        return np.radians(self.degrees)
+    @property
+    def _degrees(self) -> Float64Array:
+        return self.degrees
 
     def bounds(self) -> tuple[float, float, float, float]:
         return self.borders

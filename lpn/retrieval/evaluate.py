@@ -350,9 +350,7 @@ def field_figures(
         depths = [k for k in (1, 3, 5, 10) if k <= order.shape[1]]
         figures = {f"sdm_denseuav@{k}": float(field_metrics.sdm_denseuav(degrees, k).mean()) for k in depths}
         return figures | {f"ma@{metres}": field_metrics.accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
-    metres = (
-        field_metrics.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
-    )
+    metres = geo.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
     depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
     figures = {f"sdm_gta_uav@{k}": float(field_metrics.sdm_gta_uav(metres, k).mean()) for k in depths}
     return figures | {f"dis@{k}": float(field_metrics.distance_at(metres, k).mean()) for k in depths}
