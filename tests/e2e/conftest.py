@@ -295,6 +295,13 @@ class ExplorerPage:
                     raise
             self.page.wait_for_timeout(50)
 
+    def command(self, label: str) -> None:
+        """Choose a command in the palette; until its field has the focus, keys go to the page."""
+        self.page.keyboard.press("Control+k")
+        self.page.get_by_placeholder("Search commands").fill(label)
+        expect(self.page.locator(".mantine-Spotlight-action").first).to_contain_text(re.compile(label, re.IGNORECASE))
+        self.page.keyboard.press("Enter")
+
     def field(self, label: str) -> Locator:
         """The text or number box in the row of a label."""
         row = self.page.locator(f'label:text-is("{label}")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")

@@ -213,10 +213,7 @@ def test_the_tour_and_the_notice_about_software_webgl_are_shown_once_and_the_tou
     expect(explorer.rows).to_have_count(10)
     expect(card).to_have_count(0)
     expect(notice).to_have_count(0)
-    explorer.page.keyboard.press("Control+k")
-    explorer.page.get_by_placeholder("Search commands").fill("tour")
-    expect(explorer.page.locator(".mantine-Spotlight-action").first).to_contain_text(re.compile("tour", re.IGNORECASE))
-    explorer.page.keyboard.press("Enter")
+    explorer.command("tour")
     expect(card).to_contain_text("1 of 5")
     expect(explorer.page.get_by_placeholder("Search commands")).to_have_count(0)
     explorer.page.set_viewport_size({"width": 1024, "height": 600})
@@ -313,12 +310,7 @@ def test_what_has_no_key_is_in_the_palette(explorer: ExplorerPage) -> None:
         ("Heatmap of part 4", "part", "4"),
         ("Task: satellite", "task", "satellite-to-drone"),
     ):
-        explorer.page.keyboard.press("Control+k")
-        explorer.page.get_by_placeholder("Search commands").fill(command)
-        expect(explorer.page.locator("[data-selected][data-action], .mantine-Spotlight-action").first).to_contain_text(
-            command
-        )
-        explorer.page.keyboard.press("Enter")
+        explorer.command(command)
         wait_address(explorer, key, value)
         expect(explorer.page.get_by_placeholder("Search commands")).to_have_count(0)
 

@@ -103,9 +103,7 @@ def test_two_steps_are_kept_told_and_exported(
     explorer.expect_status("name", "0008")
 
     with page.expect_download() as download:
-        page.keyboard.press("Control+k")
-        page.keyboard.type("Export the story")
-        page.keyboard.press("Enter")
+        explorer.command("Export the story")
     download.value.save_as(tmp_path / "story.html")
     context = empty_context(browser, offline=True)
     exported, requests, problems = context.new_page(), [], []

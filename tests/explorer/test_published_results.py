@@ -16,7 +16,7 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
 from lpn.models.base import normalise
-from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.saved import PublishedResult
 from lpn.sources import Published
 from lpn.tasks.published_task import published_task
 from tools.fixtures import layouts, small_worlds
