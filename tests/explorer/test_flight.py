@@ -37,13 +37,13 @@ from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.progress import report_progress
 from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
+from lpn.library.analyser import OwnPicture
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher
