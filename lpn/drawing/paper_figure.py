@@ -36,8 +36,9 @@ _Box = tuple[float, float, float, float]
 _MM = 1 / 25.4
 # In mm: the strip of titles at the left, the strip of names above, the scale below, gaps, bars, and the largest picture.
 _LEFT, _TOP, _BELOW, _GAP, _BARS, _LARGEST = 8.0, 4.5, 7.0, 2.0, 31.0, 42.0
-# In mm: the line above bars, the longest name and number beside one, and the distance of a frame from its picture.
-_HEAD, _NAME, _NUMBER, _FRAME = 3.2, 10.0, 9.5, 0.5
+# In mm: the line above bars, a letter of the names before them, the most that a name may take, a number, and the distance of a
+# frame from its picture.
+_HEAD, _LETTER, _NAME, _NUMBER, _FRAME = 3.2, 1.3, 16.0, 9.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,11 +223,9 @@ class _Drawing:
         """Draw the shares of the parts between their names and numbers; without `most`, signed on a scale of their own."""
         values = np.asarray(row.shares, np.float64)
         left, top, width, height = box
-        number = "{:.3f}" if most else "{:+.3f}"
-        self._write(
-            left + width / 2, top + _HEAD / 2, f"{row.shares_of} {number.format(values.sum())}".replace("-", "−")
-        )
-        axes = self._axes((left + _NAME, top + _HEAD, width - _NAME - _NUMBER, height - _HEAD))
+        names = min(_LETTER * max(map(len, self._given.names)) + 1.0, _NAME)
+        self._write(left + width / 2, top + _HEAD / 2, f"{row.shares_of} {_number(float(values.sum()), most is None)}")
+        axes = self._axes((left + names, top + _HEAD, width - names - _NUMBER, height - _HEAD))
         low, high = min(float(values.min()), 0.0), most or max(float(values.max()), 1e-9)
         axes.set(xticks=[], yticks=[], xlim=(low, high), ylim=(len(values) - 0.5, -0.5))
         axes.spines[["top", "right", "bottom"]].set_visible(False)
@@ -236,8 +235,8 @@ class _Drawing:
         line = (height - _HEAD) / len(values)
         for part, (name, value) in enumerate(zip(self._given.names, values.tolist(), strict=True)):
             y = top + _HEAD + (part + 0.5) * line
-            self._write(left + _NAME - 1.0, y, name, ha="right")
-            self._write(left + width, y, number.format(value).replace("-", "−"), ha="right")
+            self._write(left + names - 1.0, y, name, ha="right")
+            self._write(left + width, y, _number(value, most is None), ha="right")
 
     def _scale(self, limits: dict[str, float], y: float) -> None:
         """Draw the colours of the heat, with what their ends mean: beside them, or below where the figure is narrow."""
@@ -255,3 +254,8 @@ def _draw_border(axes: Any, border: PartBox, colour: Colour, points: float) -> N
     left, top, right, bottom = border
     x, y = (left, right, right, left, left), (top, top, bottom, bottom, top)
     axes.plot(x, y, color=theme.css(colour), linewidth=points, clip_on=False, solid_joinstyle="miter")
+
+
+def _number(value: float, signed: bool) -> str:
+    rounded = round(value, 3) + 0.0  # no negative zero
+    return (f"{rounded:+.3f}" if signed else f"{rounded:.3f}").replace("-", "−")

@@ -131,9 +131,7 @@ class QueryAnalyser:
             elif index is not None:
                 described = DescribedPicture(source, task.query_descriptors[index], None, None)
             else:
-                raise InputError(
-                    f"{task.model_name} has no network, only descriptors; choose a query of the data set."
-                )
+                raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
             self._query = query_key, described
         query = self._query[1]
         weights = scoring.part_weights(task.contract.n_parts, request.weights)

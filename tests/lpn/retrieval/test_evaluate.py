@@ -282,9 +282,7 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     sdm, distance, precision = 0.0, 0.0, 0.0
     for row, start, lists in zip(query, starts, dataset.truth("drone-to-satellite") or (), strict=True):
         order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
-        metres = [
-            float(geo.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order
-        ]
+        metres = [float(geo.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order]
         sdm += sum((3 - i) * math.exp(-0.001 * metres[i]) for i in range(3)) / 6
         distance += sum(metres[:3]) / 3
         ranks = sorted(order.tolist().index(tile) for tile in lists.good)
