@@ -15,7 +15,7 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
+from lpn.core.arrays import Float32Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.explain._least_distance import shortest
@@ -23,40 +23,6 @@ from lpn.retrieval import Ranking, metrics, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
 MIN_SCORE_LEAD = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class Margin:
-    """The margin of one tile over another, by part.
-
-    Attributes:
-        positive, negative: gallery positions of any two tiles.
-        parts: 2 w_i (cos_i(positive) - cos_i(negative)) in d², (n,); above 0 where the part speaks for `positive`.
-    """
-
-    positive: int
-    negative: int
-    parts: Float64Array
-
-    @property
-    def total(self) -> float:
-        """d²(negative) - d²(positive), the sum of `parts`; above 0 if `positive` is nearer."""
-        return float(self.parts.sum())
-
-
-def margin(ranking: Ranking, positive: int, negative: int) -> Margin:
-    """The margin of gallery picture `positive` over gallery picture `negative`.
-
-    Raises:
-        InputError: if there is no such gallery picture.
-    """
-    for index in (positive, negative):
-        if not 0 <= index < len(ranking.cosines):
-            raise InputError(
-                f"There is no gallery picture {index}; the gallery has positions 0 to {len(ranking.cosines) - 1}."
-            )
-    difference = ranking.similarities[positive].astype(np.float64) - ranking.similarities[negative]
-    return Margin(positive, negative, 2 * ranking.weights.astype(np.float64) * difference)
 
 
 @dataclass(frozen=True)

@@ -148,6 +148,7 @@ class QueryAnalyser:
         return Answer(
             task=task,
             name=own.name if own else picture.name,
+            index=index,
             query=query,
             ranking=ranking,
             matches=matches,

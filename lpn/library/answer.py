@@ -17,7 +17,6 @@ from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import check_ending, printable, write_atomic
 from lpn.core.notebook_html import table
-from lpn.core.views import View
 from lpn.drawing import charts, overlays, pair_figure, verdicts
 from lpn.drawing.paper_figure import PAGE, FigureRow, PaperFigure
 from lpn.drawing.part_areas import PartAreas
@@ -84,6 +83,7 @@ class Answer:
     Attributes:
         task: the query's; its gallery was searched.
         name: the query's name.
+        index: the query's position; None for a picture that is none of the task's queries.
         query: the query after its change, with its descriptor.
         ranking: of the gallery, under the part weights of the search.
         matches: the nearest tiles.
@@ -107,6 +107,7 @@ class Answer:
     chosen: Match
     describe_tile: Callable[[Task, int], DescribedPicture]
     source: UInt8Array
+    index: int | None = None
     tile: DescribedPicture | None = None
     positive: Match | None = None
     errors_m: Float64Array | None = None
@@ -177,12 +178,27 @@ class Answer:
             InputError: if there is no such rank, or the model gives no cells.
             PictureError: if the picture cannot be read any more.
         """
-        match, contract, views = self._match(rank), self.task.contract, self.task.views
+        match, views = self._match(rank), self.task.views
         tile, evidence = self._pair(match)
-        (one, first), (other, second) = self._partitioned(self.query, views[0]), self._partitioned(tile, views[1])
+        (one, first), (other, second) = self.drawn(self.query, 0), self.drawn(tile, 1)
         name = printable(self.task.gallery[match.index].name)
         titles = f"Query, {views[0]}", f"Rank {rank} of {self.task.tiles:,}, {views[1]}: {name}"
-        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, contract, (first, second)))
+        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, self.task.contract, (first, second)))
+
+    def drawn(self, described: DescribedPicture, side: int) -> tuple[UInt8Array, PartAreas | None]:
+        """Return the picture on which the parts of the query (side 0) or of a tile (1) are drawn, and their areas.
+
+        The areas are None if neither a partition nor the picture's cells are known.
+        """
+        task, view = self.task, self.task.views[side]
+        picture = described.picture if task.model is None else task.model.as_partitioned(described.picture, view)
+        return picture, PartAreas.of(task.contract, view, task.map_sizes[view], described.trace)
+
+    def described(self, match: Match) -> DescribedPicture:
+        """Return the picture of a match, described."""
+        if self.tile is not None and match.index == self.chosen.index:
+            return self.tile
+        return self.describe_tile(self.task, match.index)
 
     def paper_figure(
         self, true: int | str | None = None, wrong: int | str | None = None, width: float = PAGE
@@ -210,20 +226,10 @@ class Answer:
                 tile, evidence = self._pair(match)
                 known = right if positive is not None or (match is second and wrong is not None) else None
                 title = {True: "True tile", False: "Wrong tile", None: "Tile"}[known], f"rank {match.rank_text}"
-                rows.append(FigureRow.of_tile(title, *self._partitioned(tile, self.task.gallery_view), evidence, known))
+                rows.append(FigureRow.of_tile(title, *self.drawn(tile, 1), evidence, known))
                 pairs.append(evidence)
-        view = self.task.query_view
-        query = FigureRow.of_query(("Query", view), *self._partitioned(self.query, view), pairs)
+        query = FigureRow.of_query(("Query", self.task.query_view), *self.drawn(self.query, 0), pairs)
         return PaperFigure([query, *rows], self.task.part_names, self.task.contract.part_noun, width)
-
-    def _partitioned(self, described: DescribedPicture, view: View) -> tuple[UInt8Array, PartAreas | None]:
-        """Return a picture as the model partitions it, and the areas of its parts."""
-        model, areas = (
-            self.task.model,
-            PartAreas.of(self.task.contract, view, self.task.map_sizes[view], described.trace),
-        )
-        assert model is not None  # it gave the cells
-        return model.as_partitioned(described.picture, view), areas
 
     def _match(self, tile: int | str) -> Match:
         """Return the match of a tile by its rank or its name."""
@@ -240,8 +246,7 @@ class Answer:
 
     def _pair(self, match: Match) -> tuple[DescribedPicture, Evidence]:
         """Return the tile of a match, described, and the evidence for it."""
-        tile = self.tile if self.tile is not None and match.index == self.chosen.index else None
-        tile = tile or self.describe_tile(self.task, match.index)
+        tile = self.described(match)
         pair = pair_evidence(self.query, tile, self.ranking.weights, csls=self.ranking.csls_of(match.index))
         if pair is None:
             raise InputError(f"{verdicts.no_cells(self.task.contract)} Its answers have no figure.")

@@ -11,6 +11,7 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
+from lpn.library.answer import Answer
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
@@ -45,7 +46,7 @@ class _ContentsLine:
 
 def build(
     task: Task,
-    queries: Sequence[int | OwnPicture],
+    queries: Sequence[int | OwnPicture | Answer],
     options: Options | None = None,
     progress: Callable[[int, int], None] | None = None,
     made: datetime | None = None,
@@ -55,7 +56,7 @@ def build(
     Each query and each compared tile takes one forward pass.
 
     Args:
-        queries: positions among the task's queries, or pictures that are no queries, in the order of the report.
+        queries: positions among the task's queries, pictures that are no queries, or answers, in the order of the report.
         progress: called after each query with the numbers of finished and of all queries; what it raises ends the work.
         made: date and time that the report bears, by default now.
 
@@ -66,17 +67,17 @@ def build(
     options = options or Options()
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
-    shown, task = task.without_truth(options.ungraded), task.without_truth(options.doubtful)
-    cases = Cases(shown, options)
-    lines, sections = [], []
+    cases, task = Cases(task, options), task.without_truth(options.doubtful)
+    lines, sections, own = [], [], False
     for number, query in enumerate(queries, 1):
         case = cases.make(query)
         # A case holds pictures and a whole ranking, so only its HTML is kept.
-        lines.append(_line(case, shown, query))
-        sections.append(section(case, shown, number))
+        lines.append(_line(case))
+        sections.append(section(case, number))
+        own = own or case.answer.index is None
         if progress is not None:
             progress(number, len(queries))
-    graded = int(task.metrics["queries"])
+    graded = 0 if options.title else int(task.metrics["queries"])
     return render(
         "report.html.j2",
         style=style_sheet(),
@@ -91,9 +92,11 @@ def build(
         doubtful=bool(options.doubtful),
         part_names=task.part_names,
         said=options.said,
+        title=options.title,
+        captions=options.captions,
         queries=f"{graded:,}{'' if graded == len(task.queries) else ' graded'}",
-        own=any(isinstance(query, OwnPicture) for query in queries),
-        figures=_figures(task),
+        own=own,
+        figures=[] if options.title else _figures(task),
         facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
         lines=lines,
         sections=sections,
@@ -154,19 +157,19 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
 
 
-def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
-    picture = query.picture if isinstance(query, OwnPicture) else task.queries[query].load_cropped()
-    first, truth = case.matches[0], case.answer.positive
+def _line(case: Case) -> _ContentsLine:
+    answer = case.answer
+    first, truth = answer.ranking.match(0), answer.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _ContentsLine(
-        case.answer.verdict.sign,
-        thumbnail(picture),
-        case.answer.name,
+        answer.verdict.sign,
+        thumbnail(answer.source),
+        answer.name,
         summary(case)[0],
         [
             _ContentsTile(match.true, thumbnail(entry.load()), entry.name)
-            for match, entry in ((match, task.gallery[match.index]) for match in tiles)
+            for match, entry in ((match, answer.task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
-        case.margin_shown,
+        case.margin,
     )

@@ -84,7 +84,7 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
         return Verdict(True, "Found: there is no wrong tile", "All tiles that are searched show the place.", answer)
     if rival is None:
         return _without_truth(ranking, answer)
-    words, gains = _Words(names, noun), _gains(ranking, answer, rival)
+    words, gains = _Words(names, noun), ranking.gains(answer.index, rival.index)
     found = Verdict(answer.true, "", "", answer, rival, gains)
     counted = np.flatnonzero(_counted(ranking))
     if answer.true:
@@ -99,17 +99,12 @@ def _without_truth(ranking: Ranking, answer: Match) -> Verdict:
     """Compare an answer with the next tile where the truth is not known, or no tile is true."""
     rival = next(iter(ranking.top(2)[1:]), None)
     lead = None if rival is None else shown_difference(rival.distance2, answer.distance2)
-    gains = None if rival is None else _gains(ranking, answer, rival)
+    gains = None if rival is None else ranking.gains(answer.index, rival.index)
     if ranking.relevant is not None:
         why = "The gallery has no tile of this place, so no answer can be right."
         return Verdict(False, "No true tile", why, answer, rival, gains)
     leads = "There is no other tile." if lead is None else f"It leads the next tile by {lead:.3f}."
     return Verdict(None, "No truth is known", leads, answer, rival, gains)
-
-
-def _gains(ranking: Ranking, answer: Match, rival: Match) -> Float64Array:
-    ahead, behind = (ranking.similarities[match.index].astype(np.float64) for match in (answer, rival))
-    return cast(Float64Array, 2 * ranking.weights.astype(np.float64) * (ahead - behind))
 
 
 def _counted(ranking: Ranking) -> BoolArray:
