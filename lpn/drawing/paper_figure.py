@@ -130,10 +130,9 @@ class PaperFigure:
             plots = pyplot()
         except ModuleNotFoundError as error:
             raise missing_package(error) from error
-        # Texts of an SVG stay texts, and a PDF embeds the typeface.
-        with plots.rc_context(
-            {"svg.fonttype": "none", "svg.hashsalt": "lpn", "pdf.fonttype": 42, "font.size": _POINTS}
-        ):
+        # Texts of an SVG stay texts, and a PDF embeds the typeface, which is that of the user's settings, if there are some.
+        files = {"svg.fonttype": "none", "svg.hashsalt": "lpn", "pdf.fonttype": 42, "savefig.bbox": "standard"}
+        with plots.rc_context(files | {"font.size": _POINTS, "text.usetex": False}):
             return encode(_Drawing(plots, self).figure, DPI, kind)
 
     def _repr_png_(self) -> bytes:
@@ -157,14 +156,11 @@ class _Drawing:
         self.figure = plots.figure(figsize=(given.width * _MM, self._height * _MM))
         lefts = [_LEFT + (side + _GAP) * column for column in range(maps + 1)]
         bars = lefts[-1] + side + 2.5 * _GAP
-        self._write(lefts[0] + side / 2, _TOP / 2, "picture")
-        for part in range(maps):
-            name = (
-                f"{given.noun} {given.names[part]}" if self._each else f"heat of the {given.noun}s" if n > 1 else "heat"
-            )
-            self._write(
-                lefts[part + 1] + side / 2, _TOP / 2, name, LIGHT.ink(theme.part_colour(part)) if self._each else None
-            )
+        of_all = f"heat of the {given.noun}s" if n > 1 else "heat"
+        heads = [f"{given.noun} {name}" for name in given.names] if self._each else [of_all]
+        inks = [LIGHT.ink(theme.part_colour(part)) if self._each else LIGHT.text for part in range(maps)]
+        for left, head, ink in zip(lefts, ["picture", *heads], [LIGHT.text, *inks], strict=True):
+            self._write(left + side / 2, _TOP / 2, head, color=theme.css(ink))
         heats = [row.heat if self._each else row.heat.sum(axis=0, keepdims=True) for row in given.rows]
         limits: dict[str, float] = {}
         for row, maps_of in zip(given.rows, heats, strict=True):
@@ -177,9 +173,8 @@ class _Drawing:
             picture = images.shrink(row.picture, round(max(side, height) * _MM * DPI))
             axes = self._panel(picture, (lefts[0], top, side, height), row.areas, range(n))
             if row.frame is not None:
-                _draw_border(
-                    axes, (-_FRAME / side, -_FRAME / height, 1 + _FRAME / side, 1 + _FRAME / height), row.frame, 1.6
-                )
+                x, y = _FRAME / side, _FRAME / height
+                _draw_border(axes, (-x, -y, 1 + x, 1 + y), row.frame, 1.6)
             for column, cells in enumerate(heats[i]):
                 parts = [column] if self._each else range(n)
                 drawn = overlays.with_evidence(picture, cells, limits[row.heat_of])
@@ -191,17 +186,11 @@ class _Drawing:
 
     def _axes(self, box: _Box) -> Any:
         left, top, width, height = box
-        return self.figure.add_axes(
-            (
-                left / self._given.width,
-                1 - (top + height) / self._height,
-                width / self._given.width,
-                height / self._height,
-            )
-        )
+        x, y = self._given.width, self._height
+        return self.figure.add_axes((left / x, 1 - (top + height) / y, width / x, height / y))
 
-    def _write(self, x: float, y: float, text: str, colour: Colour | None = None, **style: Any) -> None:
-        style = {"ha": "center", "va": "center", "color": theme.css(colour or LIGHT.text)} | style
+    def _write(self, x: float, y: float, text: str, **style: Any) -> None:
+        style = {"ha": "center", "va": "center", "color": theme.css(LIGHT.text), "parse_math": False} | style
         self.figure.text(x / self._given.width, 1 - y / self._height, text, **style)
 
     def _panel(self, picture: UInt8Array, box: _Box, areas: PartAreas | None = None, parts: Sequence[int] = ()) -> Any:
