@@ -174,7 +174,7 @@ class Case:
         pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
             negative. The counterpart of another tile is the nearest positive.
         comparison: of the nearest positive with a wrong tile; None if no positive is known, or no tile is wrong.
-        effect: what the smallest change of weights does to all queries; None in a story, and where only searches know the gallery.
+        effect: what the smallest change of weights does to all queries; None in a story, and if searches alone know the gallery.
     """
 
     answer: Answer

@@ -21,7 +21,7 @@ from typing import cast
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference
 from lpn.core.texts import listed, ordinal
 from lpn.retrieval import Match, Ranking
@@ -86,7 +86,7 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
         return _without_truth(ranking, answer)
     words, gains = _Words(names, noun), ranking.gains(answer.index, rival.index)
     found = Verdict(answer.true, "", "", answer, rival, gains)
-    counted = np.flatnonzero(_counted(ranking))
+    counted = np.flatnonzero(ranking.weights * (1 if ranking.lengths is None else ranking.lengths))
     if answer.true:
         headline, parts, sentence = _right(ranking, found, counted, words)
     else:
@@ -107,17 +107,16 @@ def _without_truth(ranking: Ranking, answer: Match) -> Verdict:
     return Verdict(None, "No truth is known", leads, answer, rival, gains)
 
 
-def _counted(ranking: Ranking) -> BoolArray:
-    return (ranking.weights > 0) & (True if ranking.lengths is None else ranking.lengths > 0)
-
-
 def _ranks_without(ranking: Ranking) -> Int64Array:
     """Return the rank of the nearest true tile without each part, (n,); a tie counts as if the true tile came first."""
     assert ranking.relevant is not None
-    true = ranking.relevant[ranking.order]
-    terms = ranking.weights.astype(np.float64) * ranking.similarities[ranking.order]
-    scores = terms.sum(axis=1, keepdims=True) - terms
-    return cast(Int64Array, 1 + (scores[~true] > scores[true].max(axis=0) + _EQUAL).sum(axis=0))
+    weights = np.where(np.eye(len(ranking.weights)), 0.0, ranking.weights[:, None])
+    scores = ranking.similarities @ weights
+    true, wrong = ranking.order[ranking.relevant[ranking.order]], np.zeros(len(scores), bool)
+    wrong[ranking.order] = True
+    wrong[true] = False
+    ahead = scores > scores[true].max(axis=0) + _EQUAL
+    return cast(Int64Array, 1 + np.array([np.count_nonzero(one & wrong) for one in ahead.T]))
 
 
 def _right(ranking: Ranking, found: Verdict, counted: Int64Array, words: _Words) -> tuple[str, tuple[int, ...], str]:
