@@ -11,6 +11,7 @@ import pytest
 import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
+from lpn.core.progress import listening
 from lpn.index import DescriptorKind, create_index, open_index
 from lpn.index.from_map import index_windows
 from lpn.locate.map_windows import describe_windows
@@ -56,7 +57,8 @@ def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_p
         before, resumed = len(described), True
         assert index.count() == before >= 20
         progress: list[tuple[int, int]] = []
-        added = index_windows(index, town, describe, [40.0], 0.5, lambda *counts: progress.append(counts), block=8)
+        with listening(lambda _, *counts: progress.append(counts)):
+            added = index_windows(index, town, describe, [40.0], 0.5, block=8)
         windows = town.pyramid([40.0])
         assert len(described) == before + added == index.count() == len(windows) == town.count_pyramid([40.0])
         assert progress[0] == (0, len(windows))
