@@ -27,7 +27,7 @@ def town(tmp_path: Path) -> Map:
 def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp_path: Path) -> None:
     model = lpn.load(model_file)
     named = NamedWindow.all_of(town.pyramid([40.0, 60.0], 0.5), town.frame)
-    rounded, names = [one.on(town.frame) for one in named], [one.name for one in named]
+    rounded, names = NamedWindow.all_on(named, town.frame), [one.name for one in named]
     store = describe_windows(model, town, rounded, tmp_path / "store", names=names)
     out = tmp_path / "index"
     command = ["index", "--map", str(tmp_path / "town.tif"), "--model", str(model_file), "--size", "40", "60"]
