@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -27,14 +27,15 @@ from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
 from lpn.locate.relief import relief_model
+from lpn.locate.source import FlightSource, OpenedFlight
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
-from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.sources import ModelOptions, OpenedSource, SourceOptions, model_names, source_of
+from lpn.sources.kinds.data import open_data
+from lpn.tasks.changes import by_csls, changed
 from lpn.tasks.opening import (
-    by_csls,
     calibrated,
     choose_task,
     no_calibration,
@@ -43,7 +44,6 @@ from lpn.tasks.opening import (
     task_calibration,
 )
 from lpn.tasks.task import Scoring, Task
-from lpn.tasks.turned import changed
 
 log = logging.getLogger(__name__)
 
@@ -65,6 +65,7 @@ def open_model(
     pooling: str | None = None,
     beside_weathers: Sequence[WeatherName] = (),
     csls: int = 0,
+    task: str | None = None,
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
@@ -78,6 +79,7 @@ def open_model(
         kind: the method of `model`, see `lpn.load`.
         calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
         pooling: of the tokens of `model`, see `lpn.load`.
+        task: the one to open, in place of all.
         beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
 
     Raises:
@@ -91,7 +93,7 @@ def open_model(
     _check_weathers(beside_weathers)
     if beside_weathers and isinstance(own, ModelOptions):
         own = own.load()
-    scoring = calibrate, csls
+    scoring = task, calibrate, csls
     workspace, dataset = _open_one(data, own, name, scoring)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
@@ -113,7 +115,7 @@ def open_model(
 
 
 def _opens(
-    data: Path, model: ModelOptions | Model, name: str, scoring: tuple[bool | None, int]
+    data: Path, model: ModelOptions | Model, name: str, scoring: tuple[str | None, bool | None, int]
 ) -> Callable[[], Workspace]:
     """Return what opens a model on a data set, see `_open_one`."""
     return lambda: _open_one(data, model, name, scoring)[0]
@@ -161,15 +163,16 @@ def _open_one(
     data: Path,
     model: ModelOptions | Model,
     model_name: str,
-    scoring: tuple[bool | None, int],
+    scoring: tuple[str | None, bool | None, int],
 ) -> tuple[Workspace, Dataset]:
-    """Open one model on a data set, see `open_model`; `scoring` is its calibrate and csls."""
+    """Open one model on a data set, see `open_model`; `scoring` is its task, calibrate, and csls."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else model.load()
         dataset = open_dataset(data)
-    workspace = _workspace(open_data(opened, model_name, dataset, calibrate=False, every=True))
-    _offer_scorings(workspace, opened, model_name, dataset, *scoring)
+    task, calibrate, csls = scoring
+    workspace = _workspace(open_data(opened, model_name, dataset, task, False, every=True))
+    _offer_scorings(workspace, opened, model_name, dataset, calibrate, csls)
     return workspace, dataset
 
 
@@ -186,13 +189,13 @@ def _offer_scorings(
     Args:
         calibrate, csls: see `open_model`.
     """
-    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
+    tasks = list(workspace.tasks.values())
     if csls:
         check_neighbours(csls, max(len(task.queries) for task in tasks))
     asked = task_calibration(model, dataset, calibrate)
     ready = asked or shipped_calibration(model, dataset)
 
-    def rank(scored: Iterable[GalleryTask]) -> None:
+    def rank(scored: Iterable[Task]) -> None:
         for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
             workspace.rankings[ranking.task.key] = ranking
 
@@ -205,7 +208,7 @@ def _offer_scorings(
         rank_by(calibrated(model, dataset))
 
     if csls and asked is None:
-        rank(by_csls(tasks, csls))
+        rank(by_csls(task, csls) for task in tasks if len(task.queries) >= csls)
     if ready is not None:
         rank_by(ready)
     why_not = "" if ready is not None else no_calibration(model, dataset)
@@ -233,8 +236,8 @@ def _naming_files(files: Sequence[Path], open_workspace: Callable[[], Workspace]
     return opened
 
 
-def open_source(source: TaskSource, query: str | None = None) -> Workspace:
-    """Open the tasks of a source.
+def open_source(options: SourceOptions, query: str | None = None) -> Workspace:
+    """Recognise a source, and open its tasks.
 
     Args:
         query: name of the query that a new browser shows first.
@@ -242,9 +245,10 @@ def open_source(source: TaskSource, query: str | None = None) -> Workspace:
     Raises:
         LPNError: when the source cannot be used, or there is no such query.
     """
+    source = source_of(options)
     with _status(f"Opening {source.title}"):
         opened = source.open()
-    workspace = _workspace(opened, with_city=opened.map is None)
+    workspace = _workspace(opened, with_city=not isinstance(opened, OpenedFlight))
     _print_notes(opened)
     workspace.choose_first_query(query)
     return workspace
@@ -296,7 +300,7 @@ def open_flight_over(
     """
     name, *names = _names([model, *beside])
     locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
-    source = Flown(map=map_path, flight=flight_path, model=model)
+    source = FlightSource(_over(map_path, flight_path, model))
     opened = _open_flown(source, name, overlap, shipped)
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
@@ -310,19 +314,25 @@ def open_flight_over(
     opens = []
     for options, other_name in zip(beside, names, strict=True):
         loaded = options.load()  # one that cannot be loaded ends the start
-        opens.append(_opens_flown(replace(source, model=options), other_name, overlap, loaded))
+        other = FlightSource(_over(map_path, flight_path, options))
+        opens.append(_opens_flown(other, other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
     if register:
         _begin_registration(workspace, located, network, locating)
     return workspace
 
 
-def _opens_flown(source: Flown, name: str, overlap: float, loaded: Model) -> Callable[[], Workspace]:
+def _over(map_path: Path, flight_path: Path, model: ModelOptions) -> SourceOptions:
+    named = {one.name: getattr(model, one.name) for one in fields(ModelOptions)}
+    return SourceOptions(source=str(flight_path), map=map_path, **named)
+
+
+def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model) -> Callable[[], Workspace]:
     """Return what opens a flight under another model, see `_open_flown`."""
     return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
-def _flight_workspace(opened: OpenedSource) -> Workspace:
+def _flight_workspace(opened: OpenedFlight) -> Workspace:
     workspace = _workspace(opened, with_city=False)
     workspace.scorings = Scorings(
         "Frames are cut to the ground of the map's windows, so a flight needs no calibration."
@@ -367,12 +377,12 @@ def offered(label: str, files: Sequence[Path], open_workspace: Callable[[], Work
 
 
 def _open_flown(
-    source: Flown,
+    source: FlightSource,
     name: str,
     overlap: float,
     shipped: Path | None = None,
     loaded: Model | None = None,
-) -> OpenedSource:
+) -> OpenedFlight:
     """Open a flight without registration, under a name of its model."""
     with _status(f"Opening {source.title}"):
         return source.locate(overlap, shipped=shipped, loaded=loaded).named(name)
@@ -391,8 +401,8 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
         _city(first) if with_city else _relief(source),
         first.root,
     )
-    workspace.flight = source.located
-    workspace.basemap = source.map if source.located is None else source.located.basemap
+    if isinstance(source, OpenedFlight):
+        workspace.flight, workspace.basemap = source.located, source.map
     workspace.own_photos = None if workspace.basemap is None else OwnPhotoJobs(workspace.basemap)
     return workspace
 
@@ -435,7 +445,8 @@ def _status(text: str) -> AbstractContextManager[object]:
 def _relief(source: OpenedSource) -> CityModel | None:
     """Return the relief of a flight's map; None without a map, or if its heights are damaged, which logs a warning."""
     try:
-        return None if source.located is None else relief_model(source.located.basemap)
+        located = source.located if isinstance(source, OpenedFlight) else None
+        return None if located is None else relief_model(located.basemap)
     except DataError as error:
         log.warning("The map has no relief: %s", error)
         return None

@@ -16,7 +16,7 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn import report
 from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
-from lpn.core.errors import InputError, LPNError
+from lpn.core.errors import LPNError
 from lpn.core.files import TYPED, printable
 from lpn.core.progress import CountProgress
 from lpn.locate.task import stage_columns
@@ -39,11 +39,7 @@ MakeReport = Callable[[FileProgress, QueuedModel | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """Return the task with these part weights, the user's notes, and what is known of a flight; InputError for an index."""
-    if task.depth is not None:
-        raise InputError(
-            "A report needs the whole gallery in memory; of an index, save the queries of “All pictures in a table” as CSV."
-        )
+    """Return the task with these part weights, the user's notes, and what is known of a flight."""
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
     stored = notes.read_notes(own_file(workspace.root, notes.NAME))
     bound = None if model is None else workspace.scored_model(model, task).for_task(*task.views)

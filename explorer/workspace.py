@@ -198,7 +198,7 @@ class Workspace:
         if state.flight and not self.has_flight:
             state = replace(state, flight=False)
         if self.tasks[state.task].query_view == "satellite":
-            state = replace(state, weather="normal")  # a tile has none, see `lpn.retrieval.weathers`
+            state = replace(state, weather="normal")  # a tile has none, see `lpn.tasks.weathers`
         if self.without_cells:
             state = replace(state, heat=False, heat_kind="activation", region=())
         return (
@@ -254,7 +254,7 @@ class Workspace:
         The truth of a query that is not `graded` counts as not known.
         """
         ranked = self.rankings[task.key].result is not None
-        quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
+        quick = len(task.queries) <= _QUICK_OUTCOMES
         known = self._outcomes(task.key) if ranked and quick else None
         if known is None or self.flight is None:
             return known
@@ -301,7 +301,7 @@ class Workspace:
     def answer_distances(self, task: Task) -> AnswerDistances | None:
         """Return how far the answers of a task are; None until it is ranked, without descriptors, and where it takes long."""
         ranked = self.rankings[task.key].result is not None
-        quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
+        quick = len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
 
     def located(self, analysis: StateAnalysis) -> LocatedFrame | None:
@@ -408,8 +408,6 @@ class Workspace:
                     origin = task.geometry.origin
                     x, y = self.basemap.frame.xy([origin.latitude], [origin.longitude])[0].tolist()
                     drawn, _ = self.basemap.picture((x + west, y + south, x + east, y + north), mosaic.LARGEST)
-                elif task.depth is not None:
-                    drawn = mosaic.empty(task.geometry)
                 else:
                     drawn = mosaic.draw(task.geometry, task.gallery)
                 self._mosaics[task.name] = drawn
@@ -445,7 +443,7 @@ class Workspace:
     def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
         job = self.rankings[name]
         assert job.result is not None
-        task = job.task.current()
+        task = job.task
         try:
             outcomes = task.outcomes_of(job.result.ranking)
             return outcomes, task.tabulate(outcomes, self.part_names)

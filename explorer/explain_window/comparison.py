@@ -70,8 +70,6 @@ def page(
         swatches=[theme.css(colour) for colour in colours],
         ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
-        depth=ranking.depth,
-        describe_rank=verdicts.describe_rank,
         effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )

@@ -102,7 +102,7 @@ class Lead:
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
-    first, depth = analysis.matches[0], analysis.ranking.depth
+    first = analysis.matches[0]
     if analysis.ranking.relevant is None:
         gap = verdicts.next_tile(first)
         if analysis.state.upload is None:
@@ -132,8 +132,6 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
     if not judge.is_sure(analysis, workspace):
         _, headline, sentence = flight_verdict(analysis, workspace, plain_verdict(analysis, workspace))[0]
         return None, headline, sentence
-    if analysis.positive is None and depth is not None:
-        return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     hardest_negative = next((match for match in analysis.matches if not match.true), None)
     return verdicts.verdict(first, analysis.positive, hardest_negative, workspace.part_names, _error_m(analysis))
 
@@ -185,7 +183,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
             f"The model compared {pictures} and found {judged or 'the right one'}{off}.",
         )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
-    rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
+    rank = "is not near the top" if positive is None else f"came {verdicts.ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
@@ -284,11 +282,11 @@ def checked(headline: str, located: LocatedFrame, sign: bool | None) -> str:
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say why no tile can be the right answer; "" if one is, or if the search returned only some of all tiles.
+    """Say why no tile can be the right answer; "" if one is.
 
     A photo of a flight is graded by a place, which its registration may contradict.
     """
-    if analysis.positive is not None or analysis.ranking.depth is not None:
+    if analysis.positive is not None:
         return ""
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if workspace.flight is None:

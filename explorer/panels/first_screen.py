@@ -70,7 +70,7 @@ _DISPUTED = {
 _BRING = """\
 pip install "lpn-explorer[maps]"
 lpn map ortho.tif --out maps/here
-lpn explore flight --map maps/here --flight photos/ --model city-lpn"""
+lpn explore photos/ --map maps/here --model city-lpn"""
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
@@ -251,7 +251,7 @@ def page(
     laid = None if state.why or wrong else _laid(located, workspace, own is not None)
     lines = _lines(analysis, workspace, found, laid)
     headline = found.concluded[1] if found.concluded else found.look[1]
-    if third is None and laid is None and (found.look_errs or wrong) and positive is not None and not positive.beyond:
+    if third is None and laid is None and (found.look_errs or wrong) and positive is not None:
         third = positive.index
     turn, matched = _turn(analysis, workspace), details_pair(analysis, workspace) if state.why else None
     because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
@@ -388,7 +388,7 @@ def said(analysis: StateAnalysis, workspace: Workspace, on_read: CountProgress =
         doubt = "" if laid.sign else ": in doubt"
         offset = f"{laid.offset}, north up"
         pictures.append(SaidPicture(f"{_ON_MAP}{doubt}", offset, laid.picture, laid.sign, doubted=laid.sign is None))
-    elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
+    elif found.look_errs and chosen.rank == 1 and positive is not None:
         picture, caption, right = _third_tile(
             analysis, workspace, positive.index, found.disputed, found.look[0] is None
         )

@@ -108,10 +108,7 @@ def _overall(listed: Int64Array, known: BoolArray, workspace: Workspace) -> str:
 def _sentence(analysis: StateAnalysis, right: str) -> str:
     compared = f"The model compared {analysis.task.tiles:,} {verdicts.pictures_of(analysis.task)} and chose"
     positive = analysis.positive
-    if positive is None:
-        came = "none of them shows the place"
-    else:
-        came = f"{right} is not near the top" if positive.beyond else f"{right} came {verdicts.ordinal(positive.rank)}"
+    came = "none of them shows the place" if positive is None else f"{right} came {verdicts.ordinal(positive.rank)}"
     return f"{compared} {_away(analysis)}; {came}."
 
 
@@ -163,7 +160,7 @@ def _scale(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[st
     """Say if a photo that is laid over the map shows ground of another width than the answer, and that than the right one."""
     task, registered, positive = analysis.task, workspace.details(analysis), analysis.positive
     query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
-    true = None if positive is None or positive.beyond else task.gallery[positive.index].cut
+    true = None if positive is None else task.gallery[positive.index].cut
     if registered is None or not registered.accepted or registered.width is None:
         return []
     if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(true, WindowCut):
@@ -178,7 +175,7 @@ def _scale(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[st
 def _look_alike(analysis: StateAnalysis, right: str) -> list[str]:
     """Say if no other place looks more like the right one to the model than the answer's."""
     task, positive = analysis.task, analysis.positive
-    if positive is None or positive.beyond or not shows_places(task):
+    if positive is None or not shows_places(task):
         return []
     alike = wrong_answers.most_alike(task.sides()[1], task.gallery_labels, positive.index, task.weights)
     if alike != task.gallery_labels[analysis.matches[0].index]:
@@ -189,7 +186,7 @@ def _look_alike(analysis: StateAnalysis, right: str) -> list[str]:
 def _close(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[str]:
     """Say if the answer was a close one: by how much the right one is behind, among the leads of right answers."""
     known, positive = workspace.outcomes(analysis.task), analysis.positive
-    if known is None or positive is None or positive.beyond:
+    if known is None or positive is None:
         return []
     behind = -float(known[0].margin[analysis.state.query])
     larger = wrong_answers.share_of_larger_leads(known[0], behind)

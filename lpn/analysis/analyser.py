@@ -188,8 +188,7 @@ class QueryAnalyser:
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
         search = self._search.get(search_key, lambda: _start_search(task, index, query, request.region, weights))
-        ranking = search(weights, request.compare if isinstance(request.compare, int) else None)
-        task = task.current()
+        ranking = search(weights)
         matches = ranking.top(k)
         if not matches:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
@@ -260,8 +259,8 @@ def pair_evidence(
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
     """Describe a gallery picture; without a model, or without its picture, take its stored descriptor."""
     picture = task.gallery[index].load_zoomed()
-    if model is None or task.without_picture(index):
-        return DescribedPicture(picture, task.stored_descriptor(index), None, None)
+    if model is None or task.gallery[index].missing:
+        return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
     return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)
 
 

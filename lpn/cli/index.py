@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import lpn
-from lpn.cli.explain import part_values
+from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.progress import report_progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
-from lpn.sources import KindOption, PoolingOption, ProviderOption
+from lpn.sources import ModelOptions
 
 if TYPE_CHECKING:
     from lpn.index import SearchResult
@@ -121,18 +121,16 @@ class IndexCommand:
         return f"The tiles that {printable(_displayed(self.out))} has by now are kept; the same command goes on."
 
 
-@dataclass
-class SearchCommand:
+@dataclass(kw_only=True)
+class SearchCommand(ModelOptions):
     """Find the tiles of an index that a picture matches best, and each part's share of the distance."""
 
     index: str
     """Folder of the index, or milvus://host:port/collection."""
-    model: Path
+    model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""
-    kind: KindOption = None
-    pooling: PoolingOption = None
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0
@@ -141,7 +139,6 @@ class SearchCommand:
     """Weight of each part, such as 1,1,0,1; equal by default."""
     top: int = 10
     """Number of listed tiles."""
-    provider: ProviderOption = "auto"
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     json: Path | None = None
@@ -157,7 +154,7 @@ class SearchCommand:
 
         check_count(self.top)
         check_outputs((self.json, ".json"))
-        model = lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
+        model = self.load()
         # An index holds a gallery (`lpn.index.tiles`).
         model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
@@ -207,20 +204,19 @@ def _matches(
 
 
 def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
 
-    table = Table(title="part: its contribution to the squared distance", title_justify="right")
-    for name in ("rank", "tile", "score", "gap", *names):
-        table.add_column(name, justify="left" if name == "tile" else "right")
+    if not matches:
+        print("There is no tile to compare with.")
+        return
+    rows = []
     for match in matches:
         gap = "" if match["gap"] is None else f"{match['gap']:.4f}"
         contributions = (f"{part['contribution']:.4f}" for part in match["parts"])
-        table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *contributions)
-    console = wide_console(100)
-    console.print(table if matches else "There is no tile to compare with.")
+        rows.append((str(match["rank"]), printable(match["tile"]), f"{match['score']:.4f}", gap, *contributions))
+    title = "part: its contribution to the squared distance"
+    TextTable(("rank", "tile", "score", "gap", *names), rows, title, align="rlr").print(wide_console(100))
 
 
 def _displayed(where: str) -> str:

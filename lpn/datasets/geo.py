@@ -26,9 +26,9 @@ import numpy.typing as npt
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.lists import decoded, read_text, table
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.listed_paths import by_name, fold, plain_path
-from lpn.datasets.lists import decoded, read_text, table
 
 if TYPE_CHECKING:
     from lpn.datasets.base import Picture
@@ -97,13 +97,46 @@ class Positions:
         """Return the position of each picture; DataError if one has none."""
         return self.below(names_below(self._root, pictures))
 
-    def match(self, names: Sequence[str]) -> list[Position | None]:
-        """Return positions by names below a described folder; see the function `match`."""
-        return match(self._by_path, names, f"{self.source} in {self._root}")
-
     def below(self, names: Sequence[str]) -> list[Position]:
-        """Return positions by paths below the data set's folder; raises DataError as `of` does."""
-        return find_positions(self._by_path, names, self.source)
+        """Return the position of each path below the data set's folder; DataError if one has none."""
+        known = self._by_path
+        if any(name not in known for name in names):
+            known = by_name(known, names, self.source)
+        if missing := [name for name in names if name not in known]:
+            raise DataError(
+                f"{self.source} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
+                f"add a line for each, or take {self.source} away."
+            )
+        return [known[name] for name in names]
+
+    def match(self, names: Sequence[str]) -> list[Position | None]:
+        """Return positions by paths below another folder, that of a description; None for pictures without one.
+
+        The other folder may lie below the data set's: the prefix that fits most names is used, and on a tie the data set's own
+        folder.
+
+        Raises:
+            InputError: if two prefixes fit equally many names, at different positions.
+        """
+        # Paths are compared without case, unless two of them differ by case alone.
+        folds = all(len(set(map(fold, paths))) == len(paths) for paths in (self._by_path, {*map(plain_path, names)}))
+        key = fold if folds else str
+        listed = {key(path): position for path, position in self._by_path.items()}
+        keys = [key(plain_path(name)) for name in names]
+        wanted, counts = set(keys), Counter[str]()
+        for parts in (path.split("/") for path in listed):
+            depths = (depth for depth in range(len(parts)) if "/".join(parts[depth:]) in wanted)
+            counts.update("".join(f"{part}/" for part in parts[:depth]) for depth in depths)
+        most = max(counts.values(), default=0)
+        best, *others = sorted(folder for folder, count in counts.items() if count == most) or [""]
+        found = [listed.get(best + name) for name in keys]
+        for other in others if best else ():
+            if [_place(place) for place in found] != [_place(listed.get(other + name)) for name in keys]:
+                raise InputError(
+                    f"{self.source} in {self._root} has the pictures below both {best} and {other}, at other places; give a file "
+                    "of positions, or the folder of one (as --data takes it), that has only the described one."
+                )
+        return found
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
@@ -235,54 +268,6 @@ def _positions_in(text: str, file: str) -> dict[str, Position]:
             raise DataError(f"{line} gives {_short(path)} a second position; keep one.")
         positions[path] = Position(**numbers)
     return positions
-
-
-def find_positions(by_file: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position]:
-    """Return the position of each picture by its name; DataError if one has none."""
-    if any(name not in by_file for name in names):
-        by_file = by_name(by_file, names, file)
-    missing = [name for name in names if name not in by_file]
-    if missing:
-        raise DataError(
-            f"{file} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
-            f"add a line for each, or take {file} away."
-        )
-    return [by_file[name] for name in names]
-
-
-def match(positions: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position | None]:
-    """Return positions by names below a described folder; None for pictures without one.
-
-    The described folder may lie below the folder of the file of positions: the prefix that matches most names is used,
-    and among equal ones the file's own folder.
-
-    Raises:
-        InputError: if two prefixes match equally many names, at different positions.
-    """
-    # Another case is the same picture, unless the names themselves differ by their case alone.
-    folds = all(len(set(map(fold, paths))) == len(paths) for paths in (positions, set(map(plain_path, names))))
-    key = fold if folds else str
-    listed = {key(path): position for path, position in positions.items()}
-    keys = [key(plain_path(name)) for name in names]
-    wanted, spelt = set(keys), dict[str, str]()
-    counts: Counter[str] = Counter()
-    for path in positions:
-        parts = path.split("/")
-        for depth in range(len(parts)):
-            if key("/".join(parts[depth:])) in wanted:
-                folder = "".join(f"{part}/" for part in parts[:depth])
-                counts[key(folder)] += 1
-                spelt.setdefault(key(folder), folder)
-    most = max(counts.values(), default=0)
-    above = sorted(folder for folder, count in counts.items() if count == most) or [""]
-    if above[0]:
-        for other in above[1:]:
-            if any(_place(listed.get(above[0] + name)) != _place(listed.get(other + name)) for name in keys):
-                raise InputError(
-                    f"{file} has the pictures below both {spelt[above[0]]} and {spelt[other]}, at other places; give a file of "
-                    "positions, or the folder of one (as --data takes it), that has only the described one."
-                )
-    return [listed.get(above[0] + name) for name in keys]
 
 
 def _place(position: Position | None) -> tuple[float, float] | None:

@@ -37,11 +37,6 @@ def ordinal(rank: int) -> str:
     return f"{rank}{suffix}"
 
 
-def describe_rank(match: Match) -> str:
-    """Return "12th", or "not among the 100 found" where a search did not return the tile."""
-    return f"not among the {match.rank - 1} found" if match.beyond else ordinal(match.rank)
-
-
 def describe_position(cells: Float64Array, view: View) -> str:
     """Say where in a picture the positive cells, of (h, w), lie: "upper right" or, on a satellite tile, "north-east".
 
@@ -225,19 +220,12 @@ def verdict(
             f"It leads the {say('hardest negative')} by {total:.3f}{unit()}{_decisive(margin, part_names, total)}.",
         )
     top = "answer" if plain() else "top match"
-    if positive.beyond and positive.distance2 < first.distance2:
-        lead = first.distance2 - positive.distance2
-        return (
-            False,
-            f"Missed: the search did not return the {say('positive')}",
-            f"It would lead the {top} by {lead:.3f}{unit()}: the index searches approximately.",
-        )
     margin = first.contributions - positive.contributions
     total = shown_difference(first.distance2, positive.distance2)
     off = "" if error_m is None else f" The answer lies {distance(error_m)} from the place photographed."
     return (
         False,
-        f"Wrong: the {say('positive')} is {describe_rank(positive)}",
+        f"Wrong: the {say('positive')} is {ordinal(positive.rank)}",
         f"It is {abs(total):.3f}{unit()} behind the {top}{_decisive(margin, part_names, total, costs=True)}.{off}",
     )
 

@@ -10,16 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError
-from lpn.datasets import Truth
 from lpn.explain._least_distance import shortest
-from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval import Ranking, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
 MIN_SCORE_LEAD = 1e-5
@@ -205,46 +202,6 @@ class Effect:
     def helps(self) -> bool:
         """True if more queries are gained than lost."""
         return len(self.gained) > len(self.lost)
-
-
-def effect(
-    query: Float32Array,
-    gallery: Float32Array,
-    before: npt.ArrayLike | None,
-    after: npt.ArrayLike,
-    query_labels: npt.ArrayLike | None = None,
-    gallery_labels: npt.ArrayLike | None = None,
-    truth: Sequence[Truth] | None = None,
-    first: Int64Array | None = None,
-) -> Effect:
-    """Compare two sets of part weights over all queries of a task.
-
-    This takes one retrieval for `after`, and another one for `before` if `first` is not given. For the memory and the
-    errors of a retrieval, see `lpn.retrieval.metrics.retrieve`.
-
-    Args:
-        query, gallery: descriptors, (Q, n, D) and (G, n, D).
-        before, after: part weights, see `scoring.part_weights`; None for equal ones.
-        query_labels, gallery_labels, truth: true matches, as for `lpn.retrieval.metrics.retrieve`.
-        first: 0-based rank of each query's first true match under the old weights, (Q,), -1 without one; computed by default.
-    """
-    if first is None:
-        first = metrics.retrieve(weighted_queries(query, before), query_labels, gallery, gallery_labels, truth).first
-    then = metrics.retrieve(weighted_queries(query, after), query_labels, gallery, gallery_labels, truth).first
-    if first.shape != then.shape:
-        raise InputError(f"There are {len(first)} known ranks for {len(then)} queries; expected one for each.")
-    old, new = first == 0, then == 0
-    known = metrics.known_queries(truth)
-    counted = np.ones(len(then), bool) if known is None else known
-    recalls = [100.0 * float(is_first[counted].mean()) for is_first in (old, new)]
-    gained, lost = np.flatnonzero(new & ~old), np.flatnonzero(old & ~new)
-    return Effect(recalls[0], recalls[1], gained, lost, int(counted.sum()))
-
-
-def weighted_queries(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:
-    """Multiply part i of queries (..., n, D) by n w_i, so that their inner product with a tile is the weighted score."""
-    n = query.shape[-2]
-    return cast(Float32Array, query * (n * scoring.part_weights(n, weights))[:, None])
 
 
 def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:

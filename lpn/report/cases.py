@@ -249,7 +249,7 @@ class Cases:
             margin=margin,
             without=counterfactual.ranks_without_parts(ranking),
             change=change,
-            effect=None if change is None else self._effect(change),
+            effect=None if change is None else effect_on(task, change.weights),
         )
 
     def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:
@@ -280,7 +280,3 @@ class Cases:
             for column in columns
             if column.known[index]
         ]
-
-    def _effect(self, change: Reweighting) -> Effect | None:
-        task = self._task
-        return effect_on(task, task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None

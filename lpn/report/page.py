@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from lpn.drawing import verdicts
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
-from lpn.retrieval import protocol
+from lpn.tasks.measure import sentence
 from lpn.tasks.task import Task
 
 # Queries in one report; browsers open the file of more of them slowly.
@@ -107,31 +106,20 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
     """List the results of all queries as names, percentages, and meanings; empty if no query's place is known."""
     if not task.metrics["queries"]:
         return []
-    figures = [
+    return [
         ("R@1", task.metrics["recall@1"], "true tile first"),
         ("R@5", task.metrics["recall@5"], "among the first 5"),
         ("R@10", task.metrics["recall@10"], "among the first 10"),
         ("AP", task.metrics["ap"], "mean average precision"),
     ]
-    # AP needs all ranks, and a search returns only the first.
-    return [figure for figure in figures if not math.isnan(figure[1])]
 
 
 def _gallery(task: Task) -> str:
-    tiles = f"{len(task.gallery):,} tiles" if task.lists_gallery else task.gallery_description
-    return f"{tiles}, pieces of the map" if task.of_map else tiles
+    return f"{task.gallery_description}, pieces of the map" if task.of_map else task.gallery_description
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
-    mirrored = "descriptors of picture and mirror added, " if task.contract.mirror == "sum" else ""
-    normalised = f"{'each part ' if task.contract.n_parts > 1 else ''}normalised"
-    clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}{normalised}"]
-    if task.weights is not None:
-        clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
-    clauses += [] if task.calibration is None else [task.calibration.describe()]
-    parts = tuple(range(1, task.contract.n_parts + 1))
-    rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None, neighbours=task.neighbours)
     facts = [
         ("Model", task.model_name),
         ("", "saved descriptors, no network" if task.model is None else task.model.describe()),
@@ -147,7 +135,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     facts += [
         ("Data", task.data_name),
         ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {_gallery(task)}"),
-        ("Protocol", rule.removeprefix("Protocol: ")),
+        ("Protocol", sentence(task).removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
     if options.said:

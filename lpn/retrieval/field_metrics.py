@@ -16,8 +16,10 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.datasets import geo
+from lpn.datasets.base import PositionProtocol
 from lpn.retrieval.inner_products import Scores
 from lpn.retrieval.metrics import checked_sides
 
@@ -122,6 +124,37 @@ def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArra
             order = np.argsort(-scores.exact(query_index, candidates), kind="stable")
             nearest_first[query_index] = candidates[order[:depth]]
     return nearest_first
+
+
+def field_figures(
+    measured_by: PositionProtocol,
+    query: Float32Array,
+    gallery: Float32Array,
+    query_places: Float64Array,
+    places: Float64Array,
+) -> dict[str, float]:
+    """Return the metrics that a published evaluation takes from positions, as means over the queries.
+
+    Keys: for DenseUAV `sdm_denseuav@K` (0 .. 1) for K = 1, 3, 5, 10 and `ma@m` in percent for m = 5, 10, 20, 50, 100 metres; for
+    GTA-UAV and UAV-VisLoc `sdm_gta_uav@K` (0 .. 1) and `dis@K` in metres for K = 1, 3, 5. K above the size of the gallery is left
+    out.
+
+    Args:
+        query, gallery: descriptors, (Q, n, D) and (G, n, D).
+        query_places, places: see `Dataset.coordinates`, (Q, 2) and (G, 2).
+    """
+    order = nearest(query, gallery, 10)
+    starts, ends = query_places[:, None], places[order]
+    if measured_by == "DenseUAV":
+        degrees = degree_distances(starts, ends)
+        top = great_circle(query_places, ends[:, 0])
+        depths = [k for k in (1, 3, 5, 10) if k <= order.shape[1]]
+        figures = {f"sdm_denseuav@{k}": float(sdm_denseuav(degrees, k).mean()) for k in depths}
+        return figures | {f"ma@{metres}": accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
+    metres = geo.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
+    depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
+    figures = {f"sdm_gta_uav@{k}": float(sdm_gta_uav(metres, k).mean()) for k in depths}
+    return figures | {f"dis@{k}": float(distance_at(metres, k).mean()) for k in depths}
 
 
 def _sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:

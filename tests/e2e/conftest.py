@@ -95,9 +95,9 @@ def started(
         program: what Python runs.
         port: any that is free by default, which the app takes by itself: nobody else can take it meanwhile.
     """
-    source = ["--data", data, "--model", model]
+    source = [data, "--model", model]
     if saved is not None:
-        source = ["published", "--data", data, "--saved", saved, "--n-parts", "4"]
+        source = [saved, "--data", data, "--n-parts", "4"]
     source += ["--beside", *beside] if beside else []
     inputs = [] if default else source
     command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port)]

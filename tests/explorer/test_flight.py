@@ -22,7 +22,7 @@ import lpn
 from explorer import opening, session_state
 from explorer.browse.feeds import Feeds
 from explorer.browse.query_list import entries
-from explorer.cli import ExploreFlight, ExploreNamed
+from explorer.cli import Explore
 from explorer.compute import own_photos
 from explorer.compute.own_photos import CameraPicture, OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
 from explorer.failure_lab import state as lab_state
@@ -40,6 +40,7 @@ from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
+from lpn.core.demo import DEMO
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.progress import report_progress
 from lpn.drawing.words import speaking
@@ -51,7 +52,7 @@ from lpn.locate.task import TASK
 from lpn.maps import Map, Window
 from lpn.maps.named_window import WindowCut
 from lpn.maps.tag_placed import describe_placing
-from lpn.sources import Flown, Indexed, ModelOptions
+from lpn.sources import ModelOptions
 from tests.lpn.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
@@ -246,19 +247,19 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
     [
         (
             ["--map", "a.tif", "--model", "m.onnx"],
-            "lpn explore index, lpn explore flight, and lpn explore live have it",
+            "--map is of a source, and none is given; name it: lpn explore SOURCE.",
         ),
-        (["--no-register"], "lpn explore flight"),
+        ([str(DEMO), "--no-register"], "demo is a data set, and --no-register fits a flight; leave it out."),
         (
-            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--beside-kind", "dac"],
+            ["monday", "--map", "a.tif", "--model", "m.onnx", "--beside-kind", "dac"],
             "--beside-kind needs --beside",
         ),
         (
-            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--port", "0"],
+            ["monday", "--map", "a.tif", "--model", "m.onnx", "--port", "0"],
             "There is no file a.tif",
         ),
         (
-            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--map-error", "-1"],
+            ["monday", "--map", "a.tif", "--model", "m.onnx", "--map-error", "-1"],
             "The map's error is -1 m; expected 0 or more metres.",
         ),
     ],
@@ -291,10 +292,12 @@ def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
 
     monkeypatch.setattr(lpn, "load", load)
     monkeypatch.setattr(explorer.app, "serve", lambda opened, *_: opened())
-    bare = ModelOptions(model=tmp_path / "bare.pth", kind="dac")
+    bare: dict[str, Any] = {"model": tmp_path / "bare.pth", "kind": "dac"}
+    (tmp_path / "index").mkdir()
+    (tmp_path / "index" / "index.json").touch()
     for command in (
-        ExploreFlight(source=Flown(map=files[0], flight=files[1], model=bare)),
-        ExploreNamed(source=Indexed(index=str(tmp_path / "index"), data=tmp_path, model=bare)),
+        Explore(source=str(files[1]), map=files[0], **bare),
+        Explore(source=str(tmp_path / "index"), data=tmp_path, **bare),
     ):
         with pytest.raises(InputError, match="It is not opened"):
             command.run()

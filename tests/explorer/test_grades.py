@@ -30,7 +30,7 @@ from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.drawing.words import speaking
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
-from lpn.sources import Flown
+from lpn.locate.source import FlightSource
 
 TASK = "drone-to-satellite"
 PATIENCE = 120.0
@@ -154,15 +154,15 @@ def test_reports_count_as_the_first_screen_does(
     workspace: Workspace, findings: Findings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_app = reports.of_selection(workspace, findings.task, list(range(PHOTOS)), "all")[1].decode()
-    locate = Flown.locate
+    locate = FlightSource.locate
     shipped: dict[str, Any] = {"overlap": OFFERED_OVERLAP, "shipped": DEMO_PLACE[0].with_name(DEMO_ANSWERS)}
 
-    def as_in_app(source: Flown, _: float | None, *args: Any) -> Any:
+    def as_in_app(source: FlightSource, _: float | None, *args: Any) -> Any:
         names, weights = args
         return locate(source, names=names, weights=weights, **shipped)
 
-    monkeypatch.setattr(Flown, "locate", as_in_app)
-    command = ["report", "flight", "--map", str(DEMO_PLACE[0]), "--flight", str(DEMO_PLACE[1])]
+    monkeypatch.setattr(FlightSource, "locate", as_in_app)
+    command = ["report", str(DEMO_PLACE[1]), "--map", str(DEMO_PLACE[0])]
     command += ["--model", str(DEMO_MODEL), "--out", str(tmp_path / "r.html")]
     assert main([*command, "--where", "seconds >= 0", "--matches", "1"]) == 0
     by_command = (tmp_path / "r.html").read_text()

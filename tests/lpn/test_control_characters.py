@@ -85,25 +85,37 @@ def fly(folder: Path) -> tuple[str, str]:
 
 
 COMMANDS = {
-    "failures": (["--data", "{data}", "--model", "{model}", "--where", "weather ~ rain", "--csv", "{out}.csv"], 0),
-    "evaluate": (["--data", "{data}", "--model", "{model}"], 0),
+    "failures": (["{data}", "--model", "{model}", "--where", "weather ~ rain", "--csv", "{out}.csv"], 0),
+    "evaluate": (["{data}", "--model", "{model}"], 0),
     "doctor --data": (["--data", "{data}"], 1),
     "doctor --model": (["--data", "{data}", "--model", "{model}"], 0),
     "doctor opts.yaml": (["--model", "{broken}/net.pth"], 2),
     "compare": (
         [
+            "{data}",
+            "--model",
             "{model}",
             "{second}",
-            "--data",
-            "{data}",
             "--table",
             "{out}.tex",
         ],
         0,
     ),
-    "report": (["--data", "{data}", "--model", "{model}", "--query", "{query}", "--out", "{out}.html"], 0),
-    "sweep": (
-        ["--data", "{data}", "--model", "{model}", "--query", "{query}", "--step", "180", "--csv", "{out}.csv"],
+    "report": (["{data}", "--model", "{model}", "--query", "{query}", "--out", "{out}.html"], 0),
+    "explain --over": (
+        [
+            "{data}",
+            "--model",
+            "{model}",
+            "--query",
+            "{query}",
+            "--over",
+            "rotation",
+            "--step",
+            "180",
+            "--csv",
+            "{out}.csv",
+        ],
         0,
     ),
     "doctor": (["{models}"], 1),

@@ -58,7 +58,7 @@ from lpn.locate.belief import disagreements
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher, XFeatMatcher
 from lpn.maps.named_window import WindowCut
-from lpn.sources import Published
+from lpn.sources import SourceOptions
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
@@ -489,7 +489,7 @@ def test_a_picture_of_ones_own_is_not_graded(workspace: Workspace, monkeypatch: 
 
 def test_without_a_network_the_button_shows_everything(data: Path, model_file: Path, tmp_path: Path) -> None:
     save_result(tmp_path / "r.mat", data, model_file)
-    saved = open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4))
+    saved = open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data, n_parts=4))
     html = first_screen.page(analyse(saved, SessionState(TASK, 4, first_screen=True)), saved)
     assert "Why?" not in html
     assert re.search(r"<button[^>]*>Show everything<", html)
@@ -611,7 +611,8 @@ def test_on_the_demo_the_constants_of_both_tiles_lie_on_the_cells_of_their_parts
     answer, other = (
         float(
             (
-                explain.side_evidence(analysis.query.trace, analysis.task.stored_descriptor(index)).constants * weights
+                explain.side_evidence(analysis.query.trace, analysis.task.gallery_descriptors[index]).constants
+                * weights
             ).sum()
         )
         for index in (before.matches[0].index, lead.index)
@@ -655,7 +656,7 @@ def test_what_only_the_city_has_opens_the_city(monkeypatch: pytest.MonkeyPatch) 
         )
     monkeypatch.setattr("explorer.cli.find_spec", lambda _: None)  # without the extra `maps`
     assert Explore().workspaces().key == "data"
-    assert Explore(data=DEMO, model=DEMO / "lpn.onnx").workspaces().others == {}
+    assert Explore(source=str(DEMO), model=DEMO / "lpn.onnx").workspaces().others == {}
 
 
 def assert_details_come_first(workspace: Workspace, state: SessionState, monkeypatch: pytest.MonkeyPatch) -> None:

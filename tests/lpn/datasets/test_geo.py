@@ -65,15 +65,16 @@ def test_names_of_a_folder_further_down_find_their_positions() -> None:
         return {path: geo.Position(i, 0) for i, path in enumerate(paths)}
 
     def matched(known: dict[str, geo.Position], *names: str) -> list[float | None]:
-        return [None if place is None else place.latitude for place in geo.match(known, names)]
+        return [None if place is None else place.latitude for place in Positions(Path(), known).match(names)]
 
     assert matched(found("a.png", "b/a.png"), "a.png", "b/a.png", "c.png") == [0, 1, None]
     assert matched(found("x/y/a.png", "z/a.png", "x/y/b/a.png"), "a.png", "b/a.png") == [0, 2]
     assert matched(found("x/a.png", "a.png"), "a.png") == [1]  # the file's own folder
     assert matched({}, "a.png") == [None]
     with pytest.raises(InputError, match="below both x/ and y/, at other places"):
-        geo.match(found("x/a.png", "y/a.png"), ["a.png"])
-    assert geo.match(dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2)), ["a.png"]) == [geo.Position(1, 2)]
+        Positions(Path(), found("x/a.png", "y/a.png")).match(["a.png"])
+    alike = dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2))
+    assert Positions(Path(), alike).match(["a.png"]) == [geo.Position(1, 2)]
 
 
 def test_a_camera_stands_behind_what_it_shows() -> None:
@@ -142,12 +143,12 @@ def test_evaluation_says_how_many_metres_the_answers_are_off(
     lines = ["path,latitude,longitude", *rows]
     write(root, "\n".join(lines) + "\n")
     out = tmp_path / "figures.json"
-    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file), "--json", str(out)]) == 0
+    assert main.main(["evaluate", str(root), "--model", str(model_file), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
     assert figures["within 25 m"] == figures["within 100 m"] == figures["recall@1"]
     step = 0.001 * geo.metres_per_degree(0)[0]
     assert figures["median error m"] / step == pytest.approx(round(figures["median error m"] / step), abs=1e-6)
     assert "the median error of the top match is" in capsys.readouterr().out.replace("\n", " ")
     write(root, "\n".join(line for line in lines if "gallery_satellite/0003" not in line) + "\n")
-    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main.main(["evaluate", str(root), "--model", str(model_file)]) == 2
     assert "geo.csv has no position for 1 of" in capsys.readouterr().err

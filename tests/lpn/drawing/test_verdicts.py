@@ -96,26 +96,10 @@ def test_parts_that_lead_alike_are_named_together() -> None:
     assert verdicts.leading_parts(np.array([-0.1, -0.1])) == [0], "no part leads"
 
 
-def match(rank: int, shares: tuple[float, float], true: bool, beyond: bool = False) -> Match:
+def match(rank: int, shares: tuple[float, float], true: bool) -> Match:
     cosines = 1 - np.array(shares, np.float32)
     distance2 = float(sum(shares))
-    return Match(rank, rank, 1 - distance2 / 2, distance2, None, cosines, np.array(shares, np.float32), true, beyond)
-
-
-def test_a_true_tile_beyond_the_searched_depth_has_no_rank() -> None:
-    first, far = match(1, (0.1, 0.2), False), match(101, (0.4, 0.3), True, beyond=True)
-    assert (first.rank_text, far.rank_text) == ("1", "> 100")
-    assert verdicts.describe_rank(first) == "1st"
-    verdict = verdicts.verdict(first, far, first, ["a", "b"])
-    assert verdict[:2] == (False, "Wrong: the true tile is not among the 100 found")
-    assert "0.400 (d²) behind the top match; part a costs it most" in verdict[2]
-
-
-def test_a_true_tile_that_an_approximate_search_missed_is_told() -> None:
-    first, missed = match(1, (0.1, 0.2), False), match(101, (0.1, 0.05), True, beyond=True)
-    verdict = verdicts.verdict(first, missed, first, ["a", "b"])
-    assert verdict[:2] == (False, "Missed: the search did not return the true tile")
-    assert "lead the top match by 0.150" in verdict[2]
+    return Match(rank, rank, 1 - distance2 / 2, distance2, None, cosines, np.array(shares, np.float32), true)
 
 
 def test_a_query_without_a_true_tile_is_wrong_and_a_part_that_costs_has_a_minus() -> None:

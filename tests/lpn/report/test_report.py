@@ -282,7 +282,7 @@ def test_an_invalid_selection_of_queries_is_an_error(task: Task, queries: list[i
 
 
 def run(data: Path, model_file: Path, *more: object) -> int:
-    return main.main(["report", "--data", str(data), "--model", str(model_file), *map(str, more)])
+    return main.main(["report", str(data), "--model", str(model_file), *map(str, more)])
 
 
 def test_the_worst_failures_come_first(

@@ -19,7 +19,7 @@ TASK = "drone-to-satellite"
 
 def test_each_query_has_its_rank_precision_and_nearest_tiles(data: Path, model_file: Path, tmp_path: Path) -> None:
     out, options = tmp_path / "deep" / "queries.csv", ["--csls", "3", "--no-calibrate", "--rotate", "90"]
-    given = ["evaluate", "--data", str(data), "--model", str(model_file), "--task", TASK, "--per-query", str(out)]
+    given = ["evaluate", str(data), "--model", str(model_file), "--task", TASK, "--per-query", str(out)]
     assert main.main([*given, *options]) == 0
     task = lpn.open_task(data, TASK, model_file, csls=3)
     with out.open(newline="", encoding="utf-8") as file:
@@ -44,7 +44,7 @@ def test_each_query_has_its_rank_precision_and_nearest_tiles(data: Path, model_f
 def test_weathers_have_no_table_of_queries(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["evaluate", "--data", str(data), "--model", str(model_file), "--weather", "all"]
+    given = ["evaluate", str(data), "--model", str(model_file), "--weather", "all"]
     assert main.main([*given, "--per-query", str(tmp_path / "queries.csv")]) == 2
     assert "choose one with --weather" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())

@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 
 from lpn.core.notebook_html import percentages
-from lpn.datasets import Dataset
-from lpn.descriptors import descriptor_reader
-from lpn.descriptors.weather import WEATHERS, Weather, WeatherName
-from lpn.models.base import Model
-from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import Result, check_weather, evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.descriptors.weather import WEATHERS, WeatherName
+from lpn.tasks.changes import in_weather
+from lpn.tasks.measure import Result, measure
+from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,30 +73,18 @@ class WeatherResult:
         return percentages(self.sentence, "weather", rows)
 
 
-def evaluate_weathers(
-    model: Model,
-    dataset: Dataset,
-    tasks: Sequence[str],
-    protocol: Protocol | None = None,
-    calibration: Calibration | None = None,
-) -> WeatherResult:
-    """Evaluate tasks in each of `WEATHERS`; descriptors come from the data set or the user's cache.
+def measure_weathers(tasks: Sequence[Task]) -> WeatherResult:
+    """Measure tasks in each of `WEATHERS`; weather falls on the pictures that are no satellite tiles.
 
     Args:
-        tasks: such as "drone-to-satellite" and its reverse; weather falls on the pictures that are no satellite tiles.
-        protocol: the published protocol by default; its weather is replaced.
-        calibration: see `evaluate`.
+        tasks: such as drone-to-satellite and its reverse, under one model.
 
     Raises:
-        InputError: if a task compares tiles with tiles, or `evaluate` refuses it.
-        DataError: if the test split is incomplete.
+        InputError: if a task compares tiles with tiles, or cannot be changed, see `lpn.tasks.changes`.
     """
-    protocol, read = protocol or Protocol(), descriptor_reader(dataset.root)
-    for task in tasks:
-        check_weather(task)
     results: dict[WeatherName, dict[str, Result]] = {}
+    for task in tasks:
+        in_weather(task, "fog")  # refused before pictures are described
     for name in WEATHERS:
-        change = replace(protocol.change, weather=Weather(name))
-        changed = replace(protocol, change=change)
-        results[name] = {task: evaluate(model, dataset, task, changed, read, calibration) for task in tasks}
+        results[name] = {task.name: measure(in_weather(task, name)) for task in tasks}
     return WeatherResult(results)
