@@ -18,11 +18,11 @@ from explorer.server.picture_route import EncodedPicture
 from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.drawing import overlays
+from lpn.library.analyser import OwnPicture
 
 # A picture is held as JPEG of this quality, unless its own file is small: 200 pictures take some 150 MB.
 _QUALITY, _SMALL = 95, 1_000_000

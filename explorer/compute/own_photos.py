@@ -8,9 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.resources import yield_cores
 from lpn.flights import Frame
+from lpn.library.analyser import OwnPicture
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import open_matchers
 from lpn.locate.own_photo import OwnPhoto, register_own_photo

@@ -12,7 +12,8 @@ from explorer.web.render import progress_bar
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
-from lpn.core.numbers import distance, rounded_to_sum, shown_difference, upper_bound
+from lpn.core.numbers import distance, rounded_to_sum, upper_bound
+from lpn.core.texts import ordinal
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
@@ -25,7 +26,6 @@ from lpn.locate.own_photo import OwnPhoto
 from lpn.locate.summary import doubted_clause, is_unchecked, other_map, unchecked_frames
 from lpn.maps import Window
 from lpn.maps.tag_placed import placing_sentence
-from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
 # A GPS tag at least this far from the nearest tile is in another region.
@@ -75,11 +75,6 @@ class Lead:
     sure: bool = True
 
     @property
-    def total(self) -> float:
-        """The lead in d²; below 0 for a wrong answer, which is nearer than the right picture."""
-        return float(self.terms.sum())
-
-    @property
     def figures(self) -> list[float]:
         """The terms as they are shown: rounded, they add up to the lead that is shown."""
         return rounded_to_sum(self.terms.tolist(), total=self.shown)
@@ -102,43 +97,20 @@ class Lead:
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
-    first = analysis.matches[0]
     if analysis.ranking.relevant is None:
-        gap = verdicts.next_tile(first)
-        if analysis.state.upload is None:
-            known = "Its true place is not known here"
-            if workspace.flight is not None and workspace.flight.elsewhere:
-                known = workspace.flight.elsewhere
-            return None, "Best match" if words.plain() else "Nearest tile", f"{known}; {gap}."
-        if (of_map := _on_map(analysis, workspace)) is not None:
-            right, headline, sentence = of_map
-            beside = "" if analysis.registered is None else f" {gap[:1].upper()}{gap[1:]}."
-            return right, headline, f"{sentence}{beside}"
-        elsewhere, far = _elsewhere(analysis, workspace), _far(analysis, workspace)
-        place = (
-            f"{elsewhere}, so no answer can be right" if elsewhere else _beside_tag(analysis, workspace, "this tile")
-        )
-        place = place or "Its true place is not known here"
-        headline = "best match" if words.plain() else "nearest tile"
-        if elsewhere or (far is not None and far[0]):
-            headline = "not one of these" if elsewhere else "probably none of these"
-        elif _off_tag(analysis, workspace):
-            headline = "elsewhere by its GPS tag"
-        return (
-            None,
-            f"Your picture: {headline}",
-            " ".join((f"{place}; {gap}.", *(() if far is None or elsewhere else far[1:]))),
-        )
+        right, headline, sentence = plain_verdict(analysis, workspace)
+        waits = _compared(analysis) and analysis.registered is None
+        return right, headline, sentence if waits else f"{sentence} {analysis.verdict.sentence}"
     if not judge.is_sure(analysis, workspace):
         _, headline, sentence = flight_verdict(analysis, workspace, plain_verdict(analysis, workspace))[0]
         return None, headline, sentence
-    hardest_negative = next((match for match in analysis.matches if not match.true), None)
-    return verdicts.verdict(first, analysis.positive, hardest_negative, workspace.part_names, _error_m(analysis))
+    said = analysis.verdict
+    return said.sign, said.headline, said.sentence
 
 
 def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), one word for it, and one sentence without a technical term."""
-    first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
+    first, positive, error_m = analysis.matches[0], analysis.positive, analysis.error_m(analysis.matches[0])
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if analysis.ranking.relevant is None:
         if (of_map := _on_map(analysis, workspace)) is not None:
@@ -151,7 +123,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
                 f"{elsewhere}, so no answer can be right. The one beside it is merely the most similar.",
             )
         far = _far(analysis, workspace)
-        place = _beside_tag(analysis, workspace, "this one")
+        place = _beside_tag(analysis, workspace)
         if not place and not analysis.state.upload and workspace.flight is not None and workspace.flight.elsewhere:
             place = "The GPS tags are left out, so it is not graded"
         place = place or "The true place is not known here, so it is not graded"
@@ -183,7 +155,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
             f"The model compared {pictures} and found {judged or 'the right one'}{off}.",
         )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
-    rank = "is not near the top" if positive is None else f"came {verdicts.ordinal(positive.rank)}"
+    rank = "is not near the top" if positive is None else f"came {ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
@@ -197,7 +169,7 @@ def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     if window is None or first.true is None or analysis.positive is None:
         return ""
     by = "its GPS tag" if workspace.flight is None else workspace.flight.judge_of(analysis.state.query)
-    lies, error_m = "on it" if first.true else "beyond its edge", _error_m(analysis)
+    lies, error_m = "on it" if first.true else "beyond its edge", analysis.error_m(analysis.matches[0])
     if first.true and error_m is not None:
         lies += _from_middle(error_m, window)
     return f"The chosen piece is {window.size:.0f} m wide; by {by}, the photo's middle lies {lies}."
@@ -271,7 +243,7 @@ def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
     """Say that the model's own answer disagrees with the place of a photo that is known by other means; "" if it does not."""
     if right is not False:
         return ""
-    off = _error_m(analysis)
+    off = analysis.error_m(analysis.matches[0])
     away = "" if off is None else f", {distance(off)} away"
     return f"The model's own guess, by its look alone, was wrong{away}."
 
@@ -478,11 +450,11 @@ def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
     return f"Your picture is {width} × {height} pixels; the model sees it pressed into {shape}."
 
 
-def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str:
-    """Say how far the answer, called `tile`, lies from the picture's GPS tag; "" without a tag."""
-    if (error := _error_m(analysis)) is None:
+def _beside_tag(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say how far the answer lies from the picture's GPS tag; "" without a tag."""
+    if (error := analysis.error_m(analysis.matches[0])) is None:
         return ""
-    sentence = f"Its GPS tag lies {distance(error)} from the middle of {tile}"
+    sentence = f"Its GPS tag lies {distance(error)} from the middle of this one"
     if (reach := _off_tag(analysis, workspace)) is None:
         return sentence
     return f"{sentence}; the size of the piece and the errors of tags allow {distance(reach)}"
@@ -493,7 +465,7 @@ def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:
 
     The limit is half of the piece's diagonal plus the error of a tag, see `_tag_error`.
     """
-    error, window = _error_m(analysis), _window(analysis)
+    error, window = analysis.error_m(analysis.matches[0]), _window(analysis)
     if analysis.state.upload is None or error is None or window is None:
         return None
     reach = window.size / math.sqrt(2) + _tag_error(workspace)
@@ -530,21 +502,16 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     Args:
         judged: what the right piece is called where its judge is doubtful, see `explorer.judge.judged_piece`.
     """
-    first, others, answer = analysis.matches[0], analysis.matches[1:], answer_name(analysis)
-    rival: Match | None
-    if first.true is False and (rival := analysis.positive) is not None:
-        name = judged or "the right picture"
-        shown = shown_difference(first.distance2, rival.distance2)
-        return Lead(first.contributions - rival.contributions, shown, name, rival.index, answer, of_answer=False)
-    if first.true:
-        rival = next((match for match in others if not match.true), None)
-        name = "the best piece of another place" if judged else "the best wrong picture"
-    else:
-        rival, name = next(iter(others), None), "the next best picture"
-    if rival is None:
+    said, answer = analysis.verdict, answer_name(analysis)
+    if said.rival is None or said.gains is None:
         return None
-    shown = shown_difference(rival.distance2, first.distance2)
-    return Lead(rival.contributions - first.contributions, shown, name, rival.index, answer, sure=bool(first.true))
+    if said.rival.true and not said.sign:
+        other = judged or "the right picture"
+        return Lead(-said.gains, -said.lead, other, said.rival.index, answer, of_answer=False)
+    other = "the next best picture"
+    if said.sign:
+        other = "the best piece of another place" if judged else "the best wrong picture"
+    return Lead(said.gains, said.lead, other, said.rival.index, answer, sure=bool(said.sign))
 
 
 def answer_name(analysis: StateAnalysis) -> str:
@@ -672,20 +639,15 @@ def trials(workspace: Workspace) -> tuple[str, str]:
 
 
 def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
-    """Say how the answer to a query as it is compares with those to all queries of the task; empty where that is not known.
+    """Say how the lead of a right answer to a query as it is compares with all such leads; empty where that is not known.
 
     Args:
-        total: the answer's lead over the best wrong picture, if it is right.
+        total: the answer's lead over the best wrong picture.
     """
-    state, first = analysis.state, analysis.matches[0]
+    state = analysis.state
     as_it_is = not state.upload and not state.change and not state.region and not state.altered_weights
-    known = workspace.outcomes(analysis.task) if as_it_is and first.true is not None else None
-    if known is None:
-        return ""
-    outcomes, table = known
-    if first.true:
-        return answer_context.describe_lead(outcomes, total)
-    return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
+    known = workspace.outcomes(analysis.task) if as_it_is and analysis.matches[0].true else None
+    return "" if known is None else answer_context.describe_lead(known[0], total)
 
 
 def overall(right: int, graded: int, altered: bool = False) -> str:
@@ -706,9 +668,3 @@ def _times(right: int, of: int, digits: int = 0) -> str:
     if right < of and float(f"{share:.{digits}f}") == 100:
         share = 100 - 10.0**-digits
     return f"{right:,} times ({share:.{digits}f} %)"
-
-
-def _error_m(analysis: StateAnalysis) -> float | None:
-    """Return the metres from what the query shows to the top match; None where that is unknown."""
-    error_m = math.nan if analysis.errors_m is None else float(analysis.errors_m[analysis.matches[0].index])
-    return error_m if math.isfinite(error_m) else None  # a tile of an index may have no position

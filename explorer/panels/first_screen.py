@@ -31,7 +31,6 @@ from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
 from explorer.web.terms import term
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
@@ -45,6 +44,7 @@ from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import LeadPlace, lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.flights.photo_file import PhotoFile
+from lpn.library.matching_turn import MatchingTurn, matching_turn
 from lpn.locate.belief import belief, disagreements, tag_figures
 from lpn.locate.coverage import outline
 from lpn.locate.grades import is_disputed, off_window, window_of
@@ -53,7 +53,7 @@ from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
 from lpn.maps.tag_placed import placing_sentence
-from lpn.report import Said, SaidDetails, SaidPicture
+from lpn.report import Said, SaidPicture
 from lpn.retrieval import DescribedPicture
 
 # Map files, and bytes of them, up to which a saved answer has their SHA-256.
@@ -235,12 +235,11 @@ def page(
     disputed = found.disputed
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace)
     errs = found.look[0] is False and not state.upload
-    explained = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why or errs else None
-    cells_of_parts = None if explained is None else _lead_cells(analysis, explained)
-    why_wrong = _wrong_because(analysis, workspace, explained, cells_of_parts) if errs else ""
+    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why else None
+    cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
+    why_wrong = f"{analysis.verdict.headline}." if errs and analysis.positive is not None else ""
     # The page of wrong answers and the explanation of the look have this sentence, too.
     off_map = "" if wrong or state.why else place_text.off_map(task.gallery[analysis.chosen.index], "this answer")
-    lead = explained if state.why else None
     cells = None if lead is None or cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
     sure = lead is not None and lead.sure and found.look[0] is not None
@@ -255,8 +254,6 @@ def page(
         third = positive.index
     turn, matched = _turn(analysis, workspace), details_pair(analysis, workspace) if state.why else None
     because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
-    if wrong and why_wrong:
-        wrong = replace(wrong, reasons=[why_wrong, *(one for one in wrong.reasons if one != wrong_answer.UNEXPLAINED)])
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -293,7 +290,7 @@ def page(
         nowhere=own is not None and not own.answer.accepted,
         full=0.0 if lead is None else max(float(abs(lead.terms).max()), 1e-9),
         part_names=workspace.part_names,
-        part_word=workspace.parts_word.removesuffix("s"),
+        part_word=workspace.contract.part_noun,
         stories=stories,
         own_position=own_position,
         own_held=own_held,
@@ -406,17 +403,7 @@ def said(analysis: StateAnalysis, workspace: Workspace, on_read: CountProgress =
         _map_facts(workspace, on_read),
         tuple((method, tuple(sentences)) for method, sentences in reasons),
         tuple(filter(None, [lines.criterion, checked])),
-        _said_details(analysis, workspace),
-    )
-
-
-def _said_details(analysis: StateAnalysis, workspace: Workspace) -> SaidDetails | None:
-    pair = details_pair(analysis, workspace)
-    if pair is None:
-        return None
-    pins = tuple((pin.in_photo, pin.on_map, pin.metres) for pin in pair.pins)
-    return SaidDetails(
-        pair.sentence, pair.photo, pair.ground, pair.size, tuple(pair.frame), pair.colour, pins, pair.limit
+        details_pair(analysis, workspace),
     )
 
 
@@ -591,26 +578,6 @@ def _speaking_place(
         (workspace.ground_of(task, ahead), workspace.ground_of(task, behind)),
         None if turn is None else turn.degrees,
     )
-
-
-def _wrong_because(
-    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
-) -> str:
-    """Say which parts put a wrong answer before the right one, where, and by how much; "" if no part did.
-
-    Args:
-        cells: each cell's share of the lead, part by part.
-    """
-    if lead is None or cells is None or lead.of_answer:
-        return ""
-    place = _speaking_place(analysis, workspace, lead, cells, -1)
-    if place is None:
-        return ""
-    names = lead.answer, lead.other
-    text = verdicts.describe_lead_place(place, workspace.part_names, analysis.task.query_view, names, "the picture")
-    if text.startswith(only := "Only "):
-        return f"Wrong because {text[len(only) :]} No other {words.say('part')} speaks for it."
-    return f"Wrong because {text[:1].lower()}{text[1:]}"
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:

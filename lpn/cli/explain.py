@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -60,11 +60,15 @@ class ExplainCommand(SourceOptions):
         from lpn import explain, retrieval
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
+        from lpn.datasets import Picture
         from lpn.descriptors.transforms import Change
         from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
+        from lpn.library.answer import PairEvidence
+        from lpn.library.gallery import answer_of
         from lpn.retrieval import scoring
+        from lpn.retrieval.csls import CslsTerms
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
         task = None if self.source is None else source_of(self).open().task
@@ -99,12 +103,16 @@ class ExplainCommand(SourceOptions):
         names = model.contract.names(views[0])
         console = wide_console(100)
         losses = _losses(model, query, views[0], tile) if self.covering else None
-        of: dict[str, Any] = {"model": model.fingerprint, "query": str(files[0]), "match": str(files[1])}
-        of |= {"view_query": views[0], "view_match": views[1], "rotate": self.rotate}
+        terms = None if csls is None else CslsTerms(csls[0], csls[1][None])
+        ranking = retrieval.rank(cosines[None], weights, csls=terms)
+        gallery = [Picture(files[1], 0, str(files[1]))]
+        answer = answer_of(model, views, query, gallery, tile.descriptor[None], ranking, str(files[0]))
+        of: dict[str, Any] = {"model": model.fingerprint, "match": str(files[1]), "rotate": self.rotate}
+        of |= {"view_query": views[0], "view_match": views[1]}
         if losses is not None:
-            of |= occlusion.to_dict(cosines, weights, losses, names)
+            of |= answer.to_dict() | occlusion.to_dict(cosines, weights, losses, names)
         elif evidence is not None:
-            of |= evidence.to_dict(names, model.contract.claim)
+            of |= replace(answer, pair_evidence=PairEvidence(evidence, None)).to_dict()
         taken = 0.0 if csls is None else float((csls[0] + csls[1]) @ weights)
         _show(console, cosines, weights, taken, evidence, names, model.contract.claim)
         if evidence is not None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
 import lpn
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import InputError
 from lpn.drawing import verdicts
+from lpn.library.analyser import OwnPicture
+from lpn.library.answer import Answer
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
@@ -32,7 +32,7 @@ class _ContentsTile:
 
 @dataclass(frozen=True)
 class _ContentsLine:
-    """One query in the table of contents: its tiles, the rank of the positive, the margin, and the decisive part."""
+    """One query in the table of contents: its tiles, the rank of the positive, and the margin."""
 
     verdict: bool | None
     thumbnail: str
@@ -41,12 +41,11 @@ class _ContentsLine:
     tiles: list[_ContentsTile]
     rank: int | None
     margin: float | None
-    decisive: str | None
 
 
 def build(
     task: Task,
-    queries: Sequence[int | OwnPicture],
+    queries: Sequence[int | OwnPicture | Answer],
     options: Options | None = None,
     progress: Callable[[int, int], None] | None = None,
     made: datetime | None = None,
@@ -56,7 +55,7 @@ def build(
     Each query and each compared tile takes one forward pass.
 
     Args:
-        queries: positions among the task's queries, or pictures that are no queries, in the order of the report.
+        queries: positions among the task's queries, pictures that are no queries, or answers, in the order of the report.
         progress: called after each query with the numbers of finished and of all queries; what it raises ends the work.
         made: date and time that the report bears, by default now.
 
@@ -67,17 +66,17 @@ def build(
     options = options or Options()
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
-    shown, task = task.without_truth(options.ungraded), task.without_truth(options.doubtful)
-    cases = Cases(shown, options)
-    lines, sections = [], []
+    cases, task = Cases(task, options), task.without_truth(options.doubtful)
+    lines, sections, own = [], [], False
     for number, query in enumerate(queries, 1):
         case = cases.make(query)
         # A case holds pictures and a whole ranking, so only its HTML is kept.
-        lines.append(_line(case, shown, query))
-        sections.append(section(case, shown, number))
+        lines.append(_line(case))
+        sections.append(section(case, number))
+        own = own or case.answer.index is None
         if progress is not None:
             progress(number, len(queries))
-    graded = int(task.metrics["queries"])
+    graded = 0 if options.title else int(task.metrics["queries"])
     return render(
         "report.html.j2",
         style=style_sheet(),
@@ -92,12 +91,13 @@ def build(
         doubtful=bool(options.doubtful),
         part_names=task.part_names,
         said=options.said,
+        title=options.title,
+        captions=options.captions,
         queries=f"{graded:,}{'' if graded == len(task.queries) else ' graded'}",
-        own=any(isinstance(query, OwnPicture) for query in queries),
-        figures=_figures(task),
+        own=own,
+        figures=[] if options.title else _figures(task),
         facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
         lines=lines,
-        decisive=Counter(line.decisive for line in lines if line.decisive).most_common(),
         sections=sections,
     ).encode()
 
@@ -145,28 +145,19 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
 
 
-def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
-    picture = query.picture if isinstance(query, OwnPicture) else task.queries[query].load_cropped()
-    first, truth = case.matches[0], case.positive
+def _line(case: Case) -> _ContentsLine:
+    answer = case.answer
+    first, truth = answer.ranking.match(0), answer.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _ContentsLine(
-        case.verdict,
-        thumbnail(picture),
-        case.name,
-        summary(case, task)[0],
+        answer.verdict.sign,
+        thumbnail(answer.source),
+        answer.name,
+        summary(case)[0],
         [
             _ContentsTile(match.true, thumbnail(entry.load()), entry.name)
-            for match, entry in ((match, task.gallery[match.index]) for match in tiles)
+            for match, entry in ((match, answer.task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
-        case.margin_shown,
-        _decisive(case, task),
+        case.margin,
     )
-
-
-def _decisive(case: Case, task: Task) -> str | None:
-    """Name the part that speaks most for the winner of the margin; None without a margin."""
-    if case.margin is None:
-        return None
-    steps = case.margin.parts
-    return task.part_names[int(steps.argmax() if case.margin.total >= 0 else steps.argmin())]

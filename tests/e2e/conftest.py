@@ -333,7 +333,7 @@ class ExplorerPage:
 
     def explain(self) -> None:
         """Press Y, and open the evidence, which is not what comes first for a wrong answer."""
-        wrong = "Wrong" in self.verdict.inner_text()
+        wrong = "✗" in self.verdict.inner_text()
         self.key("y")
         if wrong:
             expect(self.page.get_by_role("tab", name="True or wrong")).to_have_attribute("aria-selected", "true")

@@ -37,7 +37,6 @@ from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO
@@ -45,6 +44,7 @@ from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.progress import report_progress
 from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
+from lpn.library.analyser import OwnPicture
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher
@@ -179,7 +179,7 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     task, known = workspace.tasks[TASK], len(FLOWN_PLACES) + 1 - len(UNKNOWN)
     assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
-    assert answer_text.verdict(analysis, workspace)[:2] == (None, "Nearest tile")
+    assert answer_text.verdict(analysis, workspace)[:2] == (None, "Best match")
     assert [
         right is None
         for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5], workspace.graded(workspace.rankings[TASK]))
@@ -222,9 +222,7 @@ def test_a_flight_whose_tags_lie_far_off_the_map_is_told_so_first(
     assert concluded[2].startswith(
         "The flight's GPS tags lie 1,929 km from this map, so the map is probably of another place."
     )
-    assert answer_text.verdict(analysis, workspace)[2].startswith(
-        "The flight's GPS tags lie 1,929 km from this map; the next"
-    )
+    assert answer_text.verdict(analysis, workspace)[2] == f"{look[2]} {analysis.verdict.sentence}"
 
 
 def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace: Workspace) -> None:
@@ -501,7 +499,7 @@ def test_an_own_picture_whose_tag_lies_beyond_the_answer_is_elsewhere(workspace:
         assert f"Its GPS tag lies {off:.0f} m from the middle of this one" in sentence
         assert (headline == "Elsewhere by its GPS tag") == elsewhere
         assert ("the size of the piece and the errors of tags allow " in sentence) == elsewhere
-        assert ("elsewhere by its GPS tag" in answer_text.verdict(analysis, workspace)[1]) == elsewhere
+        assert (answer_text.verdict(analysis, workspace)[1] == "Elsewhere by its GPS tag") == elsewhere
 
 
 def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(

@@ -23,11 +23,11 @@ from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis import part_weights
-from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
 from lpn.flights import write_flight
 from lpn.index import gallery
+from lpn.library.analyser import OwnPicture
 from lpn.maps import NamedWindow
 from lpn.sources import SourceOptions, source_of
 from lpn.tasks import changes

@@ -26,12 +26,12 @@ from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.progress import listening, report_progress
 from lpn.datasets import Picture, labels_of, open_dataset
 from lpn.drawing import verdicts
+from lpn.library.analyser import OwnPicture
 from lpn.retrieval.csls import NEIGHBOURS
 from lpn.tasks import opening
 from lpn.tasks.opening import calibrated

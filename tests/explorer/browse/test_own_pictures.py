@@ -28,10 +28,10 @@ from explorer.server.picture_route import PREFIX
 from explorer.session_state import SessionState, StateChange
 from explorer.web.messages import Receivers
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import PictureError
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
+from lpn.library.analyser import OwnPicture
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"

@@ -90,8 +90,9 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
 def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
     name, ranking = next(iter(workspace.rankings.items()))
     for query, rank in enumerate(ranking.ranks):
-        html = pages.verdict(StateAnalyser(workspace).analyse(SessionState(name, 4, query=query), 5), workspace)
-        assert ("✓ Found" if rank == 0 else "✗ Wrong") in html
+        analysis = StateAnalyser(workspace).analyse(SessionState(name, 4, query=query), 5)
+        html = pages.verdict(analysis, workspace)
+        assert f"{'✓' if rank == 0 else '✗'} {analysis.verdict.headline}<" in html
 
 
 def test_what_alters_the_ranking_stands_beside_the_verdict_and_is_undone(workspace: Workspace) -> None:

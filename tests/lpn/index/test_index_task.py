@@ -9,7 +9,6 @@ import pytest
 
 import lpn
 from lpn import descriptors
-from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.core.errors import InputError, StoreError
 from lpn.core.progress import listening
 from lpn.datasets import open_dataset
@@ -18,6 +17,7 @@ from lpn.drawing import mosaic
 from lpn.index import DescriptorKind, Index, IndexEngine, create_index, gallery
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.task import index_task
+from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.models.base import Model, normalise
 from lpn.tasks.opening import describe_task
 from lpn.tasks.task import Task

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lpn.cli.evaluate import _print_surveyed
+from lpn.cli.locate import _print_surveyed
 from lpn.core.errors import DataError, InputError
 from lpn.flights import Flight, Frame
 from lpn.locate.belief import best_track
