@@ -9,6 +9,7 @@ A folder of pictures is a gallery, and a picture of another view gets an answer 
     ...     print(match.rank, match.name, 0 <= match.distance2 <= 4, match.contributions.shape)
     1 0007/0007.png True (4,)
     >>> answer.figure().save("why.png")
+    >>> answer.paper_figure(true=1, wrong=2).save("figure.pdf")
 
 The published protocol measures a model on a data set:
 

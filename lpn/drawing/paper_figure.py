@@ -36,8 +36,9 @@ _Box = tuple[float, float, float, float]
 _MM = 1 / 25.4
 # In mm: the strip of titles at the left, the strip of names above, the scale below, gaps, bars, and the largest picture.
 _LEFT, _TOP, _BELOW, _GAP, _BARS, _LARGEST = 8.0, 4.5, 7.0, 2.0, 31.0, 42.0
-# In mm: the line above bars, the longest name and number beside one, and the distance of a frame from its picture.
-_HEAD, _NAME, _NUMBER, _FRAME = 3.2, 10.0, 9.5, 0.5
+# In mm: the line above bars, a letter of the names before them, the most that a name may take, a number, and the distance of a
+# frame from its picture.
+_HEAD, _LETTER, _NAME, _NUMBER, _FRAME = 3.2, 1.3, 16.0, 9.5, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,10 +130,9 @@ class PaperFigure:
             plots = pyplot()
         except ModuleNotFoundError as error:
             raise missing_package(error) from error
-        # Texts of an SVG stay texts, and a PDF embeds the typeface.
-        with plots.rc_context(
-            {"svg.fonttype": "none", "svg.hashsalt": "lpn", "pdf.fonttype": 42, "font.size": _POINTS}
-        ):
+        # Texts of an SVG stay texts, and a PDF embeds the typeface, which is that of the user's settings, if there are some.
+        files = {"svg.fonttype": "none", "svg.hashsalt": "lpn", "pdf.fonttype": 42, "savefig.bbox": "standard"}
+        with plots.rc_context(files | {"font.size": _POINTS, "text.usetex": False}):
             return encode(_Drawing(plots, self).figure, DPI, kind)
 
     def _repr_png_(self) -> bytes:
@@ -156,14 +156,11 @@ class _Drawing:
         self.figure = plots.figure(figsize=(given.width * _MM, self._height * _MM))
         lefts = [_LEFT + (side + _GAP) * column for column in range(maps + 1)]
         bars = lefts[-1] + side + 2.5 * _GAP
-        self._write(lefts[0] + side / 2, _TOP / 2, "picture")
-        for part in range(maps):
-            name = (
-                f"{given.noun} {given.names[part]}" if self._each else f"heat of the {given.noun}s" if n > 1 else "heat"
-            )
-            self._write(
-                lefts[part + 1] + side / 2, _TOP / 2, name, LIGHT.ink(theme.part_colour(part)) if self._each else None
-            )
+        of_all = f"heat of the {given.noun}s" if n > 1 else "heat"
+        heads = [f"{given.noun} {name}" for name in given.names] if self._each else [of_all]
+        inks = [LIGHT.ink(theme.part_colour(part)) if self._each else LIGHT.text for part in range(maps)]
+        for left, head, ink in zip(lefts, ["picture", *heads], [LIGHT.text, *inks], strict=True):
+            self._write(left + side / 2, _TOP / 2, head, color=theme.css(ink))
         heats = [row.heat if self._each else row.heat.sum(axis=0, keepdims=True) for row in given.rows]
         limits: dict[str, float] = {}
         for row, maps_of in zip(given.rows, heats, strict=True):
@@ -176,9 +173,8 @@ class _Drawing:
             picture = images.shrink(row.picture, round(max(side, height) * _MM * DPI))
             axes = self._panel(picture, (lefts[0], top, side, height), row.areas, range(n))
             if row.frame is not None:
-                _draw_border(
-                    axes, (-_FRAME / side, -_FRAME / height, 1 + _FRAME / side, 1 + _FRAME / height), row.frame, 1.6
-                )
+                x, y = _FRAME / side, _FRAME / height
+                _draw_border(axes, (-x, -y, 1 + x, 1 + y), row.frame, 1.6)
             for column, cells in enumerate(heats[i]):
                 parts = [column] if self._each else range(n)
                 drawn = overlays.with_evidence(picture, cells, limits[row.heat_of])
@@ -190,17 +186,11 @@ class _Drawing:
 
     def _axes(self, box: _Box) -> Any:
         left, top, width, height = box
-        return self.figure.add_axes(
-            (
-                left / self._given.width,
-                1 - (top + height) / self._height,
-                width / self._given.width,
-                height / self._height,
-            )
-        )
+        x, y = self._given.width, self._height
+        return self.figure.add_axes((left / x, 1 - (top + height) / y, width / x, height / y))
 
-    def _write(self, x: float, y: float, text: str, colour: Colour | None = None, **style: Any) -> None:
-        style = {"ha": "center", "va": "center", "color": theme.css(colour or LIGHT.text)} | style
+    def _write(self, x: float, y: float, text: str, **style: Any) -> None:
+        style = {"ha": "center", "va": "center", "color": theme.css(LIGHT.text), "parse_math": False} | style
         self.figure.text(x / self._given.width, 1 - y / self._height, text, **style)
 
     def _panel(self, picture: UInt8Array, box: _Box, areas: PartAreas | None = None, parts: Sequence[int] = ()) -> Any:
@@ -222,11 +212,9 @@ class _Drawing:
         """Draw the shares of the parts between their names and numbers; without `most`, signed on a scale of their own."""
         values = np.asarray(row.shares, np.float64)
         left, top, width, height = box
-        number = "{:.3f}" if most else "{:+.3f}"
-        self._write(
-            left + width / 2, top + _HEAD / 2, f"{row.shares_of} {number.format(values.sum())}".replace("-", "−")
-        )
-        axes = self._axes((left + _NAME, top + _HEAD, width - _NAME - _NUMBER, height - _HEAD))
+        names = min(_LETTER * max(map(len, self._given.names)) + 1.0, _NAME)
+        self._write(left + width / 2, top + _HEAD / 2, f"{row.shares_of} {_number(float(values.sum()), most is None)}")
+        axes = self._axes((left + names, top + _HEAD, width - names - _NUMBER, height - _HEAD))
         low, high = min(float(values.min()), 0.0), most or max(float(values.max()), 1e-9)
         axes.set(xticks=[], yticks=[], xlim=(low, high), ylim=(len(values) - 0.5, -0.5))
         axes.spines[["top", "right", "bottom"]].set_visible(False)
@@ -236,8 +224,8 @@ class _Drawing:
         line = (height - _HEAD) / len(values)
         for part, (name, value) in enumerate(zip(self._given.names, values.tolist(), strict=True)):
             y = top + _HEAD + (part + 0.5) * line
-            self._write(left + _NAME - 1.0, y, name, ha="right")
-            self._write(left + width, y, number.format(value).replace("-", "−"), ha="right")
+            self._write(left + names - 1.0, y, name, ha="right")
+            self._write(left + width, y, _number(value, most is None), ha="right")
 
     def _scale(self, limits: dict[str, float], y: float) -> None:
         """Draw the colours of the heat, with what their ends mean: beside them, or below where the figure is narrow."""
@@ -255,3 +243,8 @@ def _draw_border(axes: Any, border: PartBox, colour: Colour, points: float) -> N
     left, top, right, bottom = border
     x, y = (left, right, right, left, left), (top, top, bottom, bottom, top)
     axes.plot(x, y, color=theme.css(colour), linewidth=points, clip_on=False, solid_joinstyle="miter")
+
+
+def _number(value: float, signed: bool) -> str:
+    rounded = round(value, 3) + 0.0  # no negative zero
+    return (f"{rounded:+.3f}" if signed else f"{rounded:.3f}").replace("-", "−")
