@@ -14,7 +14,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
-from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
+from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import TASKS, views_of
 from lpn.datasets import geo
@@ -81,10 +81,6 @@ def labels_of(pictures: Sequence[Picture]) -> Int64Array:
     return np.array([picture.label for picture in pictures], np.int64)
 
 
-def _no_tiles() -> Int64Array:
-    return np.zeros(0, np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class Truth:
     """The ground truth of one query, as sorted positions in the gallery, int64.
@@ -105,7 +101,7 @@ class Truth:
     junk: Int64Array
     known: bool = True
     trapezoid: bool = True
-    semi: Int64Array = field(default_factory=_no_tiles)
+    semi: Int64Array = field(default_factory=lambda: np.zeros(0, np.int64))
     overlaps: Float64Array | None = None
     among: Int64Array | None = None
 
@@ -197,11 +193,9 @@ class Dataset:
         marks: patterns of paths below the root, of folders with a slash at the end; a folder with all paths of one of the tuples
             is of this layout.
         known_by: what a folder of this layout holds, for the error about a folder of none.
-        parts: patterns of the names of folders right below the root, in lower case.
         priority: layouts of a higher one are tried first.
         deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
-        splits: the last part of a path that names a split.
-        split_list: the list that a split needs.
+        splits: lists of each split, one of which must be there; its name is the last part of a path that takes it.
         folders: folders below the root whose pictures are all read.
         unusable, effect: what is left out, and what this does, as the warning says it.
         none_whole: what to say of a data set without a training picture and a query, as a predicate; "" if it may be so.
@@ -221,11 +215,9 @@ class Dataset:
     title: str = ""
     marks: tuple[tuple[str, ...], ...] = ()
     known_by: str = ""
-    parts: tuple[str, ...] = ()
     priority: int = 0
     deep: bool = False
-    splits: tuple[str, ...] = ()
-    split_list: str = ""
+    splits: Mapping[str, Sequence[str]] = {}
     folders: Sequence[str] = ()
     unusable: str = "files of its lists"
     effect: str = "they are left out"
@@ -269,8 +261,9 @@ class Dataset:
         return ()
 
     def splits_there(self) -> list[str] | None:
-        """Return those of `splits` whose lists are there; None for a data set that has none."""
-        return None
+        """Return the splits whose lists are there; None for a data set that has none."""
+        there = [split for split, lists in self.splits.items() if any(_is_there(self.root, name) for name in lists)]
+        return there if self.splits else None
 
     def place(self, picture: Picture) -> geo.Position | None:
         """Return the position of a test picture by the lists or its name; see `positions_from`."""
@@ -329,10 +322,10 @@ class Dataset:
 
     def lacks_task(self, name: str) -> DataError | InputError:
         """Return the error about a task that is not one of `tasks`: what there is instead, or why there is none."""
-        if offered := self.tasks():
-            own = printable(self.root.resolve().name)
-            return InputError(f"The task is {name!r}; {own} offers {', '.join(offered)} in its test split.")
-        return self.no_task()
+        if not (offered := self.tasks()):
+            return self.no_task()
+        own = printable(self.root.resolve().name)
+        return InputError(f"The task is {name!r}; {own} offers {', '.join(offered)} in its test split.")
 
     def no_task(self) -> DataError:
         """Return the error about a data set without `tasks`."""
@@ -344,7 +337,7 @@ class Dataset:
         return {name: self.pictures(name) for name in names}
 
     def unread(self) -> list[LeftOut]:
-        """Return the pictures in `folders` that are not read because of their name or kind; the call walks the folders."""
+        """Return the pictures in `folders` of kinds that are not read; the call walks the folders."""
         return unread_below(self.root, self.folders)
 
     def truth(self, task: str) -> list[Truth] | None:
@@ -355,22 +348,19 @@ class Dataset:
         if not gallery or all(row.true is None for row in queries):
             return None
         position = {row.file: i for i, row in enumerate(gallery)}
-        regions: dict[str, list[int]] = {}
-        for i, row in enumerate(gallery):
-            regions.setdefault(row.region, []).append(i)
-        among = {name: np.array(tiles, np.int64) for name, tiles in regions.items() if name}
+        region = np.array([row.region for row in gallery])
+        among = {name: np.flatnonzero(region == name) for name in {row.region for row in gallery} - {""}}
 
         def tiles(files: Iterable[str | Path]) -> Int64Array:
             return np.array(sorted({position[file] for file in files if file in position}), np.int64)
 
-        truth = []
-        for row in queries:
+        def of(row: PictureRow) -> Truth:
             good, semi, overlaps = tiles(row.true or ()), tiles(row.semi), None
             if row.overlaps is not None:
                 overlaps = np.array([row.overlaps[gallery[tile].file] for tile in (*good, *semi)], np.float64)
-            junk, region = tiles(row.junk), among.get(row.region)
-            truth.append(Truth(good, junk, True, self.trapezoid, semi, overlaps, region))
-        return truth
+            return Truth(good, tiles(row.junk), True, self.trapezoid, semi, overlaps, among.get(row.region))
+
+        return [of(row) for row in queries]
 
     def positions(self) -> geo.Positions | None:
         """Return the positions of the test pictures on the Earth, those of its `geo.csv` or of `place`; None without any.
@@ -413,22 +403,16 @@ class Dataset:
 
     def _chosen(self, wanted: str | None) -> str | None:
         """Return the wanted split, or by default the first that is there, with a warning about the others."""
-        found = self.splits_there()
-        if found is None and wanted is None:
+        there, name = self.splits_there(), printable(self.root.name)
+        if there is None and wanted is None:
             return None
-        there, name = found or [], printable(self.root.name)
         if not there or (wanted is not None and wanted not in there):
-            has = " and ".join(there) or "none"
-            raise DataError(f"{name} has the lists of {has}; expected {wanted or self.split_list}, so unpack it there.")
+            has, first = " and ".join(there or ()) or "none", next(iter(self.splits.values()), ("another",))[0]
+            raise DataError(f"{name} has the lists of {has}; expected {wanted or first}, so unpack it there.")
         if wanted is None and len(there) > 1:
-            log.warning(
-                "%s has %s splits; this is %s, and %s the other%s.",
-                name,
-                {2: "two", 3: "three"}.get(len(there), len(there)),
-                there[0],
-                first_few([str(self.root / split) for split in there[1:]], 2),
-                "s" if len(there) > 2 else "",
-            )
+            others, number = [str(self.root / split) for split in there[1:]], {2: "two", 3: "three"}.get(len(there))
+            text = "%s has %s splits; this is %s, and %s the other%s."
+            log.warning(text, name, number or len(there), there[0], first_few(others, 5), "s" * (len(others) > 1))
         return wanted or there[0]
 
 
@@ -454,36 +438,10 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
 
 
 def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
-    """Return the files in some folders below a root that are pictures, and that `files_below` skips; hidden folders are skipped.
-
-    Files without an ending are recognised by their first bytes.
-    """
-    left_out: list[LeftOut] = []
-    for top in folders:
-        for folder, inside, names in os.walk(root / top):
-            inside[:] = sorted(name for name in inside if not hidden_name(name))
-            files = {file: _unread(file) for file in (Path(folder, name) for name in sorted(names))}
-            left_out += [
-                LeftOut(file.relative_to(root).as_posix(), why) for file, why in files.items() if why is not None
-            ]
-    return left_out
-
-
-def _unread(file: Path) -> str | None:
-    """Return why a picture is not read; None for a file that is read, or is no picture."""
-    suffix = file.suffix.lower()
-    if file.name.startswith("."):
-        # macOS keeps a file's attributes in one of the same name after "._".
-        return None if file.name.startswith("._") or suffix not in (*SUFFIXES, *OTHER_SUFFIXES) else "is hidden"
-    if suffix in OTHER_SUFFIXES:
-        return "is of a kind that is not read; save it as JPEG"
-    if suffix:
-        return None
-    try:
-        with file.open("rb") as opened:
-            return None if header_error(opened) is not None else "has no ending such as .jpg; rename it"
-    except OSError:
-        return None
+    """Return the pictures of kinds that are not read in some folders below a root; hidden ones are skipped."""
+    files = sorted(file for folder in folders for file in files_below(root / folder, OTHER_SUFFIXES))
+    why = "is of a kind that is not read; save it as JPEG"
+    return [LeftOut(file.relative_to(root).as_posix(), why) for file in files]
 
 
 def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:

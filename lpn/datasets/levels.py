@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from lpn.core.errors import DataError
@@ -42,9 +41,8 @@ def below(root: Path, marked: Marked) -> DataError | None:
 def above(root: Path, marked: Marked) -> Path | None:
     """Return the folder of the data set that a folder is a part of, the outermost one."""
     whole, found = root.resolve(), None
-    for depth, folder in enumerate(whole.parents[: _LEVELS + 1], 1):
-        layout = _layout(folder, marked)
-        if layout is not None and any(fnmatchcase(whole.parts[-depth].lower(), part) for part in layout.parts):
+    for folder in whole.parents[: _LEVELS + 1]:
+        if _layout(folder, marked) is not None:
             found = folder
     if found is None or root.is_absolute() or (near := os.path.relpath(found)).startswith(".."):
         return found

@@ -37,7 +37,6 @@ class CVACT(Dataset):
     kind = "CVACT"
     marks = ((NAME,),)
     known_by = f"{NAME} (CVACT)"
-    parts = ("satview_polish", "streetview", "anu_data_small", "anu_data_test")
     unusable, effect = f"files named in {NAME}", "their pairs are left out"
     none_whole = (
         f"has none of the pairs that {NAME} lists; expected their files in streetview and satview_polish, or in these folders "

@@ -26,7 +26,6 @@ class CVUSA(Dataset):
     kind = "CVUSA"
     marks = tuple((name,) for name in _SPLITS.values())
     known_by = "splits/*-19zl.csv (CVUSA)"
-    parts = ("bingmap", "streetview", "splits")
     unusable, effect = "files named in splits", "their pairs are left out"
     expected = "a split of CVUSA, splits/val-19zl.csv"
     panoramas = True

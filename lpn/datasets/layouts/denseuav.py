@@ -12,6 +12,7 @@ places to train on, too.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.lists import numbered_lines
 from lpn.datasets import geo
-from lpn.datasets.base import Picture, PositionProtocol, sizes
+from lpn.datasets.base import Picture, PictureRow, PositionProtocol, sizes
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
 
@@ -46,10 +47,6 @@ class DenseUAV(University):
         gallery={"drone": (9_099, 3_033), "satellite": (18_198, 3_033)},
     )
 
-    def __init__(self, root: Path, split: str | None = None) -> None:
-        super().__init__(root, split)
-        self.positions_from, self._places = _places(root)
-
     @classmethod
     def recognises(cls, root: Path) -> bool:
         """Return whether there is a list of positions, or a picture of the first place has a name such as H80.JPG."""
@@ -61,12 +58,11 @@ class DenseUAV(University):
                 return any(_HEIGHT.fullmatch(file.name) for file in place.iterdir())
         return False
 
-    def pictures_in(self, name: str) -> list[Picture]:
-        pictures = super().pictures_in(name)
-        if not name.startswith("test/query"):
-            return pictures
-        named = ((picture, _HEIGHT.fullmatch(picture.path.name)) for picture in pictures)
-        return [picture if height is None else replace(picture, group=height[1]) for picture, height in named]
+    def rows(self) -> Iterator[PictureRow]:
+        self.positions_from, self._places = _places(self.root)
+        for row in super().rows():
+            height = _HEIGHT.fullmatch(Path(row.file).name) if row.of.startswith("test/query") else None
+            yield row if height is None else replace(row, group=height[1])
 
     def place(self, picture: Picture) -> geo.Position | None:
         return self._places.get(picture.path.parent.name)

@@ -13,13 +13,14 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.lists import read_json
 from lpn.datasets.base import Dataset, PictureRow, sizes
-from lpn.datasets.layouts.university import place_pictures
+from lpn.datasets.layouts.university import place_rows
 from lpn.datasets.listed_paths import FilesBelow, listed_path
 
 _LISTS = ("test_951_version.json", "test_24G_version.json")
@@ -34,7 +35,6 @@ class GeoText(Dataset):
     kind = "GeoText-1652"
     marks = (*((name,) for name in _LISTS), (f"images/{_QUERY}/",), (f"{_QUERY}/",))
     known_by = f"{_LISTS[0]} (GeoText-1652)"
-    parts = ("images", "train", "test")
     expected = f"{_QUERY}/<place>/* of two views"
     unusable = "pictures of its lists"
     published_sizes = sizes(
@@ -44,33 +44,24 @@ class GeoText(Dataset):
     )
 
     def rows(self) -> Iterator[PictureRow]:
-        top, name = _top(self.root), printable(self.root.name)
+        top = next(
+            (self.root / "images" for split in ("train", "test") if (self.root / "images" / split).is_dir()), self.root
+        )
         inside = top.relative_to(self.root).as_posix()
         self.folders = [f"{inside}/{split}" for split in ("train", "test")]
-        train, query, distractors = (place_pictures(top / folder) for folder in ("train", _QUERY, _DISTRACTORS))
+        train, query, distractors = ([*place_rows("", top / folder)] for folder in ("train", _QUERY, _DISTRACTORS))
         if not query:
             raise DataError(
-                f"{name} has GeoText-1652's lists and no pictures in {_QUERY}; unpack the archives in images."
+                f"{printable(self.root.name)} has GeoText-1652's lists and no pictures in {_QUERY}; unpack the archives in "
+                "images."
             )
-        if both := {picture.label for picture in query} & {picture.label for picture in distractors}:
-            raise DataError(
-                f"{name} has the place {min(both):04d} in {_QUERY} and in {_DISTRACTORS}; expected different places, so unpack "
-                "it again."
-            )
-        for of, pictures in (("train/", train), ("test/query_", query), ("test/gallery_", [*query, *distractors])):
+        for of, rows in (("train/", train), ("test/query_", query), ("test/gallery_", [*query, *distractors])):
             for view in _VIEWS:
-                for picture in pictures:
-                    if _view(picture.path) == view:
-                        yield PictureRow(of + view, picture.path, picture.label, picture.name)
+                yield from (replace(row, of=of + view) for row in rows if _view(Path(row.file)) == view)
         there = FilesBelow(top)
         for path in _listed(self.root):
             if there.find(path) is None:
                 self.leave_out(path)
-
-
-def _top(root: Path) -> Path:
-    images = root / "images"
-    return images if any((images / split).is_dir() for split in ("train", "test")) else root
 
 
 def _view(file: Path) -> str:

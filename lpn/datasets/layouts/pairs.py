@@ -11,7 +11,6 @@ picture (without satellites: the same picture of the first view) show the same p
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,7 +18,6 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.lists import read_text, table
 from lpn.core.views import VIEWS
-from lpn.datasets import geo
 from lpn.datasets.base import Dataset, PictureRow
 from lpn.datasets.listed_paths import listed_path
 
@@ -67,8 +65,6 @@ class PairsCSV(Dataset):
 
     def _read(self, text: str) -> tuple[list[str], list[_PairLine]]:
         expected = f"two or three of {', '.join(VIEWS)} and, if wanted, split and place"
-        if re.match(r".*\b(lat|lon)", text):
-            expected += f". Positions go into a {geo.NAME} beside it, with the columns path,latitude,longitude"
         header, rows = table(text, NAME, _fits, expected)
         views: list[str] = [name for name in header if name in VIEWS]
         lines = [self._line(views, where, row) for where, row in rows]
