@@ -8,7 +8,7 @@ import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import redirect_stderr, redirect_stdout
+from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -132,7 +132,7 @@ def _wrong_version(package: requirements.Package) -> str:
 def _import_error(package: requirements.Package) -> str:
     """Return why a package cannot be imported; empty if it can. What it prints, such as tracebacks, is discarded."""
     try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):
+        with redirect_stderr(io.StringIO()):
             importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
     except Exception as error:
         return f"{package.installed} cannot be imported ({type(error).__name__}: {error})"
@@ -154,9 +154,10 @@ def _torch() -> Iterator[Finding]:
 
 
 def _onnx_runtime() -> Iterator[Finding]:
-    import onnxruntime as ort
+    with redirect_stderr(io.StringIO()):  # it prints a traceback where NumPy is broken
+        import onnxruntime as ort
 
-    from lpn.models import providers
+        from lpn.models import providers
 
     built = providers.available()
     message = f"{ort.__version__}, built with the providers {', '.join(built)}"

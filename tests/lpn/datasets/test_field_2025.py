@@ -67,7 +67,6 @@ def test_world_uav_has_splits_regions_and_tiles_of_each_region(
     report = check_dataset(mix)
     assert report.healthy
     assert (report.kind, report.gaps) == ("World-UAV", ())
-    assert report.runs[0].startswith("lpn train, on 4 places with drone, satellite")
 
 
 def test_the_lists_of_world_uav_are_no_larger_than_its_queries_and_gallery(tmp_path: Path) -> None:
@@ -190,8 +189,8 @@ def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, capl
     low, high = open_dataset(root / "45" / "2fps"), open_dataset(root / "30" / "10fps")
     assert open_dataset(root).queries("drone") == low.queries("drone")
     assert [line.getMessage() for line in caplog.records] == [
-        f"UniV has 6 lists of videos; this is 45/2fps, and others are {root}/45/5fps, {root}/45/10fps, {root}/30/2fps, "
-        f"{root}/30/5fps, {root}/30/10fps."
+        f"UniV has 6 splits; this is 45/2fps, and {root}/45/5fps, {root}/45/10fps, {root}/30/2fps, {root}/30/5fps, "
+        f"{root}/30/10fps the others."
     ]
     for dataset, frames in ((low, 2), (high, 10)):
         assert dataset.kind == "UniV"
@@ -224,15 +223,15 @@ def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> Non
         "galleries, so run it first"
     )
     shutil.rmtree(root / "45" / "5fps")
-    with pytest.raises(DataError, match="UniV has no videos in 45/5fps; expected one of 45/2fps, 45/10fps, 30/2fps"):
+    with pytest.raises(DataError, match=r"UniV has the lists of 45/2fps and 45/10fps and 30/2fps .*; expected 45/5fps"):
         UniV(root, "45/5fps")
 
 
 def test_a_folder_inside_univ_names_the_one_to_give(tmp_path: Path) -> None:
     root = layouts.univ(tmp_path / "UniV")
-    with pytest.raises(DataError, match=r"holds data sets in folders of its own: 10fps, 2fps, 5fps; give .*/45/10fps"):
+    with pytest.raises(DataError, match=rf"is the part 45 of a data set; give {root}\."):
         open_dataset(root / "45")
-    with pytest.raises(DataError, match=r"is the part test of a data set; give .*/45/2fps"):
+    with pytest.raises(DataError, match=rf"is the part 45/2fps/test of a data set; give {root}\."):
         open_dataset(root / "45" / "2fps" / "test")
 
 
@@ -250,7 +249,6 @@ def test_geotext_has_views_by_name_and_distractors(tmp_path: Path, images: bool,
     assert [(gap.name, gap.names) for gap in report.gaps if gap.name == "test/query_street"] == [
         ("test/query_street", ("0002",))
     ]
-    assert report.runs[0].startswith("lpn train, on 2 places with drone, satellite, street")
 
 
 @pytest.mark.parametrize(
@@ -260,12 +258,6 @@ def test_geotext_has_views_by_name_and_distractors(tmp_path: Path, images: bool,
         (write("test_951_version.json", "[{]"), "test_951_version.json is not JSON"),
         (write("test_951_version.json", '[{"image": 3}]'), 'is not a list of objects with an "image"'),
         (write("test_951_version.json", '[{"image": "../3.jpg"}]'), "Object 1 of test_951_version.json names the file"),
-        (
-            lambda root: shutil.copytree(
-                root / "images/test/query(701)/0001", root / "images/test/gallery_no_train(250)/0001"
-            ),
-            "set has the place 0001 in test/query.701. and in test/gallery_no_train.250.; expected different",
-        ),
     ],
 )
 def test_damage_of_geotext_is_named_in_one_sentence(
