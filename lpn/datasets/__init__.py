@@ -17,7 +17,6 @@ from pkgutil import iter_modules
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
-from lpn.core.images import SUFFIXES
 from lpn.datasets import layouts
 from lpn.datasets.base import (
     Dataset,
@@ -121,8 +120,7 @@ def _unmarked(root: Path) -> Dataset:
     if (root / "train").is_dir() or (root / "test").is_dir():
         return University(root)
     whole, shown = _above(root), printable(str(root))
-    pictures = any(not hidden_name(file.name) and file.name.lower().endswith(SUFFIXES) for file in root.iterdir())
-    if whole is not None and not pictures:
+    if whole is not None:
         inside = root.resolve().relative_to(whole.resolve()).as_posix()
         raise DataError(f"{shown} is the part {printable(inside)} of a data set; give {printable(str(whole))}.")
     if inner := _below(root):
@@ -132,7 +130,7 @@ def _unmarked(root: Path) -> Dataset:
     for layout in known_layouts():
         if layout.deep and layout.recognises(root):
             return layout(root)
-    folder = Folder(root, whole)
+    folder = Folder(root)
     if folder.pictures("pictures"):
         return folder
     holds = first_few(sorted(printable(child.name) for child in root.iterdir()), 5) or "nothing"

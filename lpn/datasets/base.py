@@ -197,9 +197,7 @@ class Dataset:
         deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
         splits: lists of each split, one of which must be there; its name is the last part of a path that takes it.
         folders: folders below the root whose pictures are all read.
-        unusable, effect: what is left out, and what this does, as the warning says it.
-        none_whole: what to say of a data set without a training picture and a query, as a predicate; "" if it may be so.
-        expected: the expected layout, for the error about a missing view.
+        expected: the expected layout, for the errors about missing pictures.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
             results of a group take its queries and gallery pictures, and all pictures without a group.
@@ -219,9 +217,6 @@ class Dataset:
     deep: bool = False
     splits: Mapping[str, Sequence[str]] = {}
     folders: Sequence[str] = ()
-    unusable: str = "files of its lists"
-    effect: str = "they are left out"
-    none_whole: str = ""
     expected: str = ""
     panoramas: bool = False
     group_name: str = ""
@@ -247,9 +242,12 @@ class Dataset:
             panorama = self.panoramas and row.of.endswith("street")
             picture = Picture(file, row.label, printable(row.name), row.box, panorama, row.group)
             self._listed.setdefault(row.of, []).append((row, picture))
-        if self.none_whole and all(name.startswith("test/gallery") for name in self._listed):
-            raise DataError(f"{root.name} {self.none_whole}.")
-        warn_left_out(root.name, self.left_out, f"{self.unusable} cannot be used", self.effect)
+        if self._left_out and all(name.startswith("test/gallery") for name in self._listed):
+            first = printable(next(iter(self._left_out)))
+            raise DataError(
+                f"{root.name} has no picture that can be used, for want of {first}; expected {self.expected}."
+            )
+        warn_left_out(root.name, self.left_out, "files of its lists cannot be used", "they are left out")
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -309,16 +307,13 @@ class Dataset:
 
     def has(self, role: str, view: str) -> bool:
         """Return whether the test split has queries ("query") or a gallery ("gallery") of a view."""
-        return bool(self._listed.get(f"test/{role}_{view}") or self._listed.get(f"test/{view}"))
-
-    def lacking(self, role: str, view: str) -> str:
-        """Return the fault of a test split without queries or without a gallery of a view, as a predicate."""
-        what = "test queries" if role == "query" else "test gallery"
-        return f"has no {what} of {view} pictures; expected {self.expected}"
+        return f"test/{role}_{view}" in self._listed or f"test/{view}" in self._listed
 
     def why_no_task(self) -> str:
         """Return the reason why `tasks` is empty, as a predicate, and the remedy."""
-        return "has no queries of one view with a gallery of another in its test split; lpn doctor lists what it has"
+        there = [name for name in self.lists() if name.startswith("test/")]
+        has = f"only {' and '.join(there)}" if there else "no pictures to test with"
+        return f"has {has}; expected queries of one view and a gallery of another, as {self.expected}"
 
     def lacks_task(self, name: str) -> DataError | InputError:
         """Return the error about a task that is not one of `tasks`: what there is instead, or why there is none."""
@@ -398,7 +393,8 @@ class Dataset:
     def _test(self, role: str, view: str) -> list[Picture]:
         pictures = self.pictures(f"test/{role}_{view}") or self.pictures(f"test/{view}")
         if not pictures:
-            raise DataError(f"{self.root.name} {self.lacking(role, view)}.")
+            what = "test queries" if role == "query" else "test gallery"
+            raise DataError(f"{self.root.name} has no {what} of {view} pictures; expected {self.expected}.")
         return pictures
 
     def _chosen(self, wanted: str | None) -> str | None:

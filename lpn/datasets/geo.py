@@ -199,14 +199,9 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
 
     Within 50 km of the origin and below 45 degrees of latitude, distances are accurate to 1 %.
     """
-    return degrees_on_plane(degrees(places), origin)
-
-
-def degrees_on_plane(degrees: Float64Array, origin: Position) -> Float64Array:
-    """Return the same for latitudes and longitudes in degrees, (N, 2)."""
     north, east = metres_per_degree(origin.latitude)
-    turned = wrap_degrees(degrees[:, 1] - origin.longitude)
-    return np.stack([turned * east, (degrees[:, 0] - origin.latitude) * north], axis=1)
+    latitude, longitude = degrees(places).T
+    return np.stack([wrap_degrees(longitude - origin.longitude) * east, (latitude - origin.latitude) * north], axis=1)
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:

@@ -147,12 +147,18 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     lists = lists_of(dataset, tasks)
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
+    check_positions(dataset, [picture for pictures in lists.values() for picture in pictures])
+
+
+def check_positions(dataset: Dataset, pictures: Sequence[Picture]) -> str:
+    """Return where the positions of test pictures are from, "" without any; DataError if one of them lacks its own."""
     positions = dataset.positions()
-    for pictures in lists.values():
-        if positions is not None:
-            positions.of(pictures)
-        if dataset.measured_by is not None:
-            dataset.coordinates(pictures)
+    if positions is not None:
+        positions.of(pictures)
+    if dataset.measured_by is not None:
+        dataset.coordinates(pictures)
+        return "the lists and the tiles' names" if positions is None else positions.source
+    return "" if positions is None else positions.source
 
 
 def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:

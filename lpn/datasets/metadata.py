@@ -16,6 +16,7 @@ import json
 import logging
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import astuple, fields
 from pathlib import Path
 
@@ -157,14 +158,8 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
 
 def _column(name: str, values: Sequence[str], everywhere: Sequence[str]) -> Column:
     """Return a number column if every value in the file is a number, so that the kind is the same for all tasks."""
-    known = [text for text in everywhere if text]
-    if known and all(_is_number(text) for text in known):
-        return number_column(name, [float(text) if text else math.nan for text in values])
+    with suppress(ValueError):
+        numbers = {text: float(text) for text in everywhere if text}
+        if numbers and all(map(math.isfinite, numbers.values())):
+            return number_column(name, [numbers[text] if text else math.nan for text in values])
     return text_column(name, values)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

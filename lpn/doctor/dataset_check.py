@@ -16,7 +16,7 @@ from lpn.core.progress import report_progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, Size, geo
-from lpn.datasets.integrity import picture_errors
+from lpn.datasets.integrity import check_positions, lists_of, picture_errors
 from lpn.training.training_set import trainable
 
 
@@ -114,21 +114,25 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     errors = picture_errors(files, decode, lambda done: report_progress("Reading pictures", done, len(files)))
     positions, gap = _positions(dataset)
-    (untrained, partly), (missed, by_street) = _training_places(lists), _unanswered(dataset)
     # Where true matches are listed, labels are no places.
     labelled = all(dataset.truth(task) is None for task in dataset.tasks())
+    missing = [*_training_places(lists), *(_street_places(lists) if labelled else ()), *_unanswered(dataset)]
     test = "test/query" if dataset.trained_distractors else "test/"
     return DataSetReport(
         root=printable(dataset.root.resolve().name),
         kind=dataset.kind,
         title=dataset.title or f"in {dataset.kind}'s layout",
-        counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
+        counts=tuple(
+            Count(name, len(pictures), len(_places({name: pictures}, name)), full.pictures, full.places)
+            for name, pictures in lists.items()
+            for full in [dataset.published_sizes.get(name, Size(None))]
+        ),
         looked_at=len(files),
         decoded=decode,
         broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in errors.items()),
         left_out=(*dataset.left_out, *dataset.unread()),
-        lacking=(*untrained, *missed),
-        gaps=(*partly, *(_street_places(lists) if labelled else ()), *by_street),
+        lacking=tuple(item for is_gap, item in missing if not is_gap),
+        gaps=tuple(item for is_gap, item in missing if is_gap),
         duplicates=tuple(_duplicates(dataset.root, lists, errors)),
         shared=tuple(sorted(_places(lists, "train/") & _places(lists, test))) if labelled else (),
         positions=positions,
@@ -136,67 +140,51 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     )
 
 
-def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
-    full = dataset.published_sizes.get(name, Size(None))
-    return Count(name, len(pictures), len({picture.label for picture in pictures}), full.pictures, full.places)
-
-
 def _places(lists: dict[str, list[Picture]], start: str) -> set[int]:
     """Return the labels in the lists whose names start so."""
     return {picture.label for name, of in lists.items() if name.startswith(start) for picture in of}
 
 
-def _training_places(lists: dict[str, list[Picture]]) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
-    """Return the places that training leaves out, and those that it has in some views alone, which is no damage."""
+def _training_places(lists: dict[str, list[Picture]]) -> Iterable[tuple[bool, MissingCounterparts]]:
+    """Find the places that training leaves out, and, with True, those that it has in some views alone, which is no damage."""
     labels = {name.removeprefix("train/"): _places(lists, name) for name in lists if name.startswith("train/")}
     if "street" not in labels:
         labels.pop("google", None)
     if len(labels) < 2:
-        return [], []
+        return
     training_places = trainable(labels)
     total = len(training_places.places) + len(training_places.left_out)
     lost = {name: [label for label in training_places.left_out if label not in of] for name, of in labels.items()}
-    return (
-        [_without_picture(f"train/{name}", of, total) for name, of in lost.items() if of and name != "google"],
-        [_without_picture(f"train/{name}", of, total) for name, of in training_places.gaps.items()],
+    yield from (
+        (False, _places_without(f"train/{name}", of, total)) for name, of in lost.items() if of and name != "google"
     )
+    yield from ((True, _places_without(f"train/{name}", of, total)) for name, of in training_places.gaps.items())
 
 
-def _without_picture(name: str, labels: Iterable[int], of: int) -> MissingCounterparts:
+def _places_without(name: str, labels: Iterable[int], of: int) -> MissingCounterparts:
     return MissingCounterparts(name, tuple(f"{label:04d}" for label in labels), of)
 
 
-def _street_places(lists: dict[str, list[Picture]]) -> Iterable[MissingCounterparts]:
+def _street_places(lists: dict[str, list[Picture]]) -> Iterable[tuple[bool, MissingCounterparts]]:
     """Find places of the test split without a street picture, which not every place of University-1652 has."""
     for role in ("query", "gallery"):
         everywhere, street = _places(lists, f"test/{role}_"), f"test/{role}_street"
         if street in lists and (without := sorted(everywhere - _places(lists, street))):
-            yield _without_picture(street, without, len(everywhere))
+            yield True, _places_without(street, without, len(everywhere))
 
 
-def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
-    """Find queries without a true match, which count as missed: those that are damage, and those that are none.
+def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
+    """Find queries without a true match, which count as missed; True for one that is no damage.
 
-    Not every place has a street picture. A query without one is no damage, as long as another view answers it.
+    Not every place has a street picture, so a query of another view without one is none.
     """
-    unanswered: dict[str, list[Picture]] = {}
-    answered: set[Path] = set()
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
         queries, truth = dataset.queries(query_view), dataset.truth(task)
         there = {picture.label for picture in dataset.gallery(gallery_view)}
         found = [q.label in there for q in queries] if truth is None else [len(t.good) or not t.known for t in truth]
-        answered |= {query.path for query, true in zip(queries, found, strict=True) if true}
-        unanswered[task] = [query for query, true in zip(queries, found, strict=True) if not true]
-    damage: list[MissingCounterparts] = []
-    gaps: list[MissingCounterparts] = []
-    for task, without in unanswered.items():
-        query_view, gallery_view = views_of(task)
-        for kind, is_gap in ((damage, False), (gaps, True)):
-            names = [q.name for q in without if (gallery_view == "street" and q.path in answered) == is_gap]
-            if names:
-                kind.append(MissingCounterparts(task, tuple(names), len(dataset.queries(query_view))))
-    return damage, gaps
+        if names := tuple(query.name for query, true in zip(queries, found, strict=True) if not true):
+            yield query_view != gallery_view == "street", MissingCounterparts(task, names, len(queries))
 
 
 def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
@@ -224,21 +212,11 @@ def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> lis
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     """Return what the positions cover, and what is wrong with them."""
     try:
-        known = dataset.positions()
-        if known is None and dataset.measured_by is None:
-            return None, None
-        tasks = [views_of(task) for task in dataset.tasks()]
-        queries = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
-        tiles = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
-        pictures = list({picture.path: picture for picture in queries + tiles}.values())
-        if dataset.measured_by is not None:
-            dataset.coordinates(pictures)
-        if known is not None:
-            known.of(pictures)
+        pictures = {picture.path: picture for of in lists_of(dataset, dataset.tasks()).values() for picture in of}
+        source = check_positions(dataset, list(pictures.values()))
     except DataError as error:
         return geo.NAME, str(error)
-    source = "by the lists and the tiles' names" if known is None else f"by {known.source}"
-    return f"Each of the {len(pictures)} test pictures has a position, {source}.", None
+    return (f"Each of the {len(pictures)} test pictures has a position, by {source}.", None) if source else (None, None)
 
 
 def _below(root: Path, file: Path) -> str:

@@ -19,8 +19,6 @@ from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, check_writable, printable
 
 Severity = Literal["OK", "note", "problem"]
-# The explorer's default address.
-HOST, PORT = "127.0.0.1", 8080
 # Modules whose names differ from their packages'.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 _LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
@@ -61,7 +59,6 @@ def check_environment(demo: Path) -> Iterator[Finding]:
         "ONNX Runtime": _onnx_runtime,
         "machine": _machine,
         "cache": _cache,
-        "port": _port,
         "demo": lambda: _demo(demo),
     }
     for name, check in checks.items():
@@ -199,14 +196,6 @@ def _cache() -> Iterator[Finding]:
     level: Severity = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
     remedy = "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
     yield Finding("cache", level, f"{folder} can be written; {free / 1e9:.1f} GB are free there", remedy)
-
-
-def _port() -> Iterator[Finding]:
-    if error := resources.port_error(HOST, PORT):
-        remedy = "close what uses it, or start the explorer with --port"
-        yield Finding("port", "note", error.removeprefix("Port "), remedy)
-    else:
-        yield Finding("port", "OK", f"{PORT} on {HOST} is free")
 
 
 def _demo(demo: Path) -> Iterator[Finding]:

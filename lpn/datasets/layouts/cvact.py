@@ -37,12 +37,7 @@ class CVACT(Dataset):
     kind = "CVACT"
     marks = ((NAME,),)
     known_by = f"{NAME} (CVACT)"
-    unusable, effect = f"files named in {NAME}", "their pairs are left out"
-    none_whole = (
-        f"has none of the pairs that {NAME} lists; expected their files in streetview and satview_polish, or in these folders "
-        "below ANU_data_small"
-    )
-    expected = f"a valSet in {NAME}"
+    expected = f"their files in streetview and satview_polish, here or below ANU_data_small, for the pairs in {NAME}"
     panoramas = True
     published_sizes = sizes(
         train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
@@ -69,19 +64,17 @@ class CVACT(Dataset):
 def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:
     """Return the ids of all panoramas, and the 1-based rows of the training and test pairs."""
     expected = "a MATLAB 5 file with panoIds, trainSet.trainInd, and valSet.valInd"
-    values = matlab.load(path, ["panoIds", "trainSet", "valSet"], expected)
+    values = matlab.load(path, ["panoIds", "trainSet", "valSet"], expected, simplify=True)
     try:
         ids = [str(name).strip() for name in np.atleast_1d(values["panoIds"]).reshape(-1)]
         raw = {"train": values["trainSet"]["trainInd"], "test": values["valSet"]["valInd"]}
         rows = {split: np.atleast_1d(np.asarray(indices)).reshape(-1) for split, indices in raw.items()}
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise DataError(f"{NAME} has other variables inside than CVACT's; expected {expected}.") from error
-    for name in ids:
-        if not _ID.fullmatch(name):
-            raise DataError(f"{NAME} has the panoId {printable(name)!r}; expected letters, digits, - and _ only.")
+    if wrong := next((name for name in ids if not _ID.fullmatch(name)), None):
+        raise DataError(f"{NAME} has the panoId {printable(wrong)!r}; expected letters, digits, - and _ only.")
     for split, indices in rows.items():
-        whole = indices.dtype.kind in "iu" or (indices.dtype.kind == "f" and bool((indices == np.floor(indices)).all()))
-        if not whole or (len(indices) and (indices.min() < 1 or indices.max() > len(ids))):
+        if not np.isin(indices, np.arange(1, len(ids) + 1)).all():
             raise DataError(f"{NAME} has {split} rows that are not whole numbers from 1 to {len(ids)}, its panoIds.")
         if len(np.unique(indices)) < len(indices):
             raise DataError(f"{NAME} lists a {split} row twice; expected each pair once.")

@@ -90,8 +90,9 @@ def _line(line: str, where: str) -> tuple[str, geo.Position]:
         raise DataError(
             f"{where} is {printable(line[:100])!r}; expected a path, E<longitude>, N<latitude>, and a height."
         )
-    longitude = float(point[2]) * (1 if point[1] == "E" else -1)
-    latitude = float(point[4]) * (1 if point[3] == "N" else -1)
+    longitude, latitude = (
+        float(f"{'-' * (side in 'WS')}{value}") for side, value in (point.group(1, 2), point.group(3, 4))
+    )
     if abs(latitude) > 90 or abs(longitude) > 180:
         raise DataError(f"{where} has the position {point[0]}; expected at most E180 and N90.")
     return parts[-2], geo.Position(latitude, longitude)

@@ -36,7 +36,6 @@ class GeoText(Dataset):
     marks = (*((name,) for name in _LISTS), (f"images/{_QUERY}/",), (f"{_QUERY}/",))
     known_by = f"{_LISTS[0]} (GeoText-1652)"
     expected = f"{_QUERY}/<place>/* of two views"
-    unusable = "pictures of its lists"
     published_sizes = sizes(
         train={"drone": (37_854, 701), "satellite": (701, 701), "street": (11_663, 701)},
         query={"drone": (None, 701), "satellite": (701, 701)},

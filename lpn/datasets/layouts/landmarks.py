@@ -55,8 +55,7 @@ class Landmarks(Dataset):
     known_by = "*_query.txt (Oxford5k, Paris6k)"
     priority = -2
     deep = True
-    unusable = "pictures"
-    expected = "pictures named as in the ground truth"
+    expected = "pictures named as in the ground truth, as .jpg"
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -64,7 +63,6 @@ class Landmarks(Dataset):
 
     def rows(self) -> Iterator[PictureRow]:
         queries = sorted((_query(self.root, file) for file in _query_files(self.root)), key=lambda one: one[:2])
-        self.none_whole = f"has the picture of none of its {len(queries)} queries; add them as .jpg"
         if queries[0].prefixed or all(query.picture.startswith("paris_") for query in queries):
             self.kind, self.title = "Oxford5k" if queries[0].prefixed else "Paris6k", ""
             self.published_sizes = FULL[self.kind]

@@ -73,7 +73,6 @@ class TilePairs(Dataset):
     marks = tuple((_LIST.format(area, split),) for area in ("same-area", "cross-area") for split in ("train", "test"))
     known_by = "*-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc)"
     splits: Mapping[str, Sequence[str]] = {area: (_LIST.format(area, "test"),) for area in ("same-area", "cross-area")}
-    unusable = "files named in its lists"
     trapezoid = False
 
     def rows(self) -> Iterator[PictureRow]:

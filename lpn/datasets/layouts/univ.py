@@ -35,6 +35,7 @@ class UniV(University):
 
     kind = "UniV"
     known_by = "45/2fps (UniV)"
+    expected = "test/query_drone or 45/2fps/test/query_satellite, which its organize_univ.py makes from the galleries"
     priority = 0
     published_sizes = sizes(
         train={"satellite": (701, 701), "drone": (None, 701), "street": (11_663, 701)},
@@ -65,12 +66,6 @@ class UniV(University):
             videos = (row for row in rows if row.of == "test/gallery_drone" and row.label in queried)
             yield from (replace(row, of="test/query_drone") for row in videos)
         yield from rows
-
-    def why_no_task(self) -> str:
-        return (
-            f"has no {self.split}/test/query_drone and no {self._shared}/test/query_satellite; its organize_univ.py makes them "
-            "from the galleries, so run it first"
-        )
 
     def folder_of(self, name: str) -> Path:
         own = linked_folder(self.root / str(self.split) / name)

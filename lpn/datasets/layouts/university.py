@@ -15,7 +15,7 @@ from itertools import combinations
 from pathlib import Path
 
 from lpn.core.errors import DataError
-from lpn.core.files import linked_folder, printable
+from lpn.core.files import linked_folder
 from lpn.core.images import SUFFIXES
 from lpn.datasets.base import Dataset, PictureRow, sizes
 from lpn.datasets.listed_paths import hidden_name
@@ -42,6 +42,7 @@ class University(Dataset):
     known_by = "train and test as in University-1652"
     priority = -1
     folders = ("train", "test")
+    expected = "test/query_drone/<number>/*.jpg and test/gallery_satellite/<number>/*.jpg"
     # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
     published_sizes = sizes(
         train={"satellite": (701, 701), "drone": (37_854, 701), "street": (None, 701), "google": (21_099, None)},
@@ -58,20 +59,6 @@ class University(Dataset):
     def folder_of(self, name: str) -> Path:
         """Return the folder of one of the lists; it may be named by a text file in its place."""
         return linked_folder(self.root / name)
-
-    def lacking(self, role: str, view: str) -> str:
-        name, like = f"test/{role}_{view}", "University-1652" if self.kind == "world" else self.kind
-        lack = "no pictures in it" if self.folder_of(name).is_dir() else "no such folder"
-        return f"has {lack} at {name}; expected {name}/<number>/*.jpg, as in {like}"
-
-    def why_no_task(self) -> str:
-        test = self.root / "test"
-        folders = sorted(path.name for path in test.iterdir() if path.is_dir()) if test.is_dir() else []
-        lacks = f"only test/{' and test/'.join(map(printable, folders[:5]))}" if folders else "no pictures to test with"
-        return (
-            f"has {lacks}; expected queries of one view and a gallery of another, such as test/query_drone/<number>/* and "
-            "test/gallery_satellite/<number>/*"
-        )
 
 
 def place_rows(of: str, folder: Path) -> Iterator[PictureRow]:

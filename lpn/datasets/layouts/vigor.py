@@ -88,11 +88,10 @@ class VIGOR(Dataset):
                 yield PictureRow("train/satellite", file, number, Path(file).stem)
 
     def place(self, picture: Picture) -> geo.Position:
-        point = _COORDINATES.search(picture.path.name)
-        if point is None or abs(float(point[1])) > 90 or abs(float(point[2])) > 180:
+        name = picture.path.name
+        if (point := _COORDINATES.search(name)) is None:
             raise DataError(
-                f"The picture {printable(picture.path.name)} has no latitude and longitude in its name; expected VIGOR's "
-                "names."
+                f"The picture {printable(name)} has no latitude and longitude in its name, as VIGOR's have."
             )
         return geo.Position(float(point[1]), float(point[2]))
 

@@ -219,8 +219,9 @@ def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> Non
     dataset = open_dataset(root / "30" / "5fps")
     assert dataset.tasks() == []
     assert dataset.why_no_task() == (
-        "has no 30/5fps/test/query_drone and no 45/2fps/test/query_satellite; its organize_univ.py makes them from the "
-        "galleries, so run it first"
+        "has only test/gallery_drone and test/gallery_satellite and test/gallery_street; expected queries of one view and a "
+        "gallery of another, as test/query_drone or 45/2fps/test/query_satellite, which its organize_univ.py makes from the "
+        "galleries"
     )
     shutil.rmtree(root / "45" / "5fps")
     with pytest.raises(DataError, match=r"UniV has the lists of 45/2fps and 45/10fps and 30/2fps .*; expected 45/5fps"):

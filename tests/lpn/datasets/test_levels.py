@@ -5,7 +5,6 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
 from rich.console import Console
@@ -14,8 +13,6 @@ from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.university import University
-from lpn.models.base import Model
-from lpn.tasks.opening import lazy_task
 from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
@@ -102,17 +99,10 @@ def test_a_folder_of_pictures_gets_one_sentence_for_training_and_for_testing(tmp
     )
 
 
-def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(tmp_path: Path) -> None:
+def test_a_place_of_a_data_set_names_its_folder_and_other_pictures_are_opened(tmp_path: Path) -> None:
     root = layouts.university_gaps(tmp_path / "release")
     place = root / "test" / "query_drone" / "0004"
-    dataset = open_dataset(place)
-    assert dataset.kind == "folder"
-    part = "0004 is the part test/query_drone/0004 of a data set"
-    expected = f"{part}, and has no queries and gallery of its own; give {root}."
-    with pytest.raises(DataError) as caught:
-        lazy_task(Mock(Model), dataset, "drone-to-satellite")
-    assert str(caught.value) == str(dataset.no_task()) == expected
-    assert main.main(["doctor", "--data", str(place)]) == 0
+    assert refusal(place) == f"{place} is the part test/query_drone/0004 of a data set; give {root}."
     small_worlds.write(tmp_path / "photos" / "a" / "1.jpg", layouts.small(1))
     assert open_dataset(tmp_path / "photos").kind == "folder"
 

@@ -22,8 +22,6 @@ class Plots(Dataset):
     kind = "Plots"
     marks = (("plots.txt",),)
     known_by = "plots.txt (Plots)"
-    parts = ("photos",)
-    unusable = "files named in plots.txt"
 
     def rows(self):
         for number, name in enumerate((self.root / "plots.txt").read_text().split()):
@@ -68,7 +66,7 @@ def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureF
         "'Absent').",
         "The layout other is left out, as own_layouts:NoLayout cannot be loaded (it is no subclass of "
         "lpn.datasets.Dataset).",
-        "mine: 2 files named in plots.txt cannot be used: tiles/c.png (is not there), photos/c.png (is not there); they are "
+        "mine: 2 files of its lists cannot be used: tiles/c.png (is not there), photos/c.png (is not there); they are "
         "left out.",
     ]
     report = check_dataset(dataset)
