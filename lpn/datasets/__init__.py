@@ -20,6 +20,7 @@ from lpn.core.files import first_few, printable
 from lpn.datasets import layouts
 from lpn.datasets.base import (
     Dataset,
+    Folder,
     LeftOut,
     Picture,
     PictureRow,
@@ -30,7 +31,6 @@ from lpn.datasets.base import (
     unread_below,
     warn_left_out,
 )
-from lpn.datasets.folder import Folder
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import hidden_name
 
@@ -92,10 +92,8 @@ def known_layouts() -> tuple[type[Dataset], ...]:
     One that cannot be loaded is left out with a warning.
     """
     modules = [import_module(f"{layouts.__name__}.{module.name}") for module in iter_modules(layouts.__path__)]
-    classes = [
-        (module.__name__, value) for module in modules for value in vars(module).values() if isinstance(value, type)
-    ]
-    found = [value for name, value in classes if issubclass(value, Dataset) and value.__module__ == name]
+    values = [(module.__name__, value) for module in modules for value in vars(module).values()]
+    found = [of for name, of in values if isinstance(of, type) and issubclass(of, Dataset) and of.__module__ == name]
     for point in entry_points(group=GROUP):
         try:
             layout = point.load()

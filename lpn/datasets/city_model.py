@@ -57,12 +57,8 @@ def city_model(root: Path) -> CityModel | None:
     try:
         with path.open("rb") if path.name == NAME else gzip.open(path) as file:
             data = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
-        ) from error
-    except (EOFError, zlib.error) as error:
-        raise DataError(f"{path} is damaged: it cannot be uncompressed ({error}); copy it again.") from error
+    except (OSError, EOFError, zlib.error) as error:
+        raise DataError(f"{path} cannot be read, or is damaged ({error}); copy it again.") from error
     if len(data) > MAX_BYTES:
         raise DataError(
             f"{path.name} has more than {MAX_BYTES / 1e6:g} MB uncompressed; expected at most as many, so leave detail out."

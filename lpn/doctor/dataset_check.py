@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -69,7 +67,6 @@ class DataSetReport:
         left_out: files that the data set itself leaves out: missing, known to be broken, or not read (`Dataset.unread`).
         lacking: places and queries without their counterpart, which cannot be used.
         gaps: those without one of their counterparts, which are used by the others; the published University-1652 has some.
-        duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
         positions: what the positions cover, and where they are from; None without any.
         gap: what is wrong with them, or None.
@@ -85,14 +82,13 @@ class DataSetReport:
     left_out: tuple[LeftOut, ...]
     lacking: tuple[MissingCounterparts, ...]
     gaps: tuple[MissingCounterparts, ...]
-    duplicates: tuple[tuple[str, ...], ...]
     shared: tuple[int, ...]
     positions: str | None
     gap: str | None
 
     @property
     def healthy(self) -> bool:
-        """True if nothing is broken; a subset, gaps, duplicates, and damage of the published data set do not count."""
+        """True if nothing is broken; a subset, gaps, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
         return not (self.broken or missing or self.lacking or self.shared or self.gap)
 
@@ -116,7 +112,7 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     positions, gap = _positions(dataset)
     # Where true matches are listed, labels are no places.
     labelled = all(dataset.truth(task) is None for task in dataset.tasks())
-    missing = [*_training_places(lists), *(_street_places(lists) if labelled else ()), *_unanswered(dataset)]
+    missing = [*_training_places(lists), *_unanswered(dataset)]
     test = "test/query" if dataset.trained_distractors else "test/"
     return DataSetReport(
         root=printable(dataset.root.resolve().name),
@@ -133,7 +129,6 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
         left_out=(*dataset.left_out, *dataset.unread()),
         lacking=tuple(item for is_gap, item in missing if not is_gap),
         gaps=tuple(item for is_gap, item in missing if is_gap),
-        duplicates=tuple(_duplicates(dataset.root, lists, errors)),
         shared=tuple(sorted(_places(lists, "train/") & _places(lists, test))) if labelled else (),
         positions=positions,
         gap=gap,
@@ -165,14 +160,6 @@ def _places_without(name: str, labels: Iterable[int], of: int) -> MissingCounter
     return MissingCounterparts(name, tuple(f"{label:04d}" for label in labels), of)
 
 
-def _street_places(lists: dict[str, list[Picture]]) -> Iterable[tuple[bool, MissingCounterparts]]:
-    """Find places of the test split without a street picture, which not every place of University-1652 has."""
-    for role in ("query", "gallery"):
-        everywhere, street = _places(lists, f"test/{role}_"), f"test/{role}_street"
-        if street in lists and (without := sorted(everywhere - _places(lists, street))):
-            yield True, _places_without(street, without, len(everywhere))
-
-
 def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
     """Find queries without a true match, which count as missed; True for one that is no damage.
 
@@ -185,28 +172,6 @@ def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
         found = [q.label in there for q in queries] if truth is None else [len(t.good) or not t.known for t in truth]
         if names := tuple(query.name for query, true in zip(queries, found, strict=True) if not true):
             yield query_view != gallery_view == "street", MissingCounterparts(task, names, len(queries))
-
-
-def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
-    """Find equal files of different places; only files of one size are read."""
-
-    def digest(picture: Picture) -> str:
-        with picture.path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-
-    for pictures in lists.values():
-        there = [picture for picture in pictures if picture.path not in broken]
-        for same_size in _alike(there, lambda picture: picture.path.stat().st_size):
-            for equal in _alike(same_size, digest):
-                yield tuple(_below(root, picture.path) for picture in equal)
-
-
-def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> list[list[Picture]]:
-    """Return the pictures of equal key, where they are of different places."""
-    groups: dict[object, list[Picture]] = defaultdict(list)
-    for picture in pictures:
-        groups[key(picture)].append(picture)
-    return [group for group in groups.values() if len({picture.label for picture in group}) > 1]
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
@@ -237,7 +202,6 @@ def print_report(report: DataSetReport, console: Console) -> None:
         lines.append("Gaps, which are no damage: a place is used in the views that it has.")
         lines += [f"  {line}" for item in report.gaps for line in _some(item.what, item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
-    lines += _some("groups of files in one list are equal", [" = ".join(group) for group in report.duplicates])
     lines += [text for text in (report.gap or report.positions,) if text]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
     title, head = f"{report.root} is {report.title}.", ("pictures of", "pictures", "places")
