@@ -132,9 +132,8 @@ def _unmarked(root: Path) -> Dataset:
     if folder.pictures("pictures"):
         return folder
     holds = first_few(sorted(printable(child.name) for child in root.iterdir()), 5) or "nothing"
-    known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
-    expected = ", ".join(layout.known_by for layout in known if layout.known_by)
-    raise DataError(f"{shown} holds {holds}; expected {expected}, or pictures.")
+    known = ", ".join(sorted(layout.kind for layout in known_layouts()))
+    raise DataError(f"{shown} holds {holds}; expected a data set in a layout of docs/data.md ({known}), or pictures.")
 
 
 def _above(root: Path) -> Path | None:

@@ -192,7 +192,6 @@ class Dataset:
         title: what `lpn doctor` calls the folder.
         marks: patterns of paths below the root, of folders with a slash at the end; a folder with all paths of one of the tuples
             is of this layout.
-        known_by: what a folder of this layout holds, for the error about a folder of none.
         priority: layouts of a higher one are tried first.
         deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
         splits: lists of each split, one of which must be there; its name is the last part of a path that takes it.
@@ -212,7 +211,6 @@ class Dataset:
     kind: str
     title: str = ""
     marks: tuple[tuple[str, ...], ...] = ()
-    known_by: str = ""
     priority: int = 0
     deep: bool = False
     splits: Mapping[str, Sequence[str]] = {}

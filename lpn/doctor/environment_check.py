@@ -64,12 +64,6 @@ def check_environment(demo: Path) -> Iterator[Finding]:
     for name, check in checks.items():
         try:
             yield from check()
-        except ModuleNotFoundError as error:
-            module = (error.name or "").partition(".")[0]
-            package = next((package for package, other in _MODULES.items() if other == module), module)
-            yield Finding(
-                name, "problem", f"could not be checked without the package {package}", f"pip install {package}"
-            )
         except Exception as error:  # a broken package may raise anything
             remedy = "repair the packages named above, or install it again"
             yield Finding(name, "problem", f"could not be checked ({type(error).__name__}: {error})", remedy)

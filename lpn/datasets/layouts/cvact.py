@@ -8,7 +8,6 @@ Some copies hold .png files. The test split is CVACT_val (valSet). The label of 
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,14 +15,12 @@ import numpy as np
 
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import DataError
-from lpn.core.files import printable
 from lpn.datasets import matlab
 from lpn.datasets.base import Dataset, PictureRow, sizes
 
 NAME = "ACT_data.mat"
 _FOLDERS = ("", "ANU_data_small/", "ANU_data_test/")
 _FILES = {"satellite": "satview_polish/{}_satView_polish", "street": "streetview/{}_grdView"}
-_ID = re.compile(r"[A-Za-z0-9_-]{1,64}")
 
 
 class CVACT(Dataset):
@@ -36,7 +33,6 @@ class CVACT(Dataset):
 
     kind = "CVACT"
     marks = ((NAME,),)
-    known_by = f"{NAME} (CVACT)"
     expected = f"their files in streetview and satview_polish, here or below ANU_data_small, for the pairs in {NAME}"
     panoramas = True
     published_sizes = sizes(
@@ -49,11 +45,9 @@ class CVACT(Dataset):
         for split, indices in rows.items():
             for row in indices.tolist():
                 name = ids[row - 1]
-                tile, panorama = (
-                    PictureRow(f"{split}/{view}", self._find(file.format(name)), row, name)
-                    for view, file in _FILES.items()
-                )
-                yield from self.together(tile, panorama)
+                files = {view: self._find(file.format(name)) for view, file in _FILES.items()}
+                pair = (PictureRow(f"{split}/{view}", file, row, name) for view, file in files.items())
+                yield from self.together(*pair)
 
     def _find(self, file: str) -> str:
         """Return the path of a picture in any of the published folders; one without a folder, if it is not there."""
@@ -71,11 +65,7 @@ def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:
         rows = {split: np.atleast_1d(np.asarray(indices)).reshape(-1) for split, indices in raw.items()}
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise DataError(f"{NAME} has other variables inside than CVACT's; expected {expected}.") from error
-    if wrong := next((name for name in ids if not _ID.fullmatch(name)), None):
-        raise DataError(f"{NAME} has the panoId {printable(wrong)!r}; expected letters, digits, - and _ only.")
     for split, indices in rows.items():
         if not np.isin(indices, np.arange(1, len(ids) + 1)).all():
             raise DataError(f"{NAME} has {split} rows that are not whole numbers from 1 to {len(ids)}, its panoIds.")
-        if len(np.unique(indices)) < len(indices):
-            raise DataError(f"{NAME} lists a {split} row twice; expected each pair once.")
     return ids, {split: indices.astype(np.int64) for split, indices in rows.items()}

@@ -25,7 +25,6 @@ class CVUSA(Dataset):
 
     kind = "CVUSA"
     marks = tuple((name,) for name in _SPLITS.values())
-    known_by = "splits/*-19zl.csv (CVUSA)"
     expected = "the files of splits/val-19zl.csv in bingmap/19 and streetview/panos"
     panoramas = True
     published_sizes = sizes(
@@ -55,8 +54,6 @@ def _read(file: Path, name: str) -> list[tuple[str, str]]:
                 f"{where} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
             )
         pairs.append((listed_path(values[0], where), listed_path(values[1], where)))
-    if len(set(pairs)) < len(pairs):
-        raise DataError(f"{name} lists a pair twice; keep one line of each.")
     return pairs
 
 

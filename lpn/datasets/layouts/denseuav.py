@@ -36,7 +36,6 @@ class DenseUAV(University):
     """
 
     kind = "DenseUAV"
-    known_by = "Dense_GPS_ALL.txt (DenseUAV)"
     priority = 0
     group_name = "height"
     trained_distractors = True
@@ -93,6 +92,4 @@ def _line(line: str, where: str) -> tuple[str, geo.Position]:
     longitude, latitude = (
         float(f"{'-' * (side in 'WS')}{value}") for side, value in (point.group(1, 2), point.group(3, 4))
     )
-    if abs(latitude) > 90 or abs(longitude) > 180:
-        raise DataError(f"{where} has the position {point[0]}; expected at most E180 and N90.")
     return parts[-2], geo.Position(latitude, longitude)

@@ -52,7 +52,6 @@ class Landmarks(Dataset):
 
     kind = "landmarks"
     title = "a set of landmarks with ground-truth files as in Oxford5k"
-    known_by = "*_query.txt (Oxford5k, Paris6k)"
     priority = -2
     deep = True
     expected = "pictures named as in the ground truth, as .jpg"

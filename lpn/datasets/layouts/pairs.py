@@ -30,7 +30,6 @@ class PairsCSV(Dataset):
     kind = "pairs"
     title = f"pairs listed in {NAME}"
     marks = ((NAME,),)
-    known_by = NAME
     priority = 1
     expected = f"lines of {NAME} with the split test and paths of pictures relative to its folder"
 

@@ -40,7 +40,6 @@ class SUES200(Dataset):
         (f"{_TILES}/", INDEX),
         (f"{_TILES}/", "*[dD][rR][oO][nN][eE]*/"),
     )
-    known_by = "Testing/150 or satellite-view (SUES-200)"
     group_name = "height"
     trained_distractors = True
     folders = ("",)

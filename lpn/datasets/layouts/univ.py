@@ -34,7 +34,6 @@ class UniV(University):
     """
 
     kind = "UniV"
-    known_by = "45/2fps (UniV)"
     expected = "test/query_drone or 45/2fps/test/query_satellite, which its organize_univ.py makes from the galleries"
     priority = 0
     published_sizes = sizes(

@@ -39,7 +39,6 @@ class University(Dataset):
         # Other layouts have a folder train with one set, too.
         *(("train/", *sets) for sets in combinations(_NUMBERED, 2)),
     )
-    known_by = "train and test as in University-1652"
     priority = -1
     folders = ("train", "test")
     expected = "test/query_drone/<number>/*.jpg and test/gallery_satellite/<number>/*.jpg"

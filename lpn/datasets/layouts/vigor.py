@@ -47,7 +47,6 @@ class VIGOR(Dataset):
 
     kind = "VIGOR"
     marks = tuple((path.format(city),) for city in CITIES for path in _MARKS)
-    known_by = "splits/Chicago (VIGOR)"
     splits: Mapping[str, Sequence[str]] = {
         area: [f"{top}/{city}/{name.format('test')}" for top in _SPLITS for city in _CITIES[area]["test"]]
         for area, name in _LISTS.items()
@@ -55,6 +54,7 @@ class VIGOR(Dataset):
     panoramas = True
     group_name = "city"
     positions_from = "the pictures' names"
+    expected = "the lists of each city in splits, and the pictures that they name"
 
     def rows(self) -> Iterator[PictureRow]:
         area, top = str(self.split), next(name for name in _SPLITS if (self.root / name).is_dir())
@@ -62,7 +62,6 @@ class VIGOR(Dataset):
         self.published_sizes = sizes(
             train={"street": (train, None)}, query={"street": (test, None)}, gallery={"satellite": (gallery, gallery)}
         )
-        self.expected = f"{top}/<city>/{_LISTS[area].format('test')} and the pictures that it names"
         tiles_of = {city: self._tiles(top, city) for city in CITIES if (self.root / top / city).is_dir()}
         files = [file for tiles in tiles_of.values() for file in tiles.values()]
         numbers = {file: number for number, file in enumerate(dict.fromkeys(files))}

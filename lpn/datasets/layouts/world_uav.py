@@ -46,22 +46,20 @@ class WorldUAV(Dataset):
         (_POSITIVE, f"{_TILES}/"),
         *((f"{folder}/test{suffix}.txt",) for folder in _INDEX for suffix in ("", "_country", "_all")),
     )
-    known_by = "Index/test.txt (World-UAV)"
     splits: Mapping[str, Sequence[str]] = {
         name: [f"{folder}/test{suffix}.txt" for folder in _INDEX] for name, suffix in _SUFFIXES.items()
     }
     group_name = "region"
     mean_of_groups = True
+    expected = f"query/height<h>_rot<r>/footage and {_POSITIVE} of each region"
 
     def splits_there(self) -> list[str] | None:
         return None if _is_region(self.root) else super().splits_there()
 
     def rows(self) -> Iterator[PictureRow]:
         if self.split is None:
-            self.group_name, self.expected = "flight", f"query/height<h>_rot<r>/footage and {_POSITIVE}"
-            regions, trained = [""], list[str]()
+            self.group_name, regions, trained = "flight", [""], list[str]()
         else:
-            self.expected = f"the regions of {_INDEX[0]}/test{_SUFFIXES[self.split]}.txt"
             regions, trained = self._regions("test", self.split), self._regions("train", self.split)
         tiles_of = {region: self._tiles(region) for region in dict.fromkeys((*regions, *trained))}
         files = [file for tiles in tiles_of.values() for file in tiles.values()]
@@ -97,8 +95,6 @@ class WorldUAV(Dataset):
         if title is None:
             return []
         paths = dict.fromkeys(listed_path(line, where) for where, line in numbered_lines(self.root / title, title))
-        if not paths:
-            raise DataError(f"{title} of {printable(self.root.name)} names no region; expected the path of one a line.")
         needed = {path: (path, f"{path}/{_POSITIVE}", f"{path}/{_TILES}") for path in paths}
         missing = {path: [part for part in parts if not (self.root / part).exists()] for path, parts in needed.items()}
         for parts in filter(None, missing.values()):

@@ -61,13 +61,11 @@ def test_one_pair_a_split_is_enough(tmp_path: Path) -> None:
     [
         ({"trainSet": None}, "has other variables inside than CVACT's; expected a MATLAB 5 file with panoIds"),
         ({"trainSet": 5.0}, "has other variables inside than CVACT's"),
-        ({"panoIds": np.array(["../x"])}, r"has the panoId '\.\./x'; expected letters"),
         ({"valSet": {"valInd": np.array([[0.0]])}}, "test rows that are not whole numbers from 1 to 3"),
         ({"valSet": {"valInd": np.array([[4.0]])}}, "test rows that are not whole numbers from 1 to 3"),
         ({"valSet": {"valInd": np.array([[1.5]])}}, "test rows that are not whole numbers from 1 to 3"),
         ({"valSet": {"valInd": np.array([[np.nan]])}}, "test rows that are not whole numbers"),
         ({"valSet": {"valInd": np.array([["x"]])}}, "test rows that are not whole numbers"),
-        ({"trainSet": {"trainInd": np.array([[1.0], [1.0]])}}, "lists a train row twice"),
         ({}, "has no picture that can be used, for want of"),
     ],
 )

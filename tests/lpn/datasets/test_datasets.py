@@ -97,7 +97,9 @@ def test_what_is_wrong_with_a_folder_is_said_in_one_sentence(tmp_path: Path) -> 
     with pytest.raises(DataError, match="no data set folder"):
         open_dataset(tmp_path / "absent")
     (tmp_path / "other").mkdir()
-    with pytest.raises(DataError, match="holds other; expected train and test as in University-1652"):
+    with pytest.raises(
+        DataError, match=r"holds other; expected a data set in a layout of docs/data\.md \(.*University-1652"
+    ):
         open_dataset(tmp_path)
     (tmp_path / "test" / "query_drone" / "0001").mkdir(parents=True)
     with pytest.raises(DataError, match="has no test queries of drone pictures; expected test/query_drone"):

@@ -127,7 +127,6 @@ def test_files_that_world_uav_lists_and_lacks_are_named(
 @pytest.mark.parametrize(
     ("harm", "message"),
     [
-        (write("Index/test.txt", "\n"), "Index/test.txt of set names no region; expected the path of one a line"),
         (write("Index/test.txt", "../x\n"), "Line 1 of Index/test.txt names the file '../x'; expected a path below"),
         (write("Terrain/Desert/a/positive.json", "{"), "Terrain/Desert/a/positive.json is not JSON"),
         (write("Terrain/Desert/a/positive.json", '{"00": "a.png"}'), "positive.json is not an object of lists"),
@@ -252,30 +251,3 @@ def test_geotext_has_views_by_name_and_distractors(tmp_path: Path, images: bool,
         ("drone-to-street", drones),
     ]
     assert all(name.startswith("0002/") for gap in report.gaps for name in gap.names)
-
-
-@pytest.mark.parametrize(
-    ("harm", "message"),
-    [
-        (remove("images/test"), "set has GeoText-1652's lists and no pictures in test/query.701.; unpack the archives"),
-        (write("test_951_version.json", "[{]"), "test_951_version.json is not JSON"),
-        (write("test_951_version.json", '[{"image": 3}]'), 'is not a list of objects with an "image"'),
-        (write("test_951_version.json", '[{"image": "../3.jpg"}]'), "Object 1 of test_951_version.json names the file"),
-    ],
-)
-def test_damage_of_geotext_is_named_in_one_sentence(
-    tmp_path: Path, harm: Callable[[Path], object], message: str
-) -> None:
-    root = layouts.geotext(tmp_path / "set")
-    harm(root)
-    with pytest.raises(DataError, match=message) as raised:
-        open_dataset(root)
-    assert "\n" not in str(raised.value)
-
-
-def test_a_picture_that_geotext_lists_and_lacks_is_named(tmp_path: Path) -> None:
-    root = layouts.geotext(tmp_path / "set")
-    (root / "images/test/query(701)/0001/image-02.jpeg").unlink()
-    dataset = open_dataset(root)
-    assert [item.file for item in dataset.left_out] == ["test/query(701)/0001/image-02.jpeg"]
-    assert not check_dataset(dataset, decode=False).healthy

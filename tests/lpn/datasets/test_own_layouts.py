@@ -21,7 +21,6 @@ from lpn.datasets import Dataset, PictureRow
 class Plots(Dataset):
     kind = "Plots"
     marks = (("plots.txt",),)
-    known_by = "plots.txt (Plots)"
 
     def rows(self):
         for number, name in enumerate((self.root / "plots.txt").read_text().split()):
@@ -81,4 +80,4 @@ def test_every_file_of_layouts_holds_one_that_can_be_told() -> None:
     files = {file.stem for file in Path(*layouts.__path__).glob("*.py")} - {"__init__"}
     known = known_layouts()
     assert {layout.__module__.rpartition(".")[2] for layout in known} == files
-    assert len({layout.kind for layout in known}) == len({layout.known_by for layout in known}) == len(known)
+    assert len({layout.kind for layout in known}) == len(known)

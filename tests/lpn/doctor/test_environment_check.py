@@ -162,18 +162,6 @@ def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_
     )
 
 
-def test_what_cannot_be_looked_at_without_a_package_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def without(_: Path) -> Any:
-        raise ModuleNotFoundError("No module named 'cv2.dnn'", name="cv2.dnn")
-
-    monkeypatch.setattr(environment_check, "_demo", without)
-    found = next(finding for finding in environment_check.check_environment(DEMO) if finding.name == "demo")
-    assert found.line == (
-        "problem demo: could not be checked without the package opencv-python-headless; "
-        "pip install opencv-python-headless."
-    )
-
-
 def test_a_user_without_a_home_is_told_what_to_set(monkeypatch: pytest.MonkeyPatch) -> None:
     def homeless() -> Path:
         raise RuntimeError("Could not determine home directory.")
