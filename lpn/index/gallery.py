@@ -67,7 +67,7 @@ def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
     names = dict.fromkeys(queries.true_tiles())
     for i, descriptor in enumerate(queries.descriptors):
         names |= dict.fromkeys(index.search(descriptor, None, PROPOSED).ids)
-        report_progress("Searching", i, total)
+        report_progress("Searching the index", i, total)
     if queries.spots is not None:
         windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
         reach = max((window.size for window in windows), default=0) / 2
@@ -82,7 +82,7 @@ def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
             f"The index of {count:,} tiles is searched for {total:,} queries, which gives {len(names):,} tiles to rank; expected "
             f"{MOST_TILES:,} at most, so give fewer queries, or search with lpn search."
         )
-    report_progress("Searching", total, total)
+    report_progress("Searching the index", total, total)
     chosen = (
         f"of {count:,} in the index: the {PROPOSED} that its engine ({index.engine}) proposes for each query, and the true ones; "
         "ranks and AP are among these"

@@ -225,7 +225,7 @@ class Answer:
             if match is not None:
                 tile, evidence = self._pair(match)
                 known = right if positive is not None or (match is second and wrong is not None) else None
-                title = {True: "True tile", False: "Wrong tile", None: "Tile"}[known], f"rank {match.rank}"
+                title = {True: "True tile", False: "Wrong tile", None: "Tile"}[known], f"rank {match.rank:,}"
                 rows.append(FigureRow.of_tile(title, *self.drawn(tile, 1), evidence, known))
                 pairs.append(evidence)
         query = FigureRow.of_query(("Query", self.task.query_view), *self.drawn(self.query, 0), pairs)
