@@ -247,21 +247,15 @@ def _describing(
         return lambda: describe(pictures, view, change)
 
     def described() -> Float32Array:
-        assert task.model is not None
-        made = np.empty((len(pictures), task.contract.n_parts, task.contract.embedding), np.float32)
-        zooms = np.array([picture.zoom for picture in pictures])
-        done = 0
-        for zoom in np.unique(zooms).tolist():
-            rows = np.flatnonzero(zooms == zoom)
+        model, done = task.model, 0
+        assert model is not None
 
-            def on_progress(count: int, _: int, before: int = done) -> None:
-                if progress is not None:
-                    progress(before + count, len(zooms))
+        def read(some: Sequence[Picture], zoom: float) -> Float32Array:
+            nonlocal done
+            before, done = done, done + len(some)
+            told = None if progress is None else lambda count, _: progress(before + count, len(pictures))
+            return cached_descriptors(model, some, view, replace(change, scale=change.scale * zoom), told)
 
-            zoomed = replace(change, scale=change.scale * float(zoom))
-            some = [pictures[row] for row in rows.tolist()]
-            made[rows] = cached_descriptors(task.model, some, view, zoomed, on_progress)
-            done += len(rows)
-        return made
+        return calibrations.by_zoom(model, pictures, np.array([picture.zoom for picture in pictures]), read)
 
     return described
