@@ -141,12 +141,12 @@ class Leaderboard:
         tables = [TextTable(head, facts, after=after, align="lllr"), *(one for of in self.tables for one in of.printed)]
         for title, of_tasks in (("Each part alone", self.parts), ("Turned queries, degrees", self.turns)):
             tables += [_changed(f"{title}: {task}", "model", of_models) for task, of_models in of_tasks.items()]
-        for position, task in enumerate(next(iter(self.weathers.values())).tasks if self.weathers else ()):
+        for task in next(iter(self.weathers.values())).tasks if self.weathers else ():
             # Rows are the weathers, as in University-WX's table; eleven columns would be too wide for a page.
             rows: dict[str, dict[Any, RecallAndAP]] = {}
             for model, result in self.weathers.items():
-                for weather, figures in result.rows():
-                    rows.setdefault(weather, {})[model] = figures[position]
+                for weather, figures in result.figures.items():
+                    rows.setdefault(weather, {})[model] = figures[task]
             tables.append(_changed(f"Weathers: {task}", "weather", rows))
         if self.weathers:
             tables[-1] = replace(tables[-1], after=next(iter(self.weathers.values())).sentence)

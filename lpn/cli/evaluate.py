@@ -129,7 +129,10 @@ def _print_weathers(title: str, result: WeatherResult) -> None:
     from lpn.core.text_tables import TextTable
 
     head = ("weather", *(name for task in result.tasks for name in (f"{task}\nR@1", "\nAP")))
-    rows = [(name, *(_figure(value) for pair in figures for value in pair)) for name, figures in result.rows()]
+    rows = [
+        (name, *(_figure(value) for pair in figures.values() for value in pair))
+        for name, figures in result.figures.items()
+    ]
     TextTable(head, rows, title, result.sentence, ruled=(len(rows) - 1,)).print(wide_console())
 
 

@@ -12,15 +12,15 @@ from typing import Any, Literal
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
 from lpn.core.notebook_html import percentages
 from lpn.datasets import Picture, Truth, geo
 from lpn.descriptors.transforms import Change
 from lpn.retrieval import csls, metrics
 from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.field_metrics import field_figures
+from lpn.retrieval.field_metrics import field_figures, nearest
 from lpn.retrieval.metrics import Retrieval
-from lpn.retrieval.per_query import PerQuery
 from lpn.tasks.task import Task
 
 # Distances in metres within which an answer counts as near.
@@ -125,7 +125,8 @@ class Result:
         group_name: what the groups are; empty without groups.
         measures: the field's further metrics by their keys, see `field_figures`; empty where the data set has none.
         calibration: the model's; None without one.
-        per_query: the nearest tiles of each query, if they were asked for.
+        nearest: gallery positions of the nearest tiles of each query without junk, -1 where no tile is left, (Q, K), and their
+            scores, not a number there; None unless they were asked for.
     """
 
     name: str
@@ -147,7 +148,7 @@ class Result:
     group_name: str
     measures: Mapping[str, float]
     calibration: Calibration | None
-    per_query: PerQuery | None
+    nearest: tuple[Int64Array, Float64Array] | None
 
     @property
     def recall(self) -> dict[str, float]:
@@ -205,10 +206,22 @@ class Result:
         )
 
     def queries_csv(self) -> bytes:
-        """Return a line for each query with its nearest tiles, see `PerQuery.to_csv`; only where they were asked for."""
-        assert self.per_query is not None
-        queries, gallery = ([picture.name for picture in side] for side in self.pictures)
-        return self.per_query.to_csv(queries, gallery)
+        """Return a line for each query: name, rank, AP, and the names and scores of its nearest tiles; unknown cells are empty.
+
+        Only where the nearest tiles were asked for.
+        """
+        assert self.nearest is not None
+        places, (queries, gallery) = range(1, self.nearest[0].shape[1] + 1), self.pictures
+        known, ranking = np.ones(len(queries), bool) if self.known is None else self.known, self.rankings[0]
+        columns = known, ranking.first + 1, 100 * ranking.precision, *self.nearest
+        lines: list[list[object]] = [
+            ["query", "rank", "ap", *(f"top {k}" for k in places), *(f"score {k}" for k in places)]
+        ]
+        for query, told, rank, ap, tiles, scores in zip(queries, *(one.tolist() for one in columns), strict=True):
+            names = [None if tile < 0 else gallery[tile].name for tile in tiles]
+            values = [None if math.isnan(score) else round(score, 6) for score in scores]
+            lines.append([query.name, (told and rank) or None, round(ap, 6) if told else None, *names, *values])
+        return csv_bytes(lines)
 
     def to_dict(self) -> dict[str, Any]:
         """The result as JSON values, as `lpn evaluate` writes them."""
@@ -242,13 +255,13 @@ class Result:
         return percentages(f"{self.task}: {self.sentence}", "gallery", rows)
 
 
-def measure(task: Task, nearest: int = 0) -> Result:
+def measure(task: Task, depth: int = 0) -> Result:
     """Rank a task's queries, and measure recall, AP, and what else is published of its data set.
 
     Part weights do not count, nor do queries whose truth is not known. All is checked before a picture is described.
 
     Args:
-        nearest: number of nearest tiles of each query in `Result.per_query`; 0 for none.
+        depth: number of nearest tiles of each query in `Result.nearest`; 0 for none.
 
     Raises:
         InputError: when no query can be measured, or CSLS takes more queries than there are in a group.
@@ -302,9 +315,7 @@ def measure(task: Task, nearest: int = 0) -> Result:
         group_name="" if data is None else data.group_name,
         measures=measures,
         calibration=task.calibration,
-        per_query=PerQuery.of(found[0][1], *task.compared, task.gallery_labels, task.truth, nearest)
-        if nearest
-        else None,
+        nearest=_nearest(task, depth) if depth else None,
     )
 
 
@@ -395,3 +406,17 @@ def _hit_rate(task: Task) -> float:
 
     queries, tiles = task.compared
     return metrics.retrieve(queries, None, tiles, None, [without(lists) for lists in task.truth or ()]).recall(1)
+
+
+def _nearest(task: Task, depth: int) -> tuple[Int64Array, Float64Array]:
+    """Return the nearest tiles of each query and their scores, see `Result.nearest`."""
+    (queries, gallery), truth = task.compared, task.truth
+    common = task.gallery_labels == metrics.JUNK if truth is None else None
+    junk = [np.zeros(0, np.int64)] * len(queries) if truth is None else [lists.junk for lists in truth]
+    tiles, scores = np.full((len(queries), depth), -1), np.full((len(queries), depth), np.nan)
+    found = nearest(queries, gallery, depth + max(map(len, junk)), common)
+    for row, (positions, left_out) in enumerate(zip(found, junk, strict=True)):
+        kept = positions[~np.isin(positions, left_out)][:depth]
+        tiles[row, : len(kept)] = kept
+        scores[row, : len(kept)] = np.tensordot(gallery[kept].astype(np.float64), queries[row], 2)
+    return tiles, scores

@@ -9,7 +9,7 @@ an exact sum over the parts, which is positive when the query is found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -21,7 +21,7 @@ from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.datasets import Picture, Truth, geo, metadata
 from lpn.datasets.metadata import NOTE, TAGS
-from lpn.retrieval import metrics, scoring
+from lpn.retrieval import scoring
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
@@ -83,36 +83,6 @@ class Outcomes:
 
     def __len__(self) -> int:
         return len(self.rank)
-
-
-def build(
-    queries: Float32Array,
-    gallery: Float32Array,
-    query_labels: npt.ArrayLike | None,
-    labels: npt.ArrayLike | None,
-    truth: Sequence[Truth] | None = None,
-    weights: npt.ArrayLike | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Outcomes:
-    """Compute the outcome of every query; see `metrics.retrieve` for ranks, memory, and errors.
-
-    Args:
-        queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
-        query_labels, labels: the place of each, (Q,) and (G,), -1 for junk; not read where there is `truth`.
-        truth: true matches and junk of each query, in place of labels.
-        weights: part weights, see `scoring.part_weights`; equal by default.
-        progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
-
-    Raises:
-        InputError: when shapes do not fit, a value is not finite, a side is empty, or `truth` names an unknown tile.
-    """
-    if queries.ndim != 3 or gallery.ndim != 3 or queries.shape[1:] != gallery.shape[1:]:
-        raise InputError(
-            f"The descriptors are {queries.shape} and {gallery.shape}; expected (Q, n, D) and (G, n, D) with the same parts."
-        )
-    scaled = weight_factors(queries, weights)
-    ranking = metrics.retrieve(queries, query_labels, gallery, labels, truth, scaled, progress)
-    return outcomes_of(ranking, queries, gallery, weights, metrics.known_queries(truth))
 
 
 def weight_factors(descriptors: Float32Array, weights: npt.ArrayLike | None) -> Float64Array | None:

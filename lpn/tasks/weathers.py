@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import numpy as np
@@ -32,14 +33,18 @@ class WeatherResult:
         """The tasks, such as "drone-to-satellite" and its reverse."""
         return list(self.results["normal"])
 
-    def rows(self) -> Iterator[tuple[str, list[tuple[float, float]]]]:
-        """Yield each weather with Recall@1 and AP of each task in percent, and last their means over the weathers."""
-        table = []
-        for name, of_tasks in self.results.items():
-            figures = [(result.recall["1"], result.ap) for result in of_tasks.values()]
-            table.append(figures)
-            yield name, figures
-        yield self.MEAN, [(float(recall), float(ap)) for recall, ap in np.mean(table, axis=0)]
+    @cached_property
+    def figures(self) -> dict[str, dict[str, tuple[float, float]]]:
+        """Recall@1 and AP of each task in percent by weather, and last their means over the weathers, `MEAN`."""
+        figures: dict[str, dict[str, tuple[float, float]]] = {
+            name: {task: (result.recall["1"], result.ap) for task, result in of_tasks.items()}
+            for name, of_tasks in self.results.items()
+        }
+        means = np.mean([list(of.values()) for of in figures.values()], axis=0).tolist()
+        return {
+            **figures,
+            self.MEAN: {task: (recall, ap) for task, (recall, ap) in zip(self.tasks, means, strict=True)},
+        }
 
     @property
     def sentence(self) -> str:
@@ -50,25 +55,16 @@ class WeatherResult:
 
     def to_dict(self) -> dict[str, Any]:
         """The results as JSON values: `weathers`, by weather and task, and `mean`, by task."""
-        means = dict(self.rows())[self.MEAN]
-        return {
-            "weathers": {
-                name: {task: result.to_dict() for task, result in of_tasks.items()}
-                for name, of_tasks in self.results.items()
-            },
-            "mean": {
-                task: {"recall@1": recall, "ap": ap} for task, (recall, ap) in zip(self.tasks, means, strict=True)
-            },
+        of_weathers = {
+            name: {task: result.to_dict() for task, result in of.items()} for name, of in self.results.items()
         }
+        means = {task: {"recall@1": recall, "ap": ap} for task, (recall, ap) in self.figures[self.MEAN].items()}
+        return {"weathers": of_weathers, "mean": means}
 
     def _repr_html_(self) -> str:
         rows = {
-            name: {
-                f"{task} {metric}": value
-                for task, pair in zip(self.tasks, figures, strict=True)
-                for metric, value in zip(("R@1", "AP"), pair, strict=True)
-            }
-            for name, figures in self.rows()
+            name: {f"{task} {metric}": of[task][i] for task in of for i, metric in enumerate(("R@1", "AP"))}
+            for name, of in self.figures.items()
         }
         return percentages(self.sentence, "weather", rows)
 

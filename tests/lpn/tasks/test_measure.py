@@ -28,7 +28,9 @@ from lpn.tasks import query_outcomes
 from lpn.tasks.changes import averaged, centred, changed, turned, with_parts
 from lpn.tasks.measure import measure
 from lpn.tasks.opening import lazy_task
+from lpn.tasks.query_outcomes import Outcomes
 from tools.fixtures import layouts, small_worlds
+from tools.fixtures.tasks import descriptor_task
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
@@ -230,6 +232,11 @@ def read_drawn(model: Model, pictures: Sequence[Picture], view: str, change: Cha
     return normalise(np.array(rows, np.float32))
 
 
+def outcomes_of(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth] | None) -> Outcomes:
+    labels = np.zeros(len(query), np.int64), np.zeros(len(tiles), np.int64)
+    return descriptor_task(query[:, None], tiles[:, None], *labels, truth).outcomes
+
+
 @pytest.mark.parametrize("task", ["drone-to-satellite", "satellite-to-drone"])
 def test_sues_has_a_row_for_each_height_on_both_galleries(tmp_path: Path, model_file: Path, task: str) -> None:
     model, dataset = lpn.load(model_file), open_dataset(layouts.sues(tmp_path / "SUES", 2, 3, ("150", "300")))
@@ -298,7 +305,7 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     assert "AP as the mean precision at the true matches" in found.sentence
     back = measure(lazy_task(model, dataset, "satellite-to-drone", read_drawn))
     assert (back.queries, back.gallery) == (3, 2)
-    outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, dataset.truth("drone-to-satellite"))
+    outcomes = outcomes_of(query, tiles, dataset.truth("drone-to-satellite"))
     column, semi = query_outcomes.listed_columns(outcomes, dataset.truth("drone-to-satellite"))
     names = [gallery[answer].name for answer in outcomes.answer]
     known = [{"4_0_0_0": 0.7, "5_0_1_1": 0.45, "4_0_1_0": 0.2}, {"4_0_1_1": 0.5}]
@@ -322,7 +329,7 @@ def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file
         hits += int(np.argmax(scores)) in lists.good
     assert found.measures == {"hit rate": pytest.approx(100 * hits / 8)}
     truth = dataset.truth("street-to-satellite") or []
-    outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, truth)
+    outcomes = outcomes_of(query, tiles, truth)
     (semi,) = query_outcomes.listed_columns(outcomes, truth)
     assert semi.values.tolist() == [
         "yes" if answer in lists.semi else "no" for answer, lists in zip(outcomes.answer, truth, strict=True)
