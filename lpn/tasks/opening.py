@@ -211,14 +211,8 @@ def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = No
     """Choose the calibration that ranks the tasks of a data set, for the library, every command, and the page; no label counts.
 
     Args:
-<<<<<<< HEAD
-        calibrate: True for the calibration that ships with the data set, or else a new one, see `calibrated`; False for none;
-            None for the one that ships, if any.
-=======
         calibrate: True for the calibration that ships with the data set, or else a new one; False for none; None for the one that
             ships, if any.
-        on_progress: see `new_calibration`.
->>>>>>> w-measure
 
     Returns:
         None to rank plain.
@@ -230,11 +224,7 @@ def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = No
     if calibrate is not None and not isinstance(calibrate, bool):
         raise InputError(f"calibrate is {printable(repr(calibrate))}; expected True, False, or None.")
     shipped = None if calibrate is False else shipped_calibration(model, dataset)
-<<<<<<< HEAD
-    return calibrated(model, dataset) if calibrate and shipped is None else shipped
-=======
-    return new_calibration(model, dataset, on_progress) if calibrate and shipped is None else shipped
->>>>>>> w-measure
+    return new_calibration(model, dataset) if calibrate and shipped is None else shipped
 
 
 def alike_calibrations(
@@ -275,11 +265,7 @@ def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]
     return lists
 
 
-<<<<<<< HEAD
-def calibrated(model: Model, dataset: Dataset) -> Calibration:
-=======
-def new_calibration(model: Model, dataset: Dataset, on_progress: CountProgress | None = None) -> Calibration:
->>>>>>> w-measure
+def new_calibration(model: Model, dataset: Dataset) -> Calibration:
     """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
 
     Raises:

@@ -348,12 +348,8 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
 ) -> None:
     write_places(tmp_path / "places", 22)
     counts: list[tuple[int, int]] = []
-<<<<<<< HEAD
     with listening(lambda _, *count: counts.append(count)):
-        calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"))
-=======
-    new_calibration(lpn.load(model_file), open_dataset(tmp_path / "places"), lambda *count: counts.append(count))
->>>>>>> w-measure
+        new_calibration(lpn.load(model_file), open_dataset(tmp_path / "places"))
     assert counts[-1] == (22, 22)
 
     def endless(*_: object) -> None:
