@@ -298,8 +298,8 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         if of_city or "place" not in flights or find_spec("rasterio") is None:
             return Workspaces(open_data, others, _LABELS[DATA])
         del others["place"]
-        city = {DATA: offered(_LABELS[DATA], [DEMO, DEMO_MODEL], lambda _: open_data())}
-        return Workspaces(partial(flights["place"], None), city | others, _LABELS["place"], "place")
+        city = {DATA: offered(_LABELS[DATA], [DEMO, DEMO_MODEL], open_data)}
+        return Workspaces(flights["place"], city | others, _LABELS["place"], "place")
 
     @property
     def _is_demo(self) -> bool:

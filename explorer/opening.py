@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager
 from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
@@ -14,10 +14,9 @@ from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
-from lpn.core.consoles import stage_bars, terminal
+from lpn.core.consoles import terminal
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName, yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
@@ -117,18 +116,18 @@ def open_model(
 
 def _opens(
     data: Path, model: ModelOptions | Model, name: str, scoring: tuple[str | None, bool | None, int]
-) -> Callable[[ReportProgress | None], Workspace]:
+) -> Callable[[], Workspace]:
     """Return what opens a model on a data set, see `_open_one`."""
-    return lambda report: _open_one(data, model, name, scoring, report)[0]
+    return lambda: _open_one(data, model, name, scoring)[0]
 
 
-def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str, report: ReportProgress) -> Workspace:
+def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str) -> Workspace:
     """Open the tasks of a workspace whose queries are no tiles again, with all queries in a weather."""
     yield_cores()  # it describes all queries, and answers must not wait for it
     tasks = [task for task in workspace.tasks.values() if task.query_view != "satellite"]
     if not tasks:
         raise InputError("All queries are satellite tiles, which have no weather; leave --beside-weather out.")
-    changed_tasks = [replace(changed(task, Change(weather=weather), report), model_name=label) for task in tasks]
+    changed_tasks = [replace(changed(task, Change(weather=weather)), model_name=label) for task in tasks]
     opened = _workspace(OpenedSource(changed_tasks, model), with_city=False)
     opened.weather = weather
     return opened
@@ -141,15 +140,13 @@ def _check_weathers(weathers: Sequence[WeatherName]) -> None:
         )
 
 
-def _put_beside(
-    workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[ReportProgress | None], Workspace]]
-) -> None:
+def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[], Workspace]]) -> None:
     """Put models beside that of a workspace: open the first, and the others when a browser asks for them."""
     for name, open_workspace in zip(names, opens, strict=True):
         workspace.beside.append(LazyWorkspace(name, _naming_files([], open_workspace)))
     if opens:
-        first = opens[0](None)
-        workspace.beside[0] = LazyWorkspace(names[0], lambda _: first)
+        first = opens[0]()
+        workspace.beside[0] = LazyWorkspace(names[0], lambda: first)
         workspace.beside[0].open()
 
 
@@ -167,7 +164,6 @@ def _open_one(
     model: ModelOptions | Model,
     model_name: str,
     scoring: tuple[str | None, bool | None, int],
-    report: ReportProgress | None = None,
 ) -> tuple[Workspace, Dataset]:
     """Open one model on a data set, see `open_model`; `scoring` is its task, calibrate, and csls."""
     data_name = printable(data.resolve().name)
@@ -175,8 +171,8 @@ def _open_one(
         opened = model if isinstance(model, Model) else model.load()
         dataset = open_dataset(data)
     task, calibrate, csls = scoring
-    workspace = _workspace(open_data(opened, model_name, dataset, task, False, every=True, on_progress=report))
-    _offer_scorings(workspace, opened, model_name, dataset, calibrate, csls, report)
+    workspace = _workspace(open_data(opened, model_name, dataset, task, False, every=True))
+    _offer_scorings(workspace, opened, model_name, dataset, calibrate, csls)
     return workspace, dataset
 
 
@@ -187,36 +183,34 @@ def _offer_scorings(
     dataset: Dataset,
     calibrate: bool | None,
     csls: int,
-    report: ReportProgress | None,
 ) -> None:
     """Let a workspace be ranked calibrated and by CSLS: at once by a calibration that ships or is asked for, else when asked for.
 
     Args:
         calibrate, csls: see `open_model`.
-        report: receives the progress of a calibration; by default the terminal shows it.
     """
     tasks = list(workspace.tasks.values())
     if csls:
         check_neighbours(csls, max(len(task.queries) for task in tasks))
-    asked = task_calibration(model, dataset, calibrate, report)
+    asked = task_calibration(model, dataset, calibrate)
     ready = asked or shipped_calibration(model, dataset)
 
     def rank(scored: Iterable[Task]) -> None:
         for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
             workspace.rankings[ranking.task.key] = ranking
 
-    def rank_by(calibration: Calibration, on_progress: ReportProgress | None) -> None:
+    def rank_by(calibration: Calibration) -> None:
         names = list(workspace.tasks)
-        rank(scored_tasks(model, model_name, dataset, calibration, names, on_progress, csls or NEIGHBOURS))
+        rank(scored_tasks(model, model_name, dataset, calibration, names, csls or NEIGHBOURS))
 
-    def prepare(on_progress: ReportProgress) -> None:
+    def prepare(_: ReportProgress) -> None:
         yield_cores()  # answers must not wait for it
-        rank_by(new_calibration(model, dataset, on_progress), on_progress)
+        rank_by(new_calibration(model, dataset))
 
     if csls and asked is None:
         rank(by_csls(task, csls) for task in tasks if len(task.queries) >= csls)
     if ready is not None:
-        rank_by(ready, report)
+        rank_by(ready)
     why_not = "" if ready is not None else no_calibration(model, dataset)
     workspace.scorings = Scorings(why_not, prepare if ready is None and not why_not else None)
     opens_with: dict[Scoring, object] = {"csls": csls, "calibrated": asked}
@@ -225,14 +219,12 @@ def _offer_scorings(
         _say(f"{printable(model_name)} is {asked.describe()}.")
 
 
-def _naming_files(
-    files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]
-) -> Callable[[ReportProgress], Workspace]:
+def _naming_files(files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> Callable[[], Workspace]:
     """Return a function whose errors are sentences that name files without their folders, because a browser shows them."""
 
-    def opened(report: ReportProgress) -> Workspace:
+    def opened() -> Workspace:
         try:
-            return open_workspace(report)
+            return open_workspace()
         except ModuleNotFoundError as error:
             raise missing_package(error) from error
         except LPNError as error:
@@ -254,8 +246,8 @@ def open_source(options: SourceOptions, query: str | None = None) -> Workspace:
         LPNError: when the source cannot be used, or there is no such query.
     """
     source = source_of(options)
-    with _status(f"Opening {source.title}"), stage_bars() as progress:
-        opened = source.open(on_progress=progress)
+    with _status(f"Opening {source.title}"):
+        opened = source.open()
     workspace = _workspace(opened, with_city=not isinstance(opened, OpenedFlight))
     _print_notes(opened)
     workspace.choose_first_query(query)
@@ -284,7 +276,6 @@ def open_flight_over(
     beside: Sequence[ModelOptions] = (),
     register: bool = True,
     overlap: float = LocateOptions.overlap,
-    report: ReportProgress | None = None,
     shipped: Path | None = None,
     map_error: float | None = None,
 ) -> Workspace:
@@ -301,7 +292,6 @@ def open_flight_over(
             windows and frames when a browser asks for it.
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
-        report: receives the progress of the description; by default the terminal shows it.
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
         map_error: 1-sigma error of the map's places in metres, which radii hold, see `LocateOptions.map_error`.
 
@@ -311,7 +301,7 @@ def open_flight_over(
     name, *names = _names([model, *beside])
     locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
     source = FlightSource(_over(map_path, flight_path, model))
-    opened = _open_flown(source, name, overlap, report, shipped)
+    opened = _open_flown(source, name, overlap, shipped)
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
     assert network is not None
@@ -337,11 +327,9 @@ def _over(map_path: Path, flight_path: Path, model: ModelOptions) -> SourceOptio
     return SourceOptions(source=str(flight_path), map=map_path, **named)
 
 
-def _opens_flown(
-    source: FlightSource, name: str, overlap: float, loaded: Model
-) -> Callable[[ReportProgress | None], Workspace]:
+def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model) -> Callable[[], Workspace]:
     """Return what opens a flight under another model, see `_open_flown`."""
-    return lambda report: _flight_workspace(_open_flown(source, name, overlap, report, loaded=loaded))
+    return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
 def _flight_workspace(opened: OpenedFlight) -> Workspace:
@@ -353,7 +341,6 @@ def _flight_workspace(opened: OpenedFlight) -> Workspace:
 
 
 def open_offered_flight(
-    report: ReportProgress | None,
     map_path: Path,
     flight_path: Path,
     model: Path,
@@ -373,14 +360,13 @@ def open_offered_flight(
         ModelOptions(model=model, provider=provider),
         query,
         overlap=OFFERED_OVERLAP,
-        report=report,
         shipped=shipped,
     )
     workspace.about = about
     return workspace
 
 
-def offered(label: str, files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]) -> LazyWorkspace:
+def offered(label: str, files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> LazyWorkspace:
     """Return a workspace whose answers ship, which is opened when a browser asks for it, or before.
 
     Args:
@@ -394,16 +380,12 @@ def _open_flown(
     source: FlightSource,
     name: str,
     overlap: float,
-    report: ReportProgress | None,
     shipped: Path | None = None,
     loaded: Model | None = None,
 ) -> OpenedFlight:
     """Open a flight without registration, under a name of its model."""
-    with (
-        _status(f"Opening {source.title}"),
-        stage_bars() if report is None else nullcontext(_counts(report)) as progress,
-    ):
-        return source.locate(overlap, progress, shipped=shipped, loaded=loaded).named(name)
+    with _status(f"Opening {source.title}"):
+        return source.locate(overlap, shipped=shipped, loaded=loaded).named(name)
 
 
 def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
@@ -440,16 +422,12 @@ def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Mod
     def publish(partial: LocatedFlight) -> None:
         workspace.flight = partial
 
-    def register(report: ReportProgress) -> LocatedFlight:
-        return registered(located, model, options, on_progress=_counts(report), on_partial=publish)
+    def register(_: ReportProgress) -> LocatedFlight:
+        return registered(located, model, options, on_partial=publish)
 
     job = workspace.register_flight(register)
     with _status("Registering frames; the page opens while this goes on"):
         job.wait(REGISTRATION_WAIT)
-
-
-def _counts(report: ReportProgress) -> Progress:
-    return lambda _, done, total: report(done, total)
 
 
 def _begin_ranking(task: Task) -> RankingJob:

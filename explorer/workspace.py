@@ -476,11 +476,11 @@ class LazyWorkspace:
 
     Args:
         label: display name, such as "the baseline (n = 1)".
-        open_workspace: opens it; that may take as long as the description of all pictures, whose progress it reports.
+        open_workspace: opens it; that may take as long as the description of all pictures, whose progress is shown.
         quick: all pictures are described already, so that it takes about a second.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[ReportProgress], Workspace], quick: bool = False) -> None:
+    def __init__(self, label: str, open_workspace: Callable[[], Workspace], quick: bool = False) -> None:
         self.label, self.quick = label, quick
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
@@ -515,7 +515,7 @@ class LazyWorkspace:
         """Open it in the background, unless it is open or being opened; after a failure, try again."""
         with self._lock:
             self._jobs.forget_failed("open")
-            self._job = self._jobs.join("open", self, self._open)
+            self._job = self._jobs.join("open", self, lambda _: self._open())
             return self._job
 
 

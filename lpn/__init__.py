@@ -9,6 +9,7 @@ A folder of pictures is a gallery, and a picture of another view gets an answer 
     ...     print(match.rank, match.name, 0 <= match.distance2 <= 4, match.contributions.shape)
     1 0007/0007.png True (4,)
     >>> answer.figure().save("why.png")
+    >>> answer.paper_figure(true=1, wrong=2).save("figure.pdf")
 
 The published protocol measures a model on a data set:
 
@@ -40,6 +41,7 @@ from lpn.core.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from lpn.core.consoles import progress_bars
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
@@ -75,6 +77,7 @@ __all__ = [
     "load_picture",
     "open_dataset",
     "open_task",
+    "progress_bars",
 ]
 
 _MODULE_OF = {
@@ -89,6 +92,7 @@ _MODULE_OF = {
     "Task": "lpn.tasks.task",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
+    "progress_bars": "lpn.core.consoles",
 }
 
 if not TYPE_CHECKING:

@@ -6,6 +6,7 @@ import threading
 from collections.abc import Callable, Sequence
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_turn
+from lpn.core.progress import counted_among
 from lpn.core.resources import yield_cores
 from lpn.drawing.charts import TaskRecall
 from lpn.tasks.changes import turned
@@ -61,12 +62,9 @@ class TurnedJobs:
         queries, described = len(task.queries), 0
         total = queries * sum(degrees != 0 for degrees in missing)  # upright queries are described already
         for degrees in missing:
-
-            def on_progress(done: int, _: int, before: int = described) -> None:
-                report(before + done, total)
-
-            on_progress(0, queries)
-            figures = turned(task, degrees, on_progress).with_fields(weights=None).metrics
+            report(described, total)
+            with counted_among(described, total):
+                figures = turned(task, degrees).with_fields(weights=None).metrics
             described += queries if degrees else 0
             with self._lock:
                 self._known[name, degrees] = TaskRecall(degrees, figures["recall@1"], figures["ap"])

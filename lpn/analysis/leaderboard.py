@@ -17,7 +17,7 @@ from lpn.analysis.model_table import (
 )
 from lpn.analysis.statistics import RESAMPLES
 from lpn.core.errors import InputError
-from lpn.core.progress import Progress
+from lpn.core.progress import report_progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
@@ -177,7 +177,6 @@ def leaderboard(
     weathers: bool = False,
     seed: int = 0,
     resamples: int = RESAMPLES,
-    on_progress: Progress | None = None,
     groups: Sequence[str] = (),
 ) -> Leaderboard:
     """Measure models on tasks, on the full gallery and without distractors.
@@ -200,8 +199,7 @@ def leaderboard(
     def report() -> None:
         nonlocal done
         done += 1
-        if on_progress is not None:
-            on_progress("measures", done, stages)
+        report_progress("Taking measures", done, stages)
 
     def measured(task: Task) -> RecallAndAP:
         result = task.evaluate()

@@ -199,7 +199,6 @@ class CompareCommand:
 
     def _measure_page(self, page: Path) -> None:
         from lpn.analysis.leaderboard import common_tasks, leaderboard
-        from lpn.core.consoles import stage_bars
         from lpn.core.files import check_outputs
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
@@ -240,8 +239,7 @@ class CompareCommand:
         else:
             if self.turns or self.weathers:
                 raise InputError("--turns and --weathers are of a data set's queries; leave them out.")
-            with stage_bars() as on_progress:
-                located = {name: source.open(on_progress=on_progress) for name, source in sources.items()}
+            located = {name: source.open() for name, source in sources.items()}
             models = {name: one.network for name, one in located.items() if one.network is not None}
             first = next(iter(located.values())).task
             names, title = [first.name], first.data_name
@@ -250,20 +248,18 @@ class CompareCommand:
                 del task
                 return located[name].task
 
-        with stage_bars("Taking {}") as on_progress:
-            board = leaderboard(
-                title,
-                models,
-                sizes,
-                names,
-                opened,
-                self.turns,
-                self.weathers,
-                self.seed,
-                self.resamples,
-                on_progress,
-                self.group,
-            )
+        board = leaderboard(
+            title,
+            models,
+            sizes,
+            names,
+            opened,
+            self.turns,
+            self.weathers,
+            self.seed,
+            self.resamples,
+            self.group,
+        )
         _write(board, page, self.json)
         tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
         print(f"{page}: {len(board.facts)} models, {tables}")

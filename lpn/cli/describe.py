@@ -45,8 +45,10 @@ class GatherShards:
 
 @dataclass(kw_only=True)
 class DescribeCommand(ModelOptions):
-    """Describe pictures, or windows of a map, into descriptors on disk; resumable. With --engine ray on many machines, into
-    shards, of which lpn describe --shards SHARDS --out STORE makes a store."""
+    """Describe pictures, or windows of a map, into descriptors on disk; resumable.
+
+    With --engine ray it describes on many machines, into shards, of which lpn describe --shards SHARDS --out STORE makes a store.
+    """
 
     MODES: ClassVar[dict[str, type[GatherShards]]] = {"--shards": GatherShards}
 

@@ -69,10 +69,9 @@ class ExplainCommand(SourceOptions):
         from lpn.library.gallery import answer_of
         from lpn.retrieval import scoring
         from lpn.retrieval.csls import CslsTerms
-        from lpn.sources.opened import open_first_task
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
-        task = None if self.source is None else open_first_task(source_of(self))
+        task = None if self.source is None else source_of(self).open().task
         if task is None and (of_source := self.of_source()):
             raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explain SOURCE.")
         model = self.load() if task is None else task.model
@@ -103,7 +102,7 @@ class ExplainCommand(SourceOptions):
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(views[0])
         console = wide_console(100)
-        losses = _losses(model, query, views[0], tile, console) if self.covering else None
+        losses = _losses(model, query, views[0], tile) if self.covering else None
         terms = None if csls is None else CslsTerms(csls[0], csls[1][None])
         ranking = retrieval.rank(cosines[None], weights, csls=terms)
         gallery = [Picture(files[1], 0, str(files[1]))]
@@ -173,19 +172,13 @@ def _csls(task: Task, query: DescribedPicture, tile: DescribedPicture) -> tuple[
     return CslsTerms.of_query(cosines, of_tile, task.neighbours).query, of_tile[0]
 
 
-def _losses(
-    model: Model, query: DescribedPicture, view: View, tile: DescribedPicture, console: Console
-) -> Float32Array:
+def _losses(model: Model, query: DescribedPicture, view: View, tile: DescribedPicture) -> Float32Array:
     """Return the loss of each part's cosine for each covered square."""
-    from rich.progress import Progress
-
+    from lpn.core.progress import tracked
     from lpn.explain import occlusion
 
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("Covering", total=occlusion.SQUARES**2)
-        for progress in occlusion.occlude(model, query.picture, view, tile.descriptor):
-            bar.update(task, completed=progress[0])
-    return progress[1]
+    steps = occlusion.occlude(model, query.picture, view, tile.descriptor)
+    return list(tracked("Covering squares", steps, occlusion.SQUARES**2))[-1][1]
 
 
 def _show(

@@ -12,7 +12,7 @@ from lpn.core.text_tables import TextTable
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import Advanced, SourceOptions, source_of
-from lpn.sources.opened import open_first_task, open_with_notes
+from lpn.sources.opened import open_with_notes
 
 if TYPE_CHECKING:
     from lpn.core.consoles import Console
@@ -62,7 +62,7 @@ class FailuresCommand(SourceOptions):
             second = replace(self, model=self.beside, kind=self.beside_kind, pooling=self.beside_pooling)
             if {"task", "calibrate"} <= source.takes:  # alike, whatever ships for either
                 second = replace(second, task=cast(TaskName, task.name), calibrate=task.calibration is not None)
-            table = table.with_columns(compared_ranks(table, open_first_task(source_of(second)).outcomes.rank))
+            table = table.with_columns(compared_ranks(table, source_of(second).open().task.outcomes.rank))
         rows = table.sort(table.filter(table.rows(), self.where), self.sort, self.descending)
         console = wide_console()
         named = [name for name in table.columns if name in f"{self.where} {self.sort}"]

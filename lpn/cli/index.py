@@ -11,6 +11,7 @@ from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.progress import report_progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
 from lpn.sources import ModelOptions
@@ -56,7 +57,6 @@ class IndexCommand:
     def run(self) -> None:
         import numpy as np
 
-        from lpn.core.consoles import counting_bar
         from lpn.index import create_index
         from lpn.index.tiles import open_tiles
 
@@ -69,11 +69,7 @@ class IndexCommand:
             )
         tiles = open_tiles(self.descriptors, self.data)
         added = read = 0
-        with (
-            create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index,
-            counting_bar("Indexing") as progress,
-        ):
-            progress(0, tiles.count)
+        with create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index:
             for chunk in tiles.chunks:
                 some = np.arange(len(chunk.names))
                 if not self.replace:
@@ -83,7 +79,7 @@ class IndexCommand:
                     index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
                     added += len(some)
                 read += len(chunk.names)
-                progress(read, tiles.count)
+                report_progress("Indexing", read, tiles.count)
             print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
         if there := tiles.count - added:
             print(
@@ -93,7 +89,6 @@ class IndexCommand:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
     def _index_map(self, where: Path) -> None:
-        from lpn.core.consoles import counting_bar
         from lpn.index import create_index
         from lpn.index.base import DescriptorKind, check_box
         from lpn.index.from_map import index_windows, window_describer
@@ -115,12 +110,9 @@ class IndexCommand:
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
         kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding)
-        with (
-            create_index(self.out, kind, self.engine, structure=self.structure) as index,
-            counting_bar("Describing windows") as progress,
-        ):
+        with create_index(self.out, kind, self.engine, structure=self.structure) as index:
             added = index_windows(
-                index, basemap, describe, sizes, self.overlap, progress, replace=self.replace, turns=self.turns, box=box
+                index, basemap, describe, sizes, self.overlap, replace=self.replace, turns=self.turns, box=box
             )
             print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 

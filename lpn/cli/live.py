@@ -17,7 +17,7 @@ from lpn.sources import Advanced, ModelOptions
 from lpn.sources.options import ADVANCED
 
 if TYPE_CHECKING:
-    from lpn.core.progress import CountProgress, Progress
+    from lpn.core.progress import CountProgress, Listener
     from lpn.live.frames import Say
     from lpn.live.locator import LiveOptions
     from lpn.live.run import FixOutput, LiveRun
@@ -141,7 +141,7 @@ class LocateLive(LiveInput):
         _say(f"{count} frames were located.")
 
 
-def _progress(receivers: Sequence[CountProgress]) -> Progress:
+def _progress(receivers: Sequence[CountProgress]) -> Listener:
     """Return what hands the number of described windows on."""
 
     def report(_stage: str, done: int, total: int) -> None:

@@ -126,12 +126,11 @@ class LocateCommand(ModelOptions):
         return "Photos that are done are kept; give the same command again."
 
     def located(self, console: Console) -> tuple[MatchedSurvey | None, LocatedFlight]:
-        """Match the surveyed positions, if there are any, and locate the flight, with a progress bar.
+        """Match the surveyed positions, if there are any, and locate the flight.
 
         Raises:
             InputError: if the limit is below 1, a kind, a pooling, or an index comes without a model, or sizes beside an index.
         """
-        from lpn.core.consoles import stage_bars
         from lpn.flights import open_flight
         from lpn.locate import corrections
         from lpn.locate.index_windows import WindowIndex
@@ -154,8 +153,7 @@ class LocateCommand(ModelOptions):
         kept = corrections.read_corrections(own_file(self.flight, corrections.NAME)) if self.corrections else {}
         network = None if self.model is None else self.load()
         indexed = None if self.index is None or network is None else WindowIndex(self.index, network, basemap)
-        with stage_bars("{}") as report:
-            return survey, locate(basemap, flight, network, options, report, kept, indexed)
+        return survey, locate(basemap, flight, network, options, kept, indexed)
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
         """Return the surveyed positions; None without a table."""

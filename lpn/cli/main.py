@@ -17,7 +17,7 @@ from typing import Any, TextIO
 import lpn.cli
 from lpn.cli.parsing import parse
 from lpn.core import log
-from lpn.core.consoles import plain_streams
+from lpn.core.consoles import plain_streams, progress_bars
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.core.requirements import broken_package, missing_package
@@ -131,7 +131,8 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
         command = commands()[arguments[0]]
         with plain_streams(colours=sys.stdout.isatty()):  # tyro prints colours
             parsed.append(reader(command)(arguments[1:], f"lpn {arguments[0]}"))
-        return int(parsed[0].run() or 0)
+        with progress_bars():
+            return int(parsed[0].run() or 0)
     except LPNError as error:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)
         return 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,11 +41,10 @@ class ReportCommand(SourceOptions):
     --no-register leaves that out, and trusts all tags."""
 
     def run(self) -> None:
-        from rich.progress import Progress
-
         from lpn import report
         from lpn.core.consoles import Console
         from lpn.core.files import check_outputs, write_atomic
+        from lpn.core.progress import report_progress
         from lpn.descriptors.transforms import Change
 
         if self.query and (self.failures is not None or self.where):
@@ -60,13 +60,11 @@ class ReportCommand(SourceOptions):
         else:
             chosen, selection = _chosen(task, self)
         contents = replace(contents, selection=selection, doubtful=doubtful)
-        console = Console()
-        with Progress(console=console, transient=True) as bar:
-            line = bar.add_task("Reporting", total=None)
-            page = report.build(task, chosen, contents, lambda done, of: bar.update(line, completed=done, total=of))
+        page = report.build(task, chosen, contents, partial(report_progress, "Reporting"))
         write_atomic(self.out, page)
         count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
-        console.print(f"{self.out}: {count}, {len(page) / 1e6:.1f} MB", highlight=False, markup=False, soft_wrap=True)
+        said = f"{self.out}: {count}, {len(page) / 1e6:.1f} MB"
+        Console().print(said, highlight=False, markup=False, soft_wrap=True)
 
 
 def _chosen(task: Task, options: ReportCommand) -> tuple[list[int], str]:

@@ -43,7 +43,7 @@ class Sweep(SourceOptions):
     """File to draw the curves to, as PNG; needs matplotlib, of the extra train."""
 
     def run(self) -> None:
-        from lpn.core.consoles import stage_bars, wide_console
+        from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic
         from lpn.drawing.plots import pyplot
 
@@ -51,15 +51,14 @@ class Sweep(SourceOptions):
         if self.png is not None:
             pyplot()  # fail before the long computation
         console = wide_console()
-        with stage_bars() as on_progress:
-            opened = open_source(self, [self.query], part_values(self.weights), on_progress)
+        opened = open_source(self, [self.query], part_values(self.weights))
         task, model = opened.task, opened.model
         if model is None:
             raise InputError(
                 f"No query of {task.model_name} can be changed, as it holds descriptors and no network; sweep a query of a data "
                 "set with a model."
             )
-        profile = _swept(task, model, self, console)
+        profile = _swept(task, model, self)
         title = f"{self.query} ({task.name}, {model.describe()})"
         _print(profile, title, task.views, console)
         if self.csv is not None:
@@ -68,9 +67,8 @@ class Sweep(SourceOptions):
             write_atomic(self.png, _draw(profile, title))
 
 
-def _swept(task: Task, model: Model, options: Sweep, console: Console) -> SweepResult:
-    from rich.progress import track
-
+def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
+    from lpn.core.progress import tracked
     from lpn.explain import sweeps
 
     if options.over == "weather" and task.query_view == "satellite":
@@ -84,8 +82,7 @@ def _swept(task: Task, model: Model, options: Sweep, console: Console) -> SweepR
     changes = [change.for_picture(query) for change in steps]
     ranks = task.ranks_under(position)
     points = sweeps.sweep_points(model, query.load_cropped(), task.query_view, changes, ranks)
-    done = track(points, f"Describing {options.query}", len(changes), console=console, transient=True)
-    return sweeps.SweepResult(options.over, tuple(done))
+    return sweeps.SweepResult(options.over, tuple(tracked("Describing the query changed", points, len(changes))))
 
 
 def _subject(profile: SweepResult) -> str:
@@ -143,7 +140,7 @@ def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
 
 def _draw(profile: SweepResult, title: str) -> bytes:
     """Draw scores, part cosines, and rank over the transform as a PNG file."""
-    from lpn.drawing.plots import png, pyplot
+    from lpn.drawing.plots import encode, pyplot
     from lpn.explain.sweeps import UNITS, swept_label, swept_value
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
@@ -167,4 +164,4 @@ def _draw(profile: SweepResult, title: str) -> bytes:
     below.set_yticks(ticks, [str(tick) for tick in ticks])
     below.set_ylim(last * 1.2, 0.8)
     figure.tight_layout()
-    return png(figure, dpi=120)
+    return encode(figure, dpi=120)

@@ -302,19 +302,11 @@ class Dataset:
         return self.pictures(f"train/{folder}")
 
     def queries(self, view: str) -> list[Picture]:
-        """Return the test split's queries of a view.
-
-        Raises:
-            DataError: if there are none.
-        """
+        """Return the test split's queries of a view; DataError if there are none."""
         return self._test("query", view)
 
     def gallery(self, view: str) -> list[Picture]:
-        """Return the test split's gallery of a view.
-
-        Raises:
-            DataError: if there is none.
-        """
+        """Return the test split's gallery of a view; DataError if there is none."""
         return self._test("gallery", view)
 
     def tasks(self) -> list[str]:

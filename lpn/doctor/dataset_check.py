@@ -14,6 +14,7 @@ from lpn.core.consoles import Console
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
+from lpn.core.progress import report_progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, Size, geo, metadata
@@ -110,21 +111,18 @@ class DataSetReport:
         return {"healthy": self.healthy, **asdict(self)}
 
 
-def check_dataset(
-    dataset: Dataset, decode: bool = True, on_progress: Callable[[int, int], None] | None = None
-) -> DataSetReport:
+def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     """Check every picture of a data set, and whether its lists fit each other.
 
     Args:
         decode: decode every picture; else read only its header and end (see `lpn.datasets.integrity`).
-        on_progress: called now and then with the numbers of checked files and of all files.
 
     Raises:
         DataError: if a list cannot be read.
     """
     lists = dataset.lists()
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
-    errors = picture_errors(files, decode, None if on_progress is None else lambda done: on_progress(done, len(files)))
+    errors = picture_errors(files, decode, lambda done: report_progress("Reading pictures", done, len(files)))
     positions, gap = _positions(dataset)
     (untrained, partly), (missed, by_street) = _training_places(lists), _unanswered(dataset)
     return DataSetReport(

@@ -9,7 +9,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
-from lpn.core.progress import CountProgress
+from lpn.core.progress import report_progress
 from lpn.datasets import geo
 from lpn.index.base import Index
 from lpn.index.queries import IndexQueries
@@ -48,14 +48,11 @@ class IndexGallery:
         return np.array([np.nan if window is None else window.size for window in self.windows], np.float64)
 
 
-def open_gallery(index: Index, queries: IndexQueries, on_progress: CountProgress) -> IndexGallery:
+def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
     """Read all tiles of an index, or, of one that is large or does not list its tiles, those that matter to some queries.
 
     These are the tiles that the engine proposes for each query, and the true ones. Their ranks are those among all tiles
     down to the last proposed one, as far as the engine misses none.
-
-    Args:
-        on_progress: called with the numbers of finished and of all searches.
 
     Raises:
         InputError: if the index holds no tiles, or too many are proposed.
@@ -70,7 +67,7 @@ def open_gallery(index: Index, queries: IndexQueries, on_progress: CountProgress
     names = dict.fromkeys(queries.true_tiles())
     for i, descriptor in enumerate(queries.descriptors):
         names |= dict.fromkeys(index.search(descriptor, None, PROPOSED).ids)
-        on_progress(i, total)
+        report_progress("Searching the index", i, total)
     if queries.spots is not None:
         windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
         reach = max((window.size for window in windows), default=0) / 2
@@ -85,7 +82,7 @@ def open_gallery(index: Index, queries: IndexQueries, on_progress: CountProgress
             f"The index of {count:,} tiles is searched for {total:,} queries, which gives {len(names):,} tiles to rank; expected "
             f"{MOST_TILES:,} at most, so give fewer queries, or search with lpn search."
         )
-    on_progress(total, total)
+    report_progress("Searching the index", total, total)
     chosen = (
         f"of {count:,} in the index: the {PROPOSED} that its engine ({index.engine}) proposes for each query, and the true ones; "
         "ranks and AP are among these"

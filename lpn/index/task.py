@@ -9,7 +9,6 @@ import numpy as np
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import CountProgress
 from lpn.core.views import views_of
 from lpn.datasets import Truth, labels_of
 from lpn.datasets.geo import Position
@@ -29,7 +28,6 @@ def index_task(
     index: Index,
     queries: IndexQueries,
     basemap: Map | None = None,
-    on_progress: CountProgress = lambda _done, _total: None,
 ) -> Task:
     """Return the task of some queries over the tiles of an index, which may be closed then; see `open_gallery`.
 
@@ -37,7 +35,6 @@ def index_task(
         model: describes queries; the index holds its descriptors.
         model_name: to display.
         basemap: map that windows are cut from.
-        on_progress: see `open_gallery`.
 
     Raises:
         InputError: if the index holds no tiles, or none on the map, or too many are proposed.
@@ -46,7 +43,7 @@ def index_task(
     views = views_of(queries.name)
     model = model.for_task(*views)
     index.check_model(model.fingerprint)
-    gallery = open_gallery(index, queries, on_progress)
+    gallery = open_gallery(index, queries)
     tiles = tile_pictures(gallery, queries, basemap, max(model.input_size))
     geometry, no_map = _geometry(gallery, queries.places or [None] * len(queries.pictures), basemap)
     return Task(

@@ -11,7 +11,7 @@ import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array
 from lpn.core.files import printable
-from lpn.core.progress import CountProgress
+from lpn.core.progress import report_progress
 from lpn.core.views import views_of
 from lpn.datasets import Picture
 from lpn.datasets.geo import Position
@@ -36,7 +36,6 @@ def flight_queries(
     basemap: Map,
     index: Index,
     root: Path,
-    on_progress: CountProgress = lambda _done, _total: None,
 ) -> IndexQueries:
     """Describe frames as they are compared with the windows of an index.
 
@@ -48,7 +47,6 @@ def flight_queries(
     Args:
         basemap: map of the windows.
         root: folder of the flight, where a person's notes are kept.
-        on_progress: called with the numbers of described and of all pictures.
 
     Raises:
         InputError: if the model's branches have roles, and it has one view.
@@ -80,7 +78,7 @@ def flight_queries(
                 log.warning("%s", error)
             unreadable.add(owners[j])
         done += len(batch.items) + len(batch.broken)
-        on_progress(done, len(cuts))
+        report_progress("Describing frames", done, len(cuts))
     chosen = [
         _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
         for i in range(len(flight.frames))

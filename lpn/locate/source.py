@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 from lpn.sources import OpenedSource, SourceOptions, TaskSource
 from lpn.sources.kinds.index import IndexSource
 from lpn.sources.opened import query_positions, weighted
-from lpn.sources.recognise import NETWORK, file_names, no_progress
+from lpn.sources.recognise import NETWORK, file_names
 
 if TYPE_CHECKING:
     from lpn.index import Index
@@ -41,7 +40,6 @@ class OpenedFlight(OpenedSource):
         """Lay each photo over the map; a GPS tag that this contradicts judges nothing. See `OpenedSource.graded`."""
         import numpy as np
 
-        from lpn.core.consoles import stage_bars
         from lpn.locate.grades import doubtful_photos
         from lpn.locate.pipeline import registered
         from lpn.locate.task import stage_columns
@@ -49,8 +47,7 @@ class OpenedFlight(OpenedSource):
         if self.located is None:
             return super().graded()
         task = self.task
-        with stage_bars("{}") as on_progress:
-            located = registered(self.located, self.network, on_progress=on_progress)
+        located = registered(self.located, self.network)
         best, first = task.retrieved.best, task.retrieved.first
         doubtful = set(np.flatnonzero(doubtful_photos(located, task, best, first)).tolist())
         task = replace(task, columns=[*task.columns, *stage_columns(located)])
@@ -79,22 +76,17 @@ class WindowSource(IndexSource):
         assert self.options.map is not None
         return open_map(self.options.map)
 
-    def queries(self, model: Model, index: Index, on_progress: Progress) -> IndexQueries:
+    def queries(self, model: Model, index: Index) -> IndexQueries:
         from lpn.flights import open_flight
         from lpn.locate.index_queries import flight_queries
 
         if self.options.index is None:
-            return super().queries(model, index, on_progress)
+            return super().queries(model, index)
         flight, folder = open_flight(self.options.path), self.options.path
-        return flight_queries(model, flight, self.basemap, index, folder, partial(on_progress, "frames"))
+        return flight_queries(model, flight, self.basemap, index, folder)
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedFlight:
-        opened = super().open(names, weights, on_progress)
+    def open(self, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> OpenedFlight:
+        opened = super().open(names, weights)
         return OpenedFlight(opened.tasks, opened.model, opened.network, map=self.basemap)
 
 
@@ -127,20 +119,14 @@ class FlightSource(TaskSource):
         files = self.options.file, self.options.map, self.options.path
         return file_names(*(file for file in files if file is not None))
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedFlight:
+    def open(self, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> OpenedFlight:
         if self.options.index is not None and self.map_path:
-            return WindowSource(self.options).open(names, weights, on_progress)
-        return self.locate(None, on_progress, names, weights)
+            return WindowSource(self.options).open(names, weights)
+        return self.locate(None, names, weights)
 
     def locate(
         self,
         overlap: float | None = None,
-        on_progress: Progress = no_progress,
         names: Sequence[str] = (),
         weights: Sequence[float] | None = None,
         shipped: Path | None = None,
@@ -166,7 +152,7 @@ class FlightSource(TaskSource):
         scoring.part_weights(model.n_parts, weights)
         query_positions(names, flight.frames, flight.name)
         options = LocateOptions(register=False, overlap=LocateOptions.overlap if overlap is None else overlap)
-        located = locate(ground, flight, model, options, on_progress, shipped=shipped)
+        located = locate(ground, flight, model, options, shipped=shipped)
         task = flight_task(model, self.options.name, located, self.options.path)
         notes = [printable(note) for note in (*ground.notes, *flight.notes, *located.notes)]
         return OpenedFlight([weighted(task, weights)], task.model, model, notes, map=ground, located=located)

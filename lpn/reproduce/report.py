@@ -9,7 +9,7 @@ from typing import Any
 
 from lpn.core.files import write_atomic
 from lpn.core.text_tables import TextTable, latex_page
-from lpn.drawing.plots import png, pyplot
+from lpn.drawing.plots import encode, pyplot
 from lpn.reproduce.claims import verdicts
 from lpn.reproduce.record import TableRecord
 
@@ -112,7 +112,7 @@ def figure(record: TableRecord) -> bytes:
     axes.set_title(record.title, loc="left", fontsize=11)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
-    return png(drawn, 110)
+    return encode(drawn, 110)
 
 
 def _draw(

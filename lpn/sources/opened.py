@@ -65,18 +65,10 @@ def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -
     return replace(task, weights=weights, neighbours=neighbours)
 
 
-def open_first_task(source: TaskSource) -> Task:
-    """Open the first task of a source, with a bar on the terminal for work that takes long."""
-    from lpn.core.consoles import stage_bars
-
-    with stage_bars() as on_progress:
-        return source.open(on_progress=on_progress).task
-
-
 def open_with_notes(
     source: TaskSource, file: Path | None, names: Sequence[str] = (), weights: Sequence[float] | None = None
 ) -> OpenedSource:
-    """Open a source with its first task alone, which has a person's tags and notes, see `open_first_task`.
+    """Open a source with its first task alone, which has a person's tags and notes.
 
     Args:
         file: of the notes, read first; None takes notes.csv in the folder of the queries.
@@ -85,13 +77,11 @@ def open_with_notes(
     Raises:
         DataError: also if the file is damaged.
     """
-    from lpn.core.consoles import stage_bars
     from lpn.core.demo import own_file
     from lpn.tasks import notes
 
     named = None if file is None else notes.read_notes(file)
-    with stage_bars() as on_progress:
-        opened = source.open(names, weights, on_progress)
+    opened = source.open(names, weights)
     first = opened.task
     read = notes.read_notes(own_file(first.root, notes.NAME)) if named is None else named
     return replace(opened, tasks=[replace(first, notes=read)])

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 from lpn.core.texts import listed
 from lpn.sources import kinds
 from lpn.sources.opened import OpenedSource
@@ -28,10 +27,6 @@ if TYPE_CHECKING:
 GROUP = "lpn.sources"
 # Options of commands that need a network; a kind of source with one takes them.
 NETWORK = frozenset(("model", "kind", "pooling", "provider", "rotate"))
-
-
-def no_progress(stage: str, done: int, total: int) -> None:
-    """Report nothing."""
 
 
 class TaskSource(ABC):
@@ -61,18 +56,12 @@ class TaskSource(ABC):
         return file_names(self.options.path)
 
     @abstractmethod
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedSource:
+    def open(self, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> OpenedSource:
         """Open the source.
 
         Args:
             names: names that queries of the first task must have; they are checked before pictures are described.
             weights: part weights of the task, checked likewise; equal by default.
-            on_progress: called with a stage and the numbers of finished and of all its steps.
 
         Raises:
             LPNError: if a file cannot be used, or there is no such query.
@@ -86,9 +75,7 @@ class TaskSource(ABC):
         Raises:
             LPNError: if a file cannot be used, or no query can be measured.
         """
-        from lpn.sources.opened import open_first_task
-
-        return [open_first_task(self)]
+        return [self.open().task]
 
 
 @cache
@@ -136,13 +123,10 @@ def source_of(options: SourceOptions) -> TaskSource:
 
 
 def open_source(
-    options: SourceOptions,
-    names: Sequence[str] = (),
-    weights: Sequence[float] | None = None,
-    on_progress: Progress = no_progress,
+    options: SourceOptions, names: Sequence[str] = (), weights: Sequence[float] | None = None
 ) -> OpenedSource:
     """Recognise a source and open it, see `TaskSource.open`."""
-    return source_of(options).open(names, weights, on_progress)
+    return source_of(options).open(names, weights)
 
 
 def file_names(*files: Path) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.core.progress import CountProgress
+from lpn.core.progress import counted_among
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors import cached_descriptors
@@ -39,9 +39,9 @@ def why_not(task: Task) -> str:
     return task.no_truth
 
 
-def turned(task: Task, degrees: float, progress: CountProgress | None = None) -> Task:
+def turned(task: Task, degrees: float) -> Task:
     """Turn all queries by degrees counter-clockwise, see `changed`."""
-    return changed(task, replace(task.change, rotate=float(degrees % 360)), progress)
+    return changed(task, replace(task.change, rotate=float(degrees % 360)))
 
 
 def in_weather(task: Task, weather: WeatherName) -> Task:
@@ -49,15 +49,11 @@ def in_weather(task: Task, weather: WeatherName) -> Task:
     return changed(task, replace(task.change, weather=Weather(weather)))
 
 
-def changed(task: Task, change: Change, progress: CountProgress | None = None) -> Task:
+def changed(task: Task, change: Change) -> Task:
     """Change all queries, in place of an earlier change of them.
 
     Descriptors are cached by the change, so that a second time takes no network. Weather falls on the gallery where the queries
     are tiles and the gallery is not, as University-WX has it.
-
-    Args:
-        progress: called with the numbers of described and of all queries; an exception stops the work, and what is described
-            already is kept.
 
     Raises:
         InputError: when the task cannot be changed, see `why_not`, or compares tiles with tiles, which have no weather.
@@ -82,7 +78,7 @@ def changed(task: Task, change: Change, progress: CountProgress | None = None) -
         strict=True,
     ):
         if one != other:
-            described[side] = _describing(task, pictures, view, other, progress)
+            described[side] = _describing(task, pictures, view, other)
     clauses = [clause for clause in task.clauses if clause not in _clauses(task, task.change)]
     return task.with_fields(
         **described,
@@ -238,9 +234,7 @@ def _clauses(task: Task, change: Change) -> list[str]:
     return [*clauses, f"gallery pictures {of_gallery.describe()}"] if of_gallery.weather else clauses
 
 
-def _describing(
-    task: Task, pictures: Sequence[Picture], view: View, change: Change, progress: CountProgress | None
-) -> Callable[[], Float32Array]:
+def _describing(task: Task, pictures: Sequence[Picture], view: View, change: Change) -> Callable[[], Float32Array]:
     """Return a function that describes changed pictures as the task's own are described."""
     if task.describe is not None:
         describe = task.describe
@@ -253,8 +247,8 @@ def _describing(
         def read(some: Sequence[Picture], zoom: float) -> Float32Array:
             nonlocal done
             before, done = done, done + len(some)
-            told = None if progress is None else lambda count, _: progress(before + count, len(pictures))
-            return cached_descriptors(model, some, view, replace(change, scale=change.scale * zoom), told)
+            with counted_among(before, len(pictures)):
+                return cached_descriptors(model, some, view, replace(change, scale=change.scale * zoom))
 
         return calibrations.by_zoom(model, pictures, np.array([picture.zoom for picture in pictures]), read)
 

@@ -61,14 +61,14 @@ class GalleryGeometry:
 
     def metres_from(self, place: Position) -> Float64Array:
         """Metres from a place to the centre of each tile, (G,)."""
-        return geo.metres_between(geo.radians([place]), self._radians)
+        return geo.geodesic(geo.degrees([place]), self._degrees)
 
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
         """Metres from the place that each query shows to its answer, (Q,).
 
         Infinite for the answer -1, that is, none; NaN for a query whose place is unknown.
         """
-        metres = geo.metres_between(geo.radians(self._known_or_nan), self._radians[answers])
+        metres = geo.geodesic(geo.degrees(self._known_or_nan), self._degrees[answers])
         return np.where((answers < 0) & ~np.isnan(metres), np.inf, metres)
 
     @cached_property
@@ -81,8 +81,8 @@ class GalleryGeometry:
         return [Position(math.nan, math.nan) if place is None else place for place in self.queries]
 
     @cached_property
-    def _radians(self) -> Float64Array:
-        return geo.radians(self.tiles)
+    def _degrees(self) -> Float64Array:
+        return geo.degrees(self.tiles)
 
     @cached_property
     def places(self) -> Int64Array:

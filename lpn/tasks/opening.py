@@ -14,7 +14,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
-from lpn.core.progress import CountProgress
+from lpn.core.progress import counted_among
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, labels_of
 from lpn.datasets.integrity import check_test_split, lists_of
@@ -128,7 +128,6 @@ def describe_task(
     weights: npt.ArrayLike | None = None,
     tags_and_notes: Mapping[str, Note] | None = None,
     calibration: Calibration | None = None,
-    on_progress: CountProgress | None = None,
     neighbours: int = 0,
 ) -> Task:
     """Describe queries and gallery of a task, or read their stored descriptors.
@@ -139,8 +138,6 @@ def describe_task(
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
         calibration: see `task_calibration`; its zooms and means are applied to `model`, which is that before the calibration.
-        on_progress: receives the numbers of described and of all pictures, with a calibration of each list; by default the
-            terminal shows them.
         neighbours: K of CSLS; 0 ranks without it.
 
     Raises:
@@ -158,15 +155,14 @@ def describe_task(
         check_neighbours(neighbours, len(task.queries))
     try:
         if calibration is None:
-            of_queries, of_gallery = (_shifted(on_progress, before, both) for before in (0, len(task.queries)))
-            query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query", of_queries)
-            gallery_side = descriptors.shipped_or_cached(
-                model, task.gallery, views[1], task.root, "gallery", of_gallery
-            )
+            with counted_among(0, both):
+                query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query")
+            with counted_among(len(task.queries), both):
+                gallery_side = descriptors.shipped_or_cached(model, task.gallery, views[1], task.root, "gallery")
         else:
             query_side, gallery_side = (
                 descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)
-                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root, on_progress))
+                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
                 for side, view, role in zip((task.queries, task.gallery), views, _ROLES, strict=True)
             )
     except PictureError:  # of one list; name the broken pictures of all lists at once
@@ -189,18 +185,12 @@ def describe_task(
     )
 
 
-def _shifted(on_progress: CountProgress | None, before: int, total: int) -> CountProgress | None:
-    """Return what reports the progress of one of several lists, given the pictures of the lists before it and of all."""
-    return None if on_progress is None else lambda done, _: on_progress(before + done, total)
-
-
 def scored_tasks(
     model: Model,
     model_name: str,
     dataset: Dataset,
     calibration: Calibration,
     names: Sequence[str],
-    on_progress: CountProgress | None = None,
     neighbours: int = NEIGHBOURS,
 ) -> list[Task]:
     """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
@@ -208,27 +198,21 @@ def scored_tasks(
     Args:
         model: before the calibration.
         names: of the tasks.
-        on_progress, neighbours: see `describe_task`.
+        neighbours: see `describe_task`.
 
     Raises:
         LPNError: as `describe_task`.
     """
-    tasks = [
-        describe_task(model, model_name, dataset, name, calibration=calibration, on_progress=on_progress)
-        for name in names
-    ]
+    tasks = [describe_task(model, model_name, dataset, name, calibration=calibration) for name in names]
     return tasks + [by_csls(task, neighbours) for task in tasks if len(task.queries) >= neighbours]
 
 
-def task_calibration(
-    model: Model, dataset: Dataset, calibrate: bool | None = None, on_progress: CountProgress | None = None
-) -> Calibration | None:
+def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = None) -> Calibration | None:
     """Choose the calibration that ranks the tasks of a data set, for the library, every command, and the page; no label counts.
 
     Args:
         calibrate: True for the calibration that ships with the data set, or else a new one; False for none; None for the one that
             ships, if any.
-        on_progress: see `new_calibration`.
 
     Returns:
         None to rank plain.
@@ -240,7 +224,7 @@ def task_calibration(
     if calibrate is not None and not isinstance(calibrate, bool):
         raise InputError(f"calibrate is {printable(repr(calibrate))}; expected True, False, or None.")
     shipped = None if calibrate is False else shipped_calibration(model, dataset)
-    return new_calibration(model, dataset, on_progress) if calibrate and shipped is None else shipped
+    return new_calibration(model, dataset) if calibrate and shipped is None else shipped
 
 
 def alike_calibrations(
@@ -281,12 +265,8 @@ def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]
     return lists
 
 
-def new_calibration(model: Model, dataset: Dataset, on_progress: CountProgress | None = None) -> Calibration:
+def new_calibration(model: Model, dataset: Dataset) -> Calibration:
     """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
-
-    Args:
-        on_progress: receives the numbers of described and of all pictures of each list at each zoom; by default the terminal
-            shows them.
 
     Raises:
         InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
@@ -301,7 +281,7 @@ def new_calibration(model: Model, dataset: Dataset, on_progress: CountProgress |
     if not tasks:
         raise no_task_error(model, dataset)
     check_test_split(dataset, tasks)
-    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root, on_progress))
+    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root))
 
 
 def offered_tasks(model: Model, dataset: Dataset) -> list[str]:

@@ -150,9 +150,9 @@ def windows(model_file: Path, make_once: MakeOnce, tmp_path_factory: pytest.Temp
         save_result(saved, data, model_file)
         index = SourceOptions(source=str(folder / "index"), model=model_file, data=data)
         others = {
-            "index": LazyWorkspace("index", lambda _: open_source(index)),
+            "index": LazyWorkspace("index", lambda: open_source(index)),
             "saved": LazyWorkspace(
-                "saved", lambda _: open_source(SourceOptions(source=str(saved), data=data, n_parts=4))
+                "saved", lambda: open_source(SourceOptions(source=str(saved), data=data, n_parts=4))
             ),
         }
         app = App(open_model(data, model_file, calibrate=True), "127.0.0.1", free_port(), others=others)

@@ -6,7 +6,6 @@ import gc
 import re
 import threading
 import weakref
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -42,6 +41,7 @@ from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO
 from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.progress import report_progress
 from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
 from lpn.library.analyser import OwnPicture
@@ -78,11 +78,9 @@ def _state(workspace: Workspace, query: int) -> SessionState:
     return SessionState(TASK, workspace.contract.n_parts, query=query)
 
 
-def _register(
-    located: LocatedFlight, *_: Any, on_progress: Callable[[str, int, int], None], **__: Any
-) -> LocatedFlight:
+def _register(located: LocatedFlight, *_: Any, **__: Any) -> LocatedFlight:
     """Refuse all frames, as the registration would enter them."""
-    on_progress("registration", len(located.frames), len(located.frames))
+    report_progress("Registering frames", len(located.frames), len(located.frames))
     refused = StageRecord("refused", "Only 4 matches agree.", inliers=4)
     frames = [replace(frame, stages=frame.stages | {"registration": refused}) for frame in located.frames]
     return replace(located, frames=frames)

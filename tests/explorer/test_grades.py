@@ -40,7 +40,7 @@ PHOTOS = 30
 
 
 def opened(basemap: Path, flight: Path) -> Workspace:
-    place = open_offered_flight(None, basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
+    place = open_offered_flight(basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
     assert place.registration is not None
     assert place.registration.wait(PATIENCE)
     return place
@@ -140,7 +140,7 @@ def test_two_models_are_compared_over_the_graded_photos(workspace: Workspace, mo
     first[[7, 9, 1]] = 1 - np.minimum(first[[7, 9, 1]], 1)  # two in doubt, and one that is right
     assert first[1] == 1
     other.rankings[TASK].result = replace(own, ranking=replace(own.ranking, first=first))
-    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("two", lambda _: other)])
+    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("two", lambda: other)])
     assert workspace.beside[0].open().wait(PATIENCE)
     comparison = ModelComparison(workspace, RequestContext(workspace.inference))
     analysis = StateAnalyser(workspace).analyse(SessionState(TASK, workspace.contract.n_parts, why=True), 10)
@@ -158,8 +158,8 @@ def test_reports_count_as_the_first_screen_does(
     shipped: dict[str, Any] = {"overlap": OFFERED_OVERLAP, "shipped": DEMO_PLACE[0].with_name(DEMO_ANSWERS)}
 
     def as_in_app(source: FlightSource, _: float | None, *args: Any) -> Any:
-        on_progress, names, weights = args
-        return locate(source, on_progress=on_progress, names=names, weights=weights, **shipped)
+        names, weights = args
+        return locate(source, names=names, weights=weights, **shipped)
 
     monkeypatch.setattr(FlightSource, "locate", as_in_app)
     command = ["report", str(DEMO_PLACE[1]), "--map", str(DEMO_PLACE[0])]

@@ -58,7 +58,7 @@ def analysed(workspace: Workspace, task: str = TASK, **changes: Any) -> StateAna
 def test_parts_are_those_of_each_picture(regions: Workspace) -> None:
     analysis = analysed(regions)
     assert regions.part_names == list(REGIONS.part_names["drone"])
-    assert (regions.parts_word, regions.without_cells) == ("parts", "")
+    assert (regions.contract.part_noun, regions.without_cells) == ("part", "")
     for view, described in zip(analysis.task.views, (analysis.query, analysis.tile), strict=True):
         areas = regions.areas(view, described)
         assert areas is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock, Mock
@@ -28,6 +28,7 @@ from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
+from lpn.core.progress import listening, report_progress
 from lpn.datasets import Picture, labels_of, open_dataset
 from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
@@ -301,7 +302,7 @@ def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace:
 def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
     workspace: Workspace, wide: Path, one_part_model_file: Path
 ) -> None:
-    second = LazyWorkspace("the other", lambda _: open_model(wide, one_part_model_file))
+    second = LazyWorkspace("the other", lambda: open_model(wide, one_part_model_file))
     workspace.beside = [second]
     try:
         assert second.open().wait(PATIENCE)
@@ -347,12 +348,13 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
 ) -> None:
     write_places(tmp_path / "places", 22)
     counts: list[tuple[int, int]] = []
-    new_calibration(lpn.load(model_file), open_dataset(tmp_path / "places"), lambda *count: counts.append(count))
+    with listening(lambda _, *count: counts.append(count)):
+        new_calibration(lpn.load(model_file), open_dataset(tmp_path / "places"))
     assert counts[-1] == (22, 22)
 
-    def endless(_: object, __: object, on_progress: Callable[[int, int], None]) -> None:
+    def endless(*_: object) -> None:
         while True:
-            on_progress(3, 22)
+            report_progress("Describing", 3, 22)
 
     monkeypatch.setattr("explorer.opening.new_calibration", endless)
     opened, client = open_model(tmp_path / "places", model_file), object()

@@ -138,9 +138,7 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr("lpn.maps.open_map", lacking)
     files = tmp_path, tmp_path, tmp_path / "model.onnx"
-    flight = explorer.opening.offered(
-        "a flight", files, lambda report: explorer.opening.open_offered_flight(report, *files)
-    )
+    flight = explorer.opening.offered("a flight", files, lambda: explorer.opening.open_offered_flight(*files))
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."

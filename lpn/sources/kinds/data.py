@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from lpn.core.progress import CountProgress, Progress
 from lpn.sources.opened import OpenedSource, query_positions
 from lpn.sources.options import SourceOptions
-from lpn.sources.recognise import NETWORK, TaskSource, file_names, no_progress
+from lpn.sources.recognise import NETWORK, TaskSource, file_names
 
 if TYPE_CHECKING:
     from lpn.datasets import Dataset
@@ -33,15 +32,9 @@ class DataSource(TaskSource):
     def title(self) -> str:
         return file_names(self.options.file, self.options.path)
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedSource:
+    def open(self, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> OpenedSource:
         from lpn.datasets import open_dataset
 
-        del on_progress
         options, dataset = self.options, open_dataset(self.options.path)
         model = options.load()
         scoring = options.task, options.calibrate, options.csls
@@ -81,7 +74,6 @@ def open_data(
     every: bool = False,
     names: Sequence[str] = (),
     weights: Sequence[float] | None = None,
-    on_progress: CountProgress | None = None,
 ) -> OpenedSource:
     """Open a data set under an opened model.
 
@@ -90,7 +82,6 @@ def open_data(
         calibrate, csls: see `lpn.open_task`.
         every: open every task that model and data set offer, in place of one.
         names, weights: see `TaskSource.open`.
-        on_progress: see `lpn.tasks.opening.describe_task`, once for each task.
 
     Raises:
         LPNError: if model and data set do not offer the task, a file cannot be used, or there is no such query.
@@ -103,7 +94,7 @@ def open_data(
         query_positions(names, dataset.queries(views_of(first)[0]), dataset.root.name)
     calibration = task_calibration(model, dataset, calibrate)
     tasks = [
-        describe_task(model, model_name, dataset, name, weights, {}, calibration, on_progress, csls)
+        describe_task(model, model_name, dataset, name, weights, {}, calibration, csls)
         for name in (offered_tasks(model, dataset) if every and task is None else [first])
     ]
     return OpenedSource(tasks, model if calibration is None else calibration.applied(model), model)

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 from lpn.sources.opened import OpenedSource, query_positions, weighted
 from lpn.sources.options import SourceOptions
-from lpn.sources.recognise import NETWORK, TaskSource, file_names, no_progress
+from lpn.sources.recognise import NETWORK, TaskSource, file_names
 
 if TYPE_CHECKING:
     from lpn.index import Index
@@ -37,12 +35,7 @@ class IndexSource(TaskSource):
     def title(self) -> str:
         return f"{file_names(self.options.file)} and the index"
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedSource:
+    def open(self, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> OpenedSource:
         from lpn.index import open_index
         from lpn.index.task import index_task
         from lpn.retrieval import scoring
@@ -50,10 +43,9 @@ class IndexSource(TaskSource):
         model = self.options.load()
         scoring.part_weights(model.n_parts, weights)
         with open_index(self.where) as index:
-            queries = self.queries(model, index, on_progress)
+            queries = self.queries(model, index)
             query_positions(names, queries.pictures, queries.data_name)
-            searches = partial(on_progress, "searches")
-            task = index_task(model, self.options.name, index, queries, self.basemap, searches)
+            task = index_task(model, self.options.name, index, queries, self.basemap)
         return OpenedSource([weighted(task, weights, self.options.csls)], model, model)
 
     @property
@@ -61,12 +53,11 @@ class IndexSource(TaskSource):
         """The folder or address of the index."""
         return self.options.source or ""
 
-    def queries(self, model: Model, index: Index, on_progress: Progress) -> IndexQueries:
+    def queries(self, model: Model, index: Index) -> IndexQueries:
         """Open the queries that are searched for."""
         from lpn.datasets import open_dataset
         from lpn.index.queries import dataset_queries, picture_queries
 
-        del on_progress
         if self.options.pictures is not None:
             return picture_queries(model, self.options.pictures, index, self.options.data)
         if self.options.data is None:

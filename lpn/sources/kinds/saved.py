@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 from lpn.sources.opened import OpenedSource, query_positions, weighted
 from lpn.sources.options import SourceOptions
-from lpn.sources.recognise import TaskSource, file_names, no_progress
+from lpn.sources.recognise import TaskSource, file_names
 
 if TYPE_CHECKING:
     from lpn.retrieval.saved import PublishedResult
@@ -27,13 +26,7 @@ class SavedSource(TaskSource):
     def task(self) -> Task:
         """Read the task."""
 
-    def open(
-        self,
-        names: Sequence[str] = (),
-        weights: Sequence[float] | None = None,
-        on_progress: Progress = no_progress,
-    ) -> OpenedSource:
-        del on_progress
+    def open(self, names: Sequence[str] = (), weights: Sequence[float] | None = None) -> OpenedSource:
         task = self.task()
         query_positions(names, task.queries, task.data_name)
         return OpenedSource([weighted(task, weights, self.options.csls)])

@@ -15,6 +15,7 @@ from explorer.compute.weight_figures import WeightFigures
 from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.analysis.part_weights import WeightedTask
+from lpn.core.progress import report_progress
 from lpn.drawing.charts import TaskRecall
 from lpn.tasks.changes import turned
 from lpn.tasks.task import Task
@@ -112,11 +113,11 @@ def test_one_job_turns_queries_at_a_time_and_equal_ones_are_shared(
 ) -> None:
     started, go_on, running = threading.Event(), threading.Event(), []
 
-    def slow(task: Task, degrees: float, progress: Any) -> Task:
+    def slow(task: Task, degrees: float) -> Task:
         running.append(degrees)
         started.set()
         while not go_on.wait(0.01):
-            progress(0, 13)
+            report_progress("Describing", 0, 13)
         return task
 
     monkeypatch.setattr(turned_jobs, "turned", slow)

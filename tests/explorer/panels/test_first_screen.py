@@ -1027,7 +1027,7 @@ def test_a_real_photo_is_shown_on_its_map(tmp_path: Path, monkeypatch: pytest.Mo
             judged=judge.judged_piece(analysis, workspace),
         )
         assert "Best for the piece where details place the photo: " in text(sweep)
-        beside = LazyWorkspace("the same", lambda _: workspace)
+        beside = LazyWorkspace("the same", lambda: workspace)
         assert beside.open().wait(PATIENCE)
         with monkeypatch.context() as patch:
             patch.setattr(workspace, "beside", [beside])

@@ -10,6 +10,7 @@ import pytest
 import lpn
 from lpn import descriptors
 from lpn.core.errors import InputError, StoreError
+from lpn.core.progress import listening
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.drawing import mosaic
@@ -182,7 +183,8 @@ def test_of_a_large_index_the_tiles_are_ranked_that_its_engine_proposes(
     assert queries.places is not None
     some = {"places": queries.places[:10], "pictures": queries.pictures[:10], "descriptors": queries.descriptors[:10]}
     queries = replace(queries, **some)
-    task = index_task(model, "model.onnx", index, queries, on_progress=lambda *count: said.append(count))
+    with listening(lambda _, *count: said.append(count)):
+        task = index_task(model, "model.onnx", index, queries)
     assert said[0] == (0, 10)
     assert said[-1] == (10, 10)
     proposed = f"the 2 that its engine ({engine}) proposes for each query"

@@ -19,6 +19,7 @@ from lpn.cli.main import main
 from lpn.core.consoles import wide_console
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
+from lpn.datasets.geo import geodesic
 from lpn.flights import Flight, Frame, footprint
 from lpn.flights.base import HeadingSource
 from lpn.flights.cut import cut_square
@@ -38,7 +39,6 @@ from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.locate.tags import tags_on_map
 from lpn.locate.tracks import TrackPoint
 from lpn.maps import Map, Window, open_map
-from lpn.retrieval.field_metrics import geodesic
 from tests.lpn.locate.scenery import (
     CORNER,
     RESOLUTION,

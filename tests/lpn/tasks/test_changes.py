@@ -13,6 +13,7 @@ import lpn
 from lpn.cli import main
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
+from lpn.core.progress import listening
 from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.descriptors import cached_descriptors
@@ -31,10 +32,11 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
     task = describe_task(model, "lpn", dataset, calibration=new_calibration(model, dataset) if options else None)
     assert turned(task, 0) is task
     counts: list[tuple[int, int]] = []
-    around = turned(task, -90, lambda done, total: counts.append((done, total)))
+    around = turned(task, -90)
     assert around.change.rotate == 270
     assert not counts  # nothing is described yet
-    figures = around.metrics
+    with listening(lambda _, *count: counts.append(count)):
+        figures = around.metrics
     assert counts[0] == (0, 24)
     assert counts[-1] == (24, 24)
     common = ["evaluate", str(data), "--model", str(model_file), "--rotate", "270", "--json", str(out)]
@@ -43,21 +45,23 @@ def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_f
     assert [figures["recall@1"], figures["ap"]] == pytest.approx([expected["recall@1"], expected["ap"]])
     assert figures["queries"] == expected["queries"]
     again: list[tuple[int, int]] = []
-    assert turned(task, 270, lambda done, total: again.append((done, total))).metrics == figures
+    with listening(lambda _, *count: again.append(count)):
+        assert turned(task, 270).metrics == figures
     assert not again  # all descriptors are cached
 
 
 def test_a_stopped_turn_goes_on_where_it_was(data: Path, model_file: Path) -> None:
     task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
 
-    def stop(done: int, _: int) -> None:
+    def stop(_: str, done: int, __: int) -> None:
         if done:
             raise RuntimeError("stopped")
 
-    with pytest.raises(RuntimeError, match="stopped"):
-        _ = turned(task, 33, stop).metrics
+    with pytest.raises(RuntimeError, match="stopped"), listening(stop):
+        _ = turned(task, 33).metrics
     counts: list[int] = []
-    _ = turned(task, 33, lambda done, _: counts.append(done)).metrics
+    with listening(lambda _, done, __: counts.append(done)):
+        _ = turned(task, 33).metrics
     assert counts[0] > 0
 
 

@@ -16,13 +16,13 @@ from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture, Truth, open_dataset
+from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
-from lpn.retrieval import field_metrics, metrics
+from lpn.retrieval import metrics
 from lpn.retrieval.calibration import centred as without_mean
 from lpn.tasks import query_outcomes
 from lpn.tasks.changes import averaged, centred, changed, turned, with_parts
@@ -293,9 +293,7 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     sdm, distance, precision = 0.0, 0.0, 0.0
     for row, start, lists in zip(query, starts, dataset.truth("drone-to-satellite") or (), strict=True):
         order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
-        metres = [
-            float(field_metrics.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order
-        ]
+        metres = [float(geo.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order]
         sdm += sum((3 - i) * math.exp(-0.001 * metres[i]) for i in range(3)) / 6
         distance += sum(metres[:3]) / 3
         ranks = sorted(order.tolist().index(tile) for tile in lists.good)
