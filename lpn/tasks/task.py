@@ -361,7 +361,8 @@ class RankUnderWeights:
 
 def descriptor_clause(contract: Contract) -> str:
     """Return how a model makes a descriptor, as a clause of the protocol's sentence."""
-    return f"{'descriptors of picture and mirror added, ' if contract.mirror == 'sum' else ''}each part normalised"
+    mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
+    return f"{mirrored}{'each part ' if contract.n_parts > 1 else ''}normalised"
 
 
 def scored_key(name: str, scoring: Scoring) -> str:
