@@ -66,6 +66,6 @@ def _read(path: Path) -> tuple[list[str], dict[str, Int64Array]]:
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise DataError(f"{NAME} has other variables inside than CVACT's; expected {expected}.") from error
     for split, indices in rows.items():
-        if not np.isin(indices, np.arange(1, len(ids) + 1)).all():
+        if indices.dtype.kind not in "iuf" or not np.isin(indices, np.arange(1, len(ids) + 1)).all():
             raise DataError(f"{NAME} has {split} rows that are not whole numbers from 1 to {len(ids)}, its panoIds.")
     return ids, {split: indices.astype(np.int64) for split, indices in rows.items()}

@@ -156,7 +156,7 @@ class TilePairs(Dataset):
             if not math.isfinite(east + north):
                 raise ValueError(f"its position is {east}, {north}")
             names = f"{entry['drone_img_dir']}/{entry['drone_img_name']}", str(entry["sate_img_dir"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             reason = f"it has no {error.args[0]}" if isinstance(error, KeyError) else error
             raise DataError(
                 f"{where} is malformed: {reason}; expected a picture, two finite numbers, and lists of tiles and weights, as in "
