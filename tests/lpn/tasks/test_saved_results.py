@@ -137,7 +137,6 @@ def test_without_pictures_nothing_is_named_or_paired(
         with pytest.raises(InputError, match=r"r\.mat holds no pictures; give the data set"):
             step()
     assert "14 queries" in task._repr_html_()
-    assert main.main(["compare", *files, "--data", str(data), "--resamples", "20"]) == 0
 
 
 def test_csls_and_the_title_need_no_pictures(
