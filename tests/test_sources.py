@@ -17,6 +17,7 @@ import explorer.app
 from explorer.workspace import Workspace
 from lpn import descriptors
 from lpn.cli import parsing
+from lpn.cli.compare import CompareCommand
 from lpn.cli.main import commands, main
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
@@ -150,6 +151,87 @@ def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str]
         ranks.append([line.split(",")[column] for line in lines[1:]])
     assert all(figures == recalls[0] for figures in recalls)
     assert ranks[0] == ranks[1] == ranks[2] == ranks[3]
+
+
+@pytest.mark.parametrize("source", ["published", "arrays", "index"])
+def test_each_source_with_pictures_has_the_table_of_queries(
+    source: str, options: Callable[[str, str], list[str]], tmp_path: Path
+) -> None:
+    rows = []
+    for one in ("data", source):
+        given = ["evaluate", *options("failures", one), "--per-query", str(tmp_path / "queries.csv")]
+        assert main([*given, "--task", TASK] if one == "data" else given) == 0
+        lines = (tmp_path / "queries.csv").read_text().splitlines()
+        rows.append([line.split(",")[1:3] for line in lines])
+        assert len(lines) == 15
+        assert lines[1].split(",")[3]
+    assert rows[0] == rows[1]
+
+
+def test_arrays_stand_beside_a_data_set(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
+    (root, *model), (query, *more) = options("failures", "data"), options("failures", "arrays")
+    given = ["compare", root, query, *more, *model, "--task", TASK, "--resamples", "20"]
+    assert main([*given, "--json", str(tmp_path / "table.json")]) == 0
+    one, other = json.loads((tmp_path / "table.json").read_text())["models"]
+    assert one["name"] != other.pop("name")
+    assert other.items() <= one.items()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("DATA DATA2 --page page.md", "A page is about one data set, and 2 are given; give one, or leave --page out."),
+        (
+            "DATA SAVED --calibrate",
+            "is a result of the published test code, and --calibrate fits a data set; leave it out.",
+        ),
+        (
+            "DATA INDEX --data DATA --calibrate --page page.md",
+            "is an index, and --calibrate fits a data set; leave it out.",
+        ),
+        ("DATA ARRAYS --gallery ARRAYS ARRAYS", "and --gallery names 2; give one for each .npy, .npz, or .mat"),
+    ],
+)
+def test_what_would_be_compared_unlike_is_refused(
+    words: str,
+    said: str,
+    options: Callable[[str, str], list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    root, *model = options("failures", "data")
+    (tmp_path / "other").symlink_to(root)
+    names = {"DATA": root, "DATA2": "other", "SAVED": options("failures", "published")[0]}
+    names |= {"INDEX": options("failures", "index")[0], "ARRAYS": options("failures", "arrays")[0]}
+    assert main(["compare", *(names.get(word, word) for word in words.split()), *model]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "page.md").exists()
+
+
+def test_beside_an_index_a_data_set_is_ranked_plain_and_a_page_names_the_scoring(
+    options: Callable[[str, str], list[str]], tmp_path: Path
+) -> None:
+    root, (index, *more) = options("failures", "data")[0], options("failures", "index")
+    beside, alone = (CompareCommand(source=source)._sources().values() for source in ((root, index), (root,)))
+    assert [one.options.calibrate for one in beside] == [False, None]
+    assert [one.options.calibrate for one in alone] == [None]
+    given = ["compare", root, index, *more, "--csls", "3", "--resamples", "20"]
+    assert main([*given, "--page", str(tmp_path / "page.md"), "--json", str(tmp_path / "page.json")]) == 0
+    models = json.loads((tmp_path / "page.json").read_text())["models"]
+    assert list(models) == [f"{Path(one).name}, CSLS" for one in (root, index)]
+    assert all(one["megabytes"] for one in models.values())
+
+
+def test_the_model_that_ships_is_told_once(
+    options: Callable[[str, str], list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    sources = [options("failures", one)[0] for one in ("data", "index")]
+    for source in CompareCommand(source=tuple(sources))._sources().values():
+        assert source.options.load().n_parts == 4
+    told = capsys.readouterr()
+    assert (told.out + told.err).count("The model is city-lpn, which ships") == 1
 
 
 @pytest.mark.parametrize("source", SOURCES)

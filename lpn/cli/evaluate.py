@@ -60,8 +60,11 @@ class EvaluateCommand(SourceOptions):
                 "(1 for a baseline)."
             )
         source = source_of(self)
-        tasks = [self._changed(task) for task in source.to_measure()]
-        title = f"{tasks[0].model_name} ({tasks[0].contract.title}) on {tasks[0].data_name}"
+        opened = source.to_measure()
+        tasks = [self._changed(task) for task in opened]
+        title = tasks[0].model_name
+        if opened[0].model is not None:  # nobody knows the network of saved descriptors
+            title += f" ({tasks[0].contract.title}) on {tasks[0].data_name}"
         if self.weather == "all":
             weathers = measure_weathers(tasks)
             _print_weathers(title, weathers)

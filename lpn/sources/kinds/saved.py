@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lpn.retrieval.saved import PublishedResult
     from lpn.tasks.task import Task
 
-_TAKEN = frozenset(("data", "n_parts", "csls", "centre", "parts"))
+_TAKEN = frozenset(("data", "n_parts", "csls", "centre", "parts", "per_query"))
 
 
 class SavedSource(TaskSource):
@@ -49,11 +49,10 @@ class ResultSource(SavedSource):
     def task(self) -> Task:
         from lpn.datasets import open_dataset
         from lpn.tasks.saved import published_task
+        from lpn.tasks.task import no_pictures
 
         if self.options.data is None:
-            raise InputError(
-                f"{printable(self.options.path.name)} holds no pictures; give the data set that it was computed on as --data."
-            )
+            raise no_pictures(printable(self.options.path.name))
         return published_task(self.load(), open_dataset(self.options.data))
 
     def to_measure(self) -> list[Task]:
