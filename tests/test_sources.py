@@ -236,7 +236,10 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("FILE --data FOLDER", "file.mp4 is a file; expected a data set's folder, so give "),
+        (
+            "FILE --data FOLDER",
+            "file.mp4 is a file; expected a data set's folder, so make a flight of it with lpn flight",
+        ),
         ("FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
         ("FLIGHT", "flight is a flight; give the map under it as --map"),
         (

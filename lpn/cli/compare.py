@@ -93,7 +93,7 @@ class CompareCommand:
     """File to write everything to, as JSON."""
     page: Path | None = None
     """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
-    Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
+    Markdown, LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False

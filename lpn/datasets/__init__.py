@@ -53,6 +53,14 @@ log = logging.getLogger(__name__)
 
 # The group of the entry points by which other packages bring layouts.
 GROUP = "lpn.datasets"
+# What to do with a file that is no picture, by its ending.
+_INSTEAD = {
+    **dict.fromkeys(
+        (".zip", ".tar", ".tgz", ".gz", ".xz", ".7z", ".rar"), "unpack it first, and give the folder that it makes"
+    ),
+    **dict.fromkeys((".mp4", ".mov", ".srt"), "make a flight of it with lpn flight, and give that with a --map"),
+    **dict.fromkeys((".pth", ".safetensors", ".onnx"), "give it as --model, beside a data set's folder"),
+}
 
 
 def open_dataset(root: str | Path) -> Dataset:
@@ -69,9 +77,11 @@ def open_dataset(root: str | Path) -> Dataset:
     if not given.exists() and any(given.name in layout.splits for layout in known_layouts()):
         root, split = given.parent, given.name
     if not root.is_dir():
-        shown, parent = printable(str(root)), printable(str(root.parent))
+        shown, above = printable(str(root)), root.resolve().parent
         if root.exists():
-            raise DataError(f"{shown} is a file; expected a data set's folder, so give {parent}.")
+            around = f"give {printable(str(above))}" if _marked(above) else "check the path"
+            todo = _INSTEAD.get(root.suffix.lower(), around)
+            raise DataError(f"{shown} is a file; expected a data set's folder, so {todo}.")
         raise DataError(f"There is no data set folder at {shown}; check the path.")
     layout = _marked(root)
     if split is not None and (layout is None or split not in layout.splits):
@@ -127,6 +137,8 @@ def _unmarked(root: Path) -> Dataset:
         return folder
     names = sorted(child.name for child in root.iterdir())
     inside = ", ".join(printable(name) for name in names[:5]) or "nothing"
+    if todo := next(filter(None, (_INSTEAD.get(Path(name).suffix.lower()) for name in names)), None):
+        raise DataError(f"{printable(str(root))} holds {inside}; {todo}.")
     known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
     expected = ", ".join(layout.known_by for layout in known if layout.known_by)
     raise DataError(f"{printable(str(root))} holds {inside}; expected {expected}, or pictures.")
