@@ -53,13 +53,14 @@ log = logging.getLogger(__name__)
 
 # The group of the entry points by which other packages bring layouts.
 GROUP = "lpn.datasets"
-# What to do with a file that is no picture, by its ending.
+# What to do with a file that is no picture, by its ending or its name.
 _INSTEAD = {
     **dict.fromkeys(
         (".zip", ".tar", ".tgz", ".gz", ".xz", ".7z", ".rar"), "unpack it first, and give the folder that it makes"
     ),
     **dict.fromkeys((".mp4", ".mov", ".srt"), "make a flight of it with lpn flight, and give that with a --map"),
     **dict.fromkeys((".pth", ".safetensors", ".onnx"), "give it as --model, beside a data set's folder"),
+    "descriptors.npy": "give the index that lpn index --descriptors makes of such a store",
 }
 
 
@@ -80,7 +81,7 @@ def open_dataset(root: str | Path) -> Dataset:
         shown, above = printable(str(root)), root.resolve().parent
         if root.exists():
             around = f"give {printable(str(above))}" if _marked(above) else "check the path"
-            todo = _INSTEAD.get(root.suffix.lower(), around)
+            todo = _instead(root.name) or around
             raise DataError(f"{shown} is a file; expected a data set's folder, so {todo}.")
         raise DataError(f"There is no data set folder at {shown}; check the path.")
     layout = _marked(root)
@@ -88,6 +89,10 @@ def open_dataset(root: str | Path) -> Dataset:
         shown, name = printable(str(given)), printable(str(root))
         raise DataError(f"There is no data set folder at {shown}; check the path, as {name} has no {split} split.")
     return _unmarked(root) if layout is None else layout(root, split)
+
+
+def _instead(name: str) -> str | None:
+    return _INSTEAD.get(name) or _INSTEAD.get(Path(name).suffix.lower())
 
 
 @cache
@@ -137,7 +142,7 @@ def _unmarked(root: Path) -> Dataset:
         return folder
     names = sorted(child.name for child in root.iterdir())
     inside = ", ".join(printable(name) for name in names[:5]) or "nothing"
-    if todo := next(filter(None, (_INSTEAD.get(Path(name).suffix.lower()) for name in names)), None):
+    if todo := next(filter(None, map(_instead, names)), None):
         raise DataError(f"{printable(str(root))} holds {inside}; {todo}.")
     known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
     expected = ", ".join(layout.known_by for layout in known if layout.known_by)
