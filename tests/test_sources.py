@@ -251,6 +251,10 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
         ("evaluate nowhere", "There is no data set folder at nowhere; check the path."),  # and no model is named first
         ("evaluate FOLDER --gallery FILE", "folder is a data set, and --gallery fits arrays of descriptors; leave it"),
         ("evaluate RESULT --gallery RESULT --centre", "Plain arrays are measured with their list of pictures"),
+        ("compare RESULT FOLDER RESULT", "r.mat is compared with itself; give each source once."),
+        ("compare RESULT RESULT --gallery FILE RESULT", "Plain arrays are measured with their list of pictures"),
+        ("compare FOLDER --kind dac", "--kind needs --model; give both, or leave it out."),
+        ("compare FOLDER --pooling mean", "--pooling needs --model; give both, or leave it out."),
         ("evaluate FLIGHT --map nowhere --rotate 10", "flight is a flight, whose queries are cut out of photos"),
     ],
 )
