@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import tyro
 
 from lpn.core.errors import InputError
-from lpn.core.files import distinct_names, printable
+from lpn.core.files import distinct_names
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
@@ -152,7 +152,7 @@ class CompareCommand:
                 options.data = given[0].path
             if "model" not in kind.takes:
                 if options.gallery is not None and names.count(name) > 1:  # the same queries with another gallery
-                    name = f"{name}, {printable(str(options.gallery))}"
+                    name += f", {distinct_names(self.gallery)[self.gallery.index(options.gallery)]}"
                 found[name] = source_of(options)
                 continue
             for model_name, model in models.items():
