@@ -318,15 +318,26 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("FILE --data FOLDER", "file.mp4 is a file; expected a data set's folder, so give "),
-        ("FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
-        ("FLIGHT", "flight is a flight; give the map under it as --map"),
         (
-            "index",
+            "failures FILE --data FOLDER",
+            "file.mp4 is a file; expected a data set's folder, so make a flight of it with lpn flight",
+        ),
+        ("failures FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
+        ("failures FLIGHT", "flight is a flight; give the map under it as --map"),
+        (
+            "failures index",
             "There is nothing at index; give the path of the source, which says itself what it is: lpn failures SOURCE",
         ),
-        ("", "There is no SOURCE; give its path first"),
-        ("RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
+        ("failures", "There is no SOURCE; give its path first"),
+        ("failures RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
+        ("evaluate nowhere", "There is no data set folder at nowhere; check the path."),  # and no model is named first
+        ("evaluate FOLDER --gallery FILE", "folder is a data set, and --gallery fits arrays of descriptors; leave it"),
+        ("evaluate RESULT --gallery RESULT --centre", "Plain arrays are measured with their list of pictures"),
+        ("compare RESULT FOLDER RESULT", "r.mat is compared with itself; give each source once."),
+        ("compare RESULT RESULT --gallery FILE RESULT", "Plain arrays are measured with their list of pictures"),
+        ("compare FOLDER --kind dac", "--kind needs --model; give both, or leave it out."),
+        ("compare FOLDER --pooling mean", "--pooling needs --model; give both, or leave it out."),
+        ("evaluate FLIGHT --map nowhere --rotate 10", "flight is a flight, whose queries are cut out of photos"),
     ],
 )
 def test_a_source_that_cannot_be_opened_gets_one_sentence(
@@ -338,7 +349,7 @@ def test_a_source_that_cannot_be_opened_gets_one_sentence(
     (tmp_path / "flight" / "flight.json").touch()
     names = {"FOLDER": "folder", "FILE": "file.mp4", "FLIGHT": "flight", "RESULT": "r.mat"}
     words = " ".join(str(tmp_path / names[word]) if word in names else word for word in words.split())
-    assert main(["failures", *words.split()]) == 2
+    assert main(words.split()) == 2
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1

@@ -94,7 +94,7 @@ class CompareCommand:
     """File to write everything to, as JSON."""
     page: Path | None = None
     """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
-    Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
+    Markdown, LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -105,6 +105,9 @@ class CompareCommand:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs
 
+        for option, values in {"--kind": self.kind, "--pooling": self.pooling}.items():
+            if values and not self.model:
+                raise InputError(f"{option} needs --model; give both, or leave it out.")
         if self.page is not None:
             self._measure_page(self.page)
             return
@@ -150,12 +153,17 @@ class CompareCommand:
             if kind is ResultSource and self.data is None and kinds[0] is DataSource:
                 options.data = given[0].path
             if "model" not in kind.takes:
+                if options.gallery is not None and names.count(name) > 1:  # the same queries with another gallery
+                    name += f", {distinct_names(self.gallery)[self.gallery.index(options.gallery)]}"
                 found[name] = source_of(options)
                 continue
             for model_name, model in models.items():
                 own = {one.name: getattr(model, one.name) for one in fields(ModelOptions)}
                 title = (name if len(models) == 1 else f"{model_name}, {name}") if several else model_name
                 found[title] = source_of(replace(options, **own))
+        if len(found) < sum(len(models) if "model" in kind.takes else 1 for kind in kinds):
+            twice = next((name for name in names if names.count(name) > 1), names[0])
+            raise InputError(f"{twice} is compared with itself; give each source once.")
         return found
 
     def _galleries(self) -> list[Path | None]:

@@ -54,7 +54,7 @@ class EvaluateCommand(SourceOptions):
             raise InputError(
                 "--per-query lists the queries in one weather; choose one with --weather, or leave it out."
             )
-        if self.centre and self.n_parts is None and self.path.suffix.lower() == ".mat":
+        if self.centre and self.n_parts is None and self.gallery is None and self.path.suffix.lower() == ".mat":
             raise InputError(
                 "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
                 "(1 for a baseline)."

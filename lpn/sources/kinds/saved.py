@@ -36,7 +36,7 @@ class ResultSource(SavedSource):
     """A result of the published test code on its pictures."""
 
     noun = "a result of the published test code"
-    takes = _TAKEN | {"without_distractors"}
+    takes = _TAKEN
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
@@ -73,11 +73,12 @@ class ArraySource(SavedSource):
     """Descriptors that any model made."""
 
     noun = "arrays of descriptors"
-    takes = _TAKEN | {"gallery", "paths", "order", "without_distractors"}
+    takes = _TAKEN | {"gallery", "paths", "order"}
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
-        return options.path.suffix.lower() in (".npy", ".npz") or options.gallery is not None
+        ending = options.path.suffix.lower()
+        return ending in (".npy", ".npz") or (ending == ".mat" and options.gallery is not None)
 
     @property
     def title(self) -> str:
