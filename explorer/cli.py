@@ -268,7 +268,10 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
     def _demo(self) -> Workspaces:
         from explorer.opening import offered, open_offered_flight
 
-        if of_source := [one for one in self.of_source() if one not in ("--calibrate", "--csls")]:
+        of_source = [one for one in self.of_source() if one not in ("--calibrate", "--csls")]
+        of_source += [] if self.map_error is None else ["--map-error"]
+        of_source += [] if self.register else ["--no-register"]
+        if of_source:
             raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explore SOURCE.")
         open_data = self.opens_data()
         if not self._is_demo:

@@ -46,7 +46,7 @@ def is_sure(analysis: StateAnalysis, workspace: Workspace) -> bool:
 def shown(analysis: StateAnalysis, workspace: Workspace) -> StateAnalysis:
     """Return an analysis for signs and colours: without grades where the judge is not sure.
 
-    Of `Analysis.ungraded` it differs in the piece that this judge calls right, which stays, as the screen names it.
+    Of `Answer.ungraded` it differs in the piece that this judge calls right, which stays, as the screen names it.
     """
     if is_sure(analysis, workspace):
         return analysis

@@ -79,7 +79,7 @@ class MapPage:
         """
         kinds = {} if findings.task.geometry is None else {"ground": "On the ground"}
         kinds["pca"] = "By likeness" if words.plain() else "Descriptors, PCA"
-        if self._service.has_umap:
+        if self._service.offers_umap(findings.task):
             kinds["umap"] = "By likeness (UMAP)" if words.plain() else "Descriptors, UMAP"
         controls = partial(
             render,

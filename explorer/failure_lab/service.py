@@ -178,10 +178,10 @@ class FailureLab:
         """Where the notes are, in words and without the server's folders."""
         return own_file_place(self._workspace.root, notes.NAME, "data")
 
-    @property
-    def has_umap(self) -> bool:
-        """Tell if the extra for UMAP is installed."""
-        return find_spec("umap") is not None
+    @staticmethod
+    def offers_umap(task: Task) -> bool:
+        """Tell if the extra for UMAP is installed, and a task has no more pictures than it takes."""
+        return len(task.queries) + len(task.gallery) <= embedding_map.MOST_FOR_UMAP and find_spec("umap") is not None
 
     def findings(self, task: str, beside: int = 0) -> Findings | None:
         """Return a task's findings with all that is known by now; None before they are computed.

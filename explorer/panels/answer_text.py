@@ -96,7 +96,7 @@ class Lead:
 
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
-    """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
+    """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.tasks.verdict`."""
     if analysis.ranking.relevant is None:
         right, headline, sentence = plain_verdict(analysis, workspace)
         waits = _compared(analysis) and analysis.registered is None

@@ -29,7 +29,8 @@ def export(
     A step takes three forward passes at most. It has the answer that it shows, and no map, table, or flight.
 
     Args:
-        progress: called after each step with the numbers of finished and of all steps; what it raises ends the work.
+        progress: called after each step is answered, and again after it is drawn, with the numbers of finished and of all these
+            pieces of work; what it raises ends the work.
         model: describes pictures; by default the workspace's.
 
     Raises:
@@ -46,9 +47,16 @@ def export(
         analysis = analyser.analyse(workspace.supported_state(state), SHOWN)
         answers.append(analysis if judge.is_sure(analysis, workspace) else analysis.ungraded())
         captions.append([step.caption, *_remarks(analysis, workspace)])
+        if progress is not None:
+            progress(number, 2 * len(whole.steps))
     options = report.Options(title=whole.name, captions=captions)
     task = next(iter(workspace.tasks.values()))
-    return f"{safe_file_name(whole.name)}.html", report.build(task, answers, options, progress)
+
+    def drawn(done: int, steps: int) -> None:
+        if progress is not None:
+            progress(steps + done, 2 * steps)
+
+    return f"{safe_file_name(whole.name)}.html", report.build(task, answers, options, drawn)
 
 
 def _remarks(analysis: StateAnalysis, workspace: Workspace) -> list[str]:

@@ -103,7 +103,7 @@ def progress_bars() -> Iterator[None]:
         with listening(_stage_lines()):
             yield
         return
-    bars = Bars(*_COLUMNS, console=console, transient=True)
+    bars = Bars(*_COLUMNS, console=console, transient=True, redirect_stdout=False)
     shown: dict[str, TaskID] = {}
 
     def clear() -> None:

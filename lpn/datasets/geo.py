@@ -126,14 +126,18 @@ class Positions:
             counts.update("".join(f"{part}/" for part in parts[:depth]) for depth in depths)
         most = max(counts.values(), default=0)
         best, *others = sorted(folder for folder, count in counts.items() if count == most) or [""]
-        found = [listed.get(best + name) for name in keys]
+
+        def places(folder: str) -> list[tuple[float, float] | None]:
+            there = (listed.get(folder + name) for name in keys)
+            return [None if one is None else (one.latitude, one.longitude) for one in there]
+
         for other in others if best else ():
-            if found != [listed.get(other + name) for name in keys]:
+            if places(other) != places(best):
                 raise InputError(
                     f"{self.source} in {self._root} has the pictures below both {best} and {other}, at other places; give a file "
                     "of positions, or the folder of one (as --data takes it), that has only the described one."
                 )
-        return found
+        return [listed.get(best + name) for name in keys]
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:

@@ -224,7 +224,8 @@ class Answer:
         for match, right in ((first, True), (second, False)):
             if match is not None:
                 tile, evidence = self._pair(match)
-                known = right if positive is not None or (match is second and wrong is not None) else None
+                told = right if positive is not None or (match is second and wrong is not None) else None
+                known = told if match.true is None else match.true
                 title = {True: "True tile", False: "Wrong tile", None: "Tile"}[known], f"rank {match.rank:,}"
                 rows.append(FigureRow.of_tile(title, *self.drawn(tile, 1), evidence, known))
                 pairs.append(evidence)

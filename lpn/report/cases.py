@@ -254,7 +254,9 @@ class Cases:
 
 def _pair(answer: Answer, match: Match) -> Pair:
     query, tile, ranking = answer.query, answer.described(match), answer.ranking
-    evidence = pair_evidence(query, tile, ranking.weights, csls=ranking.csls_of(match.index))
+    evidence = None
+    if ranking.lengths is None:  # a search by a region has no evidence of the whole picture beside its shares
+        evidence = pair_evidence(query, tile, ranking.weights, csls=ranking.csls_of(match.index))
     activation = None
     if query.trace is not None and tile.trace is not None:
         activation = part_activation(query.trace), part_activation(tile.trace)

@@ -14,7 +14,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
-from lpn.core.progress import counted_among
+from lpn.core.progress import counted_among, report_progress
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, labels_of
 from lpn.datasets.integrity import check_test_split, lists_of
@@ -158,6 +158,7 @@ def describe_task(
                 query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query")
             with counted_among(len(task.queries), both):
                 gallery_side = descriptors.shipped_or_cached(model, task.gallery, views[1], task.root, "gallery")
+            report_progress("Describing", both, both)  # a side that is read from a store reports nothing
         else:
             query_side, gallery_side = (
                 descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)

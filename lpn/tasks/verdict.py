@@ -131,7 +131,7 @@ def _right(ranking: Ranking, found: Verdict, counted: Int64Array, words: _Words)
         falls = [f"{ordinal(int(ranks[part]))} without {words.lower([part])}" for part in deciding]
         return headline, tuple(deciding), f"{leads}; the nearest true tile would be {listed(falls)}."
     if float(found.gains.sum()) < _TIE:
-        return "Nearly a tie: the nearest wrong tile is less than 0.001 behind", (), f"{leads}."
+        return "Nearly a tie: the nearest wrong tile is 0.001 behind or less", (), f"{leads}."
     most = _alike(found.gains, counted)
     figures = [found.figures[part] for part in most]
     alike = ", alike" if len(most) > 1 else ""
@@ -153,7 +153,7 @@ def _wrong(found: Verdict, gains: Float64Array, counted: Int64Array, words: _Wor
         if wrong and gains[wrong].sum() + gains[true].sum() > _EQUAL:
             named = wrong if len(wrong) < len(counted) else _alike(gains, counted)
             return words.preferences(wrong, true, counted.tolist(), named), tuple(named), behind
-    return "Nearly a tie: the nearest true tile is less than 0.001 behind", (), behind
+    return "Nearly a tie: the nearest true tile is 0.001 behind or less", (), behind
 
 
 def _alike(gains: Float64Array, counted: Int64Array) -> list[int]:

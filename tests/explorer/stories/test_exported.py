@@ -30,7 +30,7 @@ def test_an_export_shows_each_step_and_needs_nothing_else(workspace: Workspace) 
     name, data = exported.export(workspace, UrlState(workspace), told, lambda *now: steps.append(now))
     page = data.decode()
     assert name == "A--b--story---b-.html"
-    assert steps == [(1, 3), (2, 3), (3, 3)]
+    assert steps == [(done, 6) for done in range(1, 7)]  # answered, then drawn
     assert page.count('<section class="case') == 3
     assert "alert(1)" in page
     assert "<script" not in page
@@ -69,3 +69,11 @@ def test_a_step_that_cannot_be_shown_is_one_sentence(workspace: Workspace) -> No
     told = Story("Old", (Step(f"query={workspace.tasks[TASK].query_names[0]}"), Step("query=gone")))
     with pytest.raises(InputError, match=r"Step 2 of 'Old' cannot be shown: query=gone: there is no such query"):
         exported.export(workspace, UrlState(workspace), told)
+
+
+def test_a_step_that_searches_by_painted_cells_has_no_evidence_of_the_whole_picture(workspace: Workspace) -> None:
+    pages = [
+        exported.export(workspace, UrlState(workspace), Story("a", (Step(shows),)))[1].decode()
+        for shows in ("", "region=0-3")
+    ]
+    assert ['<table class="evidence">' in page for page in pages] == [True, False]

@@ -49,7 +49,7 @@ def ranked(cosines: object, weights: object = None, true: tuple[int, ...] | None
             "Rings 1 and 4 add most, alike: 0.150 and 0.150 of the lead of 0.300",
             (0, 3),
         ),
-        ([[0.5] * 4, [0.5] * 4], None, "Nearly a tie: the nearest wrong tile is less than 0.001 behind", ()),
+        ([[0.5] * 4, [0.5] * 4], None, "Nearly a tie: the nearest wrong tile is 0.001 behind or less", ()),
         ([[0.9, 0.1, 0.1, 0.1], [0.4, 0.9, 0.9, 0.9]], (1, 0, 0, 0), "Lead over the nearest wrong tile: 1.000", ()),
     ],
 )
@@ -87,7 +87,7 @@ def test_a_right_answer(cosines: object, weights: object, headline: str, parts: 
             None,
             "Rings 1 and 4 prefer the wrong tile, the others hardly differ",
         ),
-        ([0.5] * 4, [0.50001] * 4, None, "Nearly a tie: the nearest true tile is less than 0.001 behind"),
+        ([0.5] * 4, [0.50001] * 4, None, "Nearly a tie: the nearest true tile is 0.001 behind or less"),
         ([0.3, 0.9, 0.9, 0.9], [0.5, 0.1, 0.1, 0.1], (1, 0, 0, 0), "The truth lies 0.400 farther than the answer"),
     ],
 )
