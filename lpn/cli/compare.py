@@ -15,6 +15,7 @@ from lpn.core.texts import listed
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
+    SHIPPED_MODEL,
     Advanced,
     CalibrateOption,
     CslsOption,
@@ -164,6 +165,8 @@ class CompareCommand:
         if len(found) < sum(len(models) if "model" in kind.takes else 1 for kind in kinds):
             twice = next((name for name in names if names.count(name) > 1), names[0])
             raise InputError(f"{twice} is compared with itself; give each source once.")
+        if not self.model and any("model" in kind.takes for kind in kinds):
+            shipped_model()  # said once, however many sources
         return found
 
     def _galleries(self) -> list[Path | None]:
@@ -184,7 +187,7 @@ class CompareCommand:
     def _models(self) -> dict[str, ModelOptions]:
         """Return the options of each model by a name that tells it from the others."""
         if not self.model:
-            shipped = ModelOptions(model=shipped_model(), provider=self.provider)  # named once, however many sources
+            shipped = ModelOptions(model=SHIPPED_MODEL, provider=self.provider)
             return {shipped.name: shipped}
         count = len(self.model)
         kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from lpn.sources.opened import OpenedSource
 from lpn.sources.options import (
+    SHIPPED_MODEL,
     Advanced,
     CalibrateOption,
     CslsOption,
@@ -25,6 +26,7 @@ from lpn.sources.recognise import GROUP, TaskSource, kind_of, known_kinds, open_
 
 __all__ = [
     "GROUP",
+    "SHIPPED_MODEL",
     "Advanced",
     "CalibrateOption",
     "CslsOption",
