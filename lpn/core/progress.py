@@ -43,6 +43,25 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 @contextmanager
+def ended() -> Iterator[None]:
+    """Let the last reported stage of the body end with it, as a list that is read from a store reports nothing."""
+    outer, last = _listener.get(), list[tuple[str, int, int]]()
+    if outer is None:
+        yield
+        return
+
+    def hear(stage: str, done: int, total: int) -> None:
+        last[:] = [(stage, done, total)]
+        outer(stage, done, total)
+
+    with listening(hear):
+        yield
+    for stage, done, total in last:
+        if done < total:
+            outer(stage, total, total)
+
+
+@contextmanager
 def counted_among(before: int, total: int) -> Iterator[None]:
     """Let the items of one of several lists count among all: after those of the lists `before`, out of `total`."""
     outer = _listener.get()

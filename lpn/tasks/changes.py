@@ -15,7 +15,7 @@ import numpy as np
 
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.core.progress import counted_among, report_progress
+from lpn.core.progress import counted_among, ended
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors import cached_descriptors
@@ -256,8 +256,7 @@ def _describing(task: Task, pictures: Sequence[Picture], view: View, change: Cha
             with counted_among(before, len(pictures)):
                 return cached_descriptors(model, some, view, replace(change, scale=change.scale * zoom))
 
-        vectors = calibrations.by_zoom(model, pictures, np.array([picture.zoom for picture in pictures]), read)
-        report_progress("Describing", len(pictures), len(pictures))  # what is read from the cache reports nothing
-        return vectors
+        with ended():
+            return calibrations.by_zoom(model, pictures, np.array([picture.zoom for picture in pictures]), read)
 
     return described

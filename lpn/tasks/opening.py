@@ -14,7 +14,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
-from lpn.core.progress import counted_among, report_progress
+from lpn.core.progress import counted_among, ended
 from lpn.core.views import View, views_of
 from lpn.datasets import Dataset, Picture, labels_of
 from lpn.datasets.integrity import check_test_split, lists_of
@@ -154,11 +154,11 @@ def describe_task(
         check_neighbours(neighbours, len(task.queries))
     try:
         if calibration is None:
-            with counted_among(0, both):
-                query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query")
-            with counted_among(len(task.queries), both):
-                gallery_side = descriptors.shipped_or_cached(model, task.gallery, views[1], task.root, "gallery")
-            report_progress("Describing", both, both)  # a side that is read from a store reports nothing
+            with ended():
+                with counted_among(0, both):
+                    query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query")
+                with counted_among(len(task.queries), both):
+                    gallery_side = descriptors.shipped_or_cached(model, task.gallery, views[1], task.root, "gallery")
         else:
             query_side, gallery_side = (
                 descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)

@@ -95,7 +95,7 @@ def test_the_answer_s_direction_is_that_of_the_positions(workspace: Workspace) -
     tiles[analysis.matches[0].index] = Position(46.0, 8.01)
     geometry = GalleryGeometry.of([Position(46.0, 8.0)] * len(task.queries), tiles)
     placed = replace(analysis, task=replace(task, geometry=geometry), errors_m=geometry.errors_m(int(rows[0])))
-    assert "chose one that lies 772 m to the east;" in wrong_answer._sentence(placed, "the right one")
+    assert "chose one that lies 775 m to the east;" in wrong_answer._sentence(placed, "the right one")
 
 
 def test_the_steps_go_around_and_lead_back_to_what_was_shown(workspace: Workspace) -> None:

@@ -85,8 +85,8 @@ def test_a_file_of_uses_is_read_or_its_line_is_named(tmp_path: Path) -> None:
     assert ground_uses(tmp_path)["a/1.jpg"].tolist() == [["b", "r"], ["g", "t"]]
     for bad in ("a/1.jpg,br g", "a/1.jpg,bx gt", "a/1.jpg"):
         file.write_text(f"path,uses\n{bad}\n")
-        with pytest.raises(DataError, match=r"ground.csv, line 2: expected"):
+        with pytest.raises(DataError, match=r"Line 2 of ground.csv"):
             ground_uses(tmp_path)
     file.write_text("name\n")
-    with pytest.raises(DataError, match="does not begin"):
+    with pytest.raises(DataError, match="The first line of ground.csv is name; expected path,uses"):
         ground_uses(tmp_path)

@@ -29,7 +29,7 @@ def _windows(town: Map) -> list[NamedWindow]:
 
 
 def _describe(model: Model, town: Map, windows: list[NamedWindow], out: Path) -> Store:
-    rounded, names = [window.on(town.frame) for window in windows], [window.name for window in windows]
+    rounded, names = NamedWindow.all_on(windows, town.frame), [window.name for window in windows]
     return describe_windows(model, town, rounded, out, names=names)
 
 
@@ -56,7 +56,7 @@ def test_windows_are_described_once_and_a_killed_run_resumes(
     store = _describe(model, town, windows, tmp_path / "store")
     assert described == len(windows)
     for row in (0, before, len(windows) - 1):
-        picture = WindowCut(town, windows[row].on(town.frame), max(model.input_size))()
+        picture = WindowCut(town, NamedWindow.all_on(windows, town.frame)[row], max(model.input_size))()
         alone = original(model, model.prepare(picture, "satellite")[None], "satellite")[0]
         np.testing.assert_allclose(store.float32[row], alone, atol=1e-5)
     described = 0
@@ -78,7 +78,7 @@ def test_a_map_is_described_indexed_and_searched(town: Map, model_file: Path, tm
     windows = _windows(town)
     assert [row.file for row in open_store(tmp_path / "store").manifest.rows] == [window.name for window in windows]
     picture = tmp_path / "query.png"
-    cv2.imwrite(str(picture), WindowCut(town, windows[7].on(town.frame), 96)()[..., ::-1])
+    cv2.imwrite(str(picture), WindowCut(town, NamedWindow.all_on(windows[7:8], town.frame)[0], 96)()[..., ::-1])
     found = tmp_path / "found.json"
     run("search", *model, "--index", tmp_path / "index", "--picture", picture, "--view", "satellite", "--json", found)
     first = json.loads(found.read_text())["matches"][0]
