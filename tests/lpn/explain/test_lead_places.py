@@ -88,5 +88,5 @@ def test_a_file_of_uses_is_read_or_its_line_is_named(tmp_path: Path) -> None:
         with pytest.raises(DataError, match=r"Line 2 of ground.csv"):
             ground_uses(tmp_path)
     file.write_text("name\n")
-    with pytest.raises(DataError, match="The first line of ground.csv is name; expected path,uses"):
+    with pytest.raises(DataError, match=r"The first line of ground.csv is name; expected path,uses"):
         ground_uses(tmp_path)
