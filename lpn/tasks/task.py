@@ -365,10 +365,10 @@ class RankUnderWeights:
         return self._last[1]
 
 
-def descriptor_clause(contract: Contract) -> str:
-    """Return how a model makes a descriptor, as a clause of the protocol's sentence."""
-    mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
-    return f"{mirrored}{'each part ' if contract.n_parts > 1 else ''}normalised"
+def descriptor_clauses(contract: Contract) -> tuple[str, ...]:
+    """Return how a model makes a descriptor, as clauses of the protocol's sentence."""
+    mirrored = ("descriptors of picture and mirror added",) if contract.mirror == "sum" else ()
+    return *mirrored, "each part normalised" if contract.n_parts > 1 else "normalised"
 
 
 def no_pictures(name: str) -> InputError:

@@ -590,7 +590,7 @@ def test_all_runs_on_tiny_sets_in_the_released_layouts(tmp_path: Path, capsys: p
     assert "the hardest of other places among" in (out / "table1.md").read_text(encoding="utf-8")
     assert {file.stem for file in out.glob("*.png")} == {*tables(SCALES["reduced"]), *SHOWN}
     header = (out / "table6.md").read_text(encoding="utf-8").splitlines()[2]
-    assert header == "| | OXFORD mAP | paper | PARIS mAP | paper |"
+    assert header == "|  | OXFORD mAP | paper | PARIS mAP | paper |"
 
 
 @pytest.mark.slow
@@ -602,7 +602,7 @@ def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tm
     data = [str(root), str(paris), str(oxford)]
     reproduction(places, tmp_path / "out", data=data, init=[start]).run(["table6"])
     header, _, first = (tmp_path / "out" / "table6.md").read_text().splitlines()[2:5]
-    assert header == "| | oxford mAP | paper | paris mAP | paper |"
+    assert header == "|  | oxford mAP | paper | paris mAP | paper |"
     cells = first.split("|")
     assert (cells[1], cells[3], cells[5]) == (" ImageNet alone ", " 8.43 ", " 27.93 ")
     alone = features_alone(replace(SCALES["reduced"].places, **QUICK), start)
