@@ -246,7 +246,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         )
 
     def workspaces(self) -> Workspaces:
-        """Return what opens the workspaces.
+        """Return the functions that open the workspaces.
 
         Raises:
             InputError: if an option does not fit the source, or lacks the one that it needs.

@@ -310,7 +310,7 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
 
 
 def _answer(findings: Findings, row: int) -> str:
-    """Return what people call the tile that was answered."""
+    """Return the everyday noun for a tile of this task."""
     tile, task = int(findings.outcomes.answer[row]), findings.task
     return task.gallery[tile].title if 0 <= tile < len(task.gallery) else ""
 

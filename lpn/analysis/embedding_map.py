@@ -14,7 +14,7 @@ from lpn.retrieval.metrics import flat_sides
 
 # Maximum number of pictures from which the axes are computed.
 SAMPLE = 2000
-# UMAP copies all descriptors into a process of its own: 0.4 GB for so many of 4 x 512 numbers, held twice there.
+# UMAP copies all descriptors into a process of its own: 0.4 GB for 50,000 of 4 x 512 numbers, which it holds twice.
 MOST_FOR_UMAP = 50_000
 _BLOCK = 4096
 

@@ -17,7 +17,7 @@ from lpn.core.arrays import Float64Array, Int64Array
 RESAMPLES = 1000
 # Share of the bootstrap's means within an interval.
 LEVEL = 0.95
-# Random swaps of a paired test; all swaps are counted where at most so many places differ.
+# The number of random swaps of a paired test, and the most differing places of which all swaps are counted.
 SWAPS, _MAX_ENUMERATED = 100_000, 16
 # A standard error in percentage points below this is that of rounding.
 _ROUNDING = 1e-9

@@ -149,7 +149,7 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
 
 
 def reader(command: type[Any]) -> Callable[[list[str], str], Any]:
-    """Return what parses the arguments of a command, given its program's name: its own `parse`, if it has one."""
+    """Return the function that parses a command's arguments under a program name: its own `parse`, if it has one."""
     return getattr(command, "parse", partial(parse, command))
 
 

@@ -14,7 +14,7 @@ from lpn.core.files import printable
 
 # The largest list that is read, in bytes.
 MAX_LIST_BYTES = 100_000_000
-# Messages show so many characters of a line.
+# The number of characters of a line that a message shows.
 _SHOWN = 200
 
 

@@ -65,7 +65,7 @@ _INSTEAD = {
 }
 # The deepest list of a split is three folders below (Testing/150/query_drone).
 _LEVELS = 3
-# A search for a data set below looks into so many folders at most.
+# The most folders that a search for a data set below looks into.
 _MOST_FOLDERS = 2000
 
 
