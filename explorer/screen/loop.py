@@ -1,0 +1,70 @@
+"""One tab's loop: the newest state wins, one analysis is in flight, and each leads to one result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
+from explorer.compute.request_context import RequestContext
+from explorer.compute.worker import DelayedCall, Worker
+from explorer.screen.fields import ScreenState
+from lpn.core.errors import LPNError
+
+# Seconds of an analysis after which the page says that it is being computed.
+_SLOW = 0.5
+Message = dict[str, Any]
+
+
+class Loop:
+    """Answers the newest state on its own thread.
+
+    Args:
+        answer: returns the result of a state; it runs on one thread.
+        send: hands a message to the page.
+        requests: returns the tab's access to the network of the newest state.
+        on_result: called after each result with its state.
+    """
+
+    def __init__(
+        self,
+        answer: Callable[[ScreenState], Message],
+        send: Callable[[Message], None],
+        requests: Callable[[], RequestContext],
+        on_result: Callable[[ScreenState], None],
+    ) -> None:
+        self._answer, self._send, self._requests, self._on_result = answer, send, requests, on_result
+        self._state: ScreenState | None = None
+        self._worker = Worker(self._work, self._fail)
+
+    def show(self, state: ScreenState) -> None:
+        """Answer a state as soon as the analysis in flight has ended; states in between are left out."""
+        self._state = state
+        self._requests().supersede()
+        self._worker.wake()
+
+    def stop(self) -> None:
+        """End after the analysis in flight."""
+        self._worker.stop()
+
+    def _work(self) -> float | None:
+        slow = DelayedCall(_SLOW, lambda: self._send({"busy": "Computing"}))
+        try:
+            state, message = self._requests().retry_superseded(self._newest)
+        except BusyError:
+            self._send({"busy": "The server is busy. Trying again."})
+            return RETRY_AFTER
+        finally:
+            slow.cancel()
+        self._send({"result": message})
+        self._on_result(state)
+        return None
+
+    def _newest(self) -> tuple[ScreenState, Message]:
+        state = self._state
+        assert state is not None
+        return state, self._answer(state)
+
+    def _fail(self, error: Exception) -> None:
+        text = str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
+        self._send({"error": text})

@@ -1,0 +1,266 @@
+"""An analysis as one JSON message: everything that the screen shows of an answer, so that no two numbers can differ."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from explorer.browse.feeds import Feeds
+from explorer.screen.fields import ScreenState
+from explorer.screen.headline import headline
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.analysis.matching_turn import matching_turn
+from lpn.core import images
+from lpn.core.arrays import UInt8Array
+from lpn.core.errors import LPNError
+from lpn.core.numbers import distance, rounded_to_sum, wrap_degrees
+from lpn.core.views import View
+from lpn.retrieval import DescribedPicture, Match, scoring
+from lpn.tasks.task import Task
+
+# Tiles of the strip; the truth takes the last place if it is not among the first.
+STRIP = 6
+# Queries from which the scale of all bars is measured, numbers that this reads at most, and the percentage of bars that fit.
+_SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
+# The scale of a sum where it is not measured, and the least step of a scale.
+_LONGEST, _STEP = 2.0, 0.1
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Ends of the bars, in squared distance: of a part under equal weights, and of the sum."""
+
+    part: float
+    total: float
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """An analysis with the tiles that a person compares.
+
+    Attributes:
+        address: of the photo's picture, relative to the page.
+    """
+
+    workspace: Workspace
+    feeds: Feeds
+    state: ScreenState
+    analysis: StateAnalysis
+    scale: Scale
+    address: str
+
+    @property
+    def task(self) -> Task:
+        """The task of the analysis."""
+        return self.analysis.task
+
+    @cached_property
+    def first(self) -> Match:
+        """The nearest tile."""
+        return self.analysis.ranking.match(0)
+
+    @cached_property
+    def rival(self) -> Match | None:
+        """The tile of the headline: the nearest wrong one, the truth of a missed query, else the second."""
+        if self.first.true is None:
+            return self.analysis.matches[1] if len(self.analysis.matches) > 1 else None
+        return self.analysis.ranking.hardest_negative() if self.first.true else self.analysis.positive
+
+    @cached_property
+    def compared(self) -> Match | None:
+        """The tile that a person chose to compare, else the headline's."""
+        chosen, ranking = self.state.compare, self.analysis.ranking
+        if chosen is None or chosen == self.first.index or not ranking.holds(chosen):
+            return self.rival
+        return ranking.find(chosen)
+
+    def message(self) -> dict[str, Any]:
+        """Return the result as JSON takes it."""
+        state, workspace = self.state, self.workspace
+        compared, truth = self.compared, self.analysis.positive
+        pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
+        shown = {match.index: match for match in (self.first, compared, truth) if match is not None}
+        strip = self._strip(compared if pinned else None)
+        tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
+        said = headline(self.analysis, self.first, self.rival, self.word, self.ends)
+        weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
+        return {
+            "photo": self._photo(),
+            "angle": state.angle,
+            "headline": {"found": said.found, "title": said.title, "reason": said.reason},
+            "answer": self.first.index,
+            "rival": None if compared is None else compared.index,
+            "rival_word": self._word(compared, pinned),
+            "pinned": pinned,
+            "truth": None if truth is None else truth.index,
+            "rows": self._rows(compared, pinned),
+            "strip": [match.index for match in strip],
+            "tiles": tiles,
+            "rank": None if truth is None or truth.beyond else truth.rank,
+            "nearest": _hundredths([self.first.distance2])[0],
+            "scale": {"part": self.scale.part * float(weights.max() / weights.mean()), "total": self.scale.total},
+            "weights": list(state.weights),
+            "metres": self._metres(),
+        }
+
+    @property
+    def word(self) -> str:
+        """The noun for a part."""
+        return self.workspace.parts_word.removesuffix("s")
+
+    @property
+    def ends(self) -> tuple[str, str]:
+        """Names of the first and the last part."""
+        partition = self.workspace.contract.partition(self.task.query_view)
+        if partition is None or partition.kind != "rings":
+            return f"{self.word} 1", f"{self.word} {self.workspace.contract.n_parts}"
+        centre, outer = "the centre", "the outer one"
+        return (outer, centre) if partition.outside_in else (centre, outer)
+
+    def _strip(self, pinned: Match | None) -> list[Match]:
+        """Return the nearest tiles, and last the truth or the chosen tile that lies behind them."""
+        nearest = self.analysis.matches[:STRIP]
+        there = {match.index for match in nearest}
+        further = [
+            match for match in (self.analysis.positive, pinned) if match is not None and match.index not in there
+        ]
+        return [*nearest[: STRIP - len(further)], *further]
+
+    def _word(self, compared: Match | None, pinned: bool) -> str:
+        if compared is None or pinned:
+            return "pinned"
+        return "truth" if compared.true else "next"
+
+    def _rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
+        """Return for each part how much nearer the answer is than the compared tile, as their shown shares differ."""
+        own = _hundredths(self.first.contributions)
+        other = own if compared is None else _hundredths(compared.contributions)
+        rows = []
+        for mine, theirs in zip(own, other, strict=True):
+            gap = round(theirs - mine, 2)
+            judged = self.first.true is not None and not (pinned and not self.first.true) and abs(gap) >= 0.01
+            prefers = (gap > 0) == bool(self.first.true) if judged else None
+            rows.append({"gap": "" if compared is None else f"{abs(gap):.2f}", "minus": gap < 0, "prefers": prefers})
+        return rows
+
+    def _photo(self) -> dict[str, Any]:
+        analysis = self.analysis
+        height, width = self.workspace.as_partitioned(analysis.source, self.task.query_view).shape[:2]
+        panorama = self.state.own == "" and self.task.queries[self.state.query].panorama
+        return {
+            "src": self.address,
+            "name": analysis.name,
+            "own": bool(self.state.own),
+            "around": panorama,
+            "aspect": width / height if max(width, height) >= 2 * min(width, height) else 1.0,
+            "zoom": analysis.zoom,
+            **self._heat(analysis.query, self.task.query_view, 0),
+        }
+
+    def _tile(self, match: Match, described: bool) -> dict[str, Any]:
+        shares = _hundredths(match.contributions)
+        quarter = self._quarter(match)
+        tile = {
+            "name": self.task.gallery[match.index].title,
+            "src": f"{self.feeds.pictures(self.task, 'tile')}{match.index}",
+            "rank": match.rank_text,
+            "true": match.true,
+            "distance": f"{sum(shares):.2f}",
+            "shares": shares,
+            "quarter": quarter,
+        }
+        if not described:
+            return tile
+        known = self._described(match)
+        height, width = self.workspace.as_partitioned(known.picture, self.task.gallery_view).shape[:2]
+        aspect = width / height if max(width, height) >= 2 * min(width, height) else 1.0
+        return tile | {"aspect": aspect, **self._heat(known, self.task.gallery_view, quarter)}
+
+    def _described(self, match: Match) -> DescribedPicture:
+        if match.index == self.analysis.chosen.index:
+            return self.analysis.tile
+        return self.workspace.tile(self.task, match.index)
+
+    def _quarter(self, match: Match) -> int:
+        """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""
+        analysis = replace(self.analysis, chosen=match)
+        turn = matching_turn(analysis, None if self.state.own else self.state.query, 0.0, None)
+        if turn is None:
+            return 0
+        degrees = turn.degrees
+        if turn.source == "model":  # the maps are those of the turned photo and of the analysed tile
+            degrees = float(wrap_degrees(degrees - self.state.angle))
+        return round(degrees / 90) % 4
+
+    def _heat(self, described: DescribedPicture, view: View, quarter: int) -> dict[str, Any]:
+        """Return the parts of a picture and its activation, turned by quarters: cells as base64 of bytes, row by row."""
+        areas = self.workspace.areas(view, described)
+        if areas is None:
+            return {"parts": None, "heat": None}
+        labels = np.rot90(areas.labels, quarter)
+        boxes = [] if quarter % 2 and not _symmetric(areas.boxes) else [list(box) for box in areas.outlines]
+        parts = {
+            "rows": labels.shape[0],
+            "columns": labels.shape[1],
+            "labels": _bytes(np.where(labels < 0, 255, labels).astype(np.uint8)),
+            "boxes": boxes,
+        }
+        if described.activation is None:
+            return {"parts": parts, "heat": None}
+        heat = np.rot90(images.enlarge(described.activation, *areas.labels.shape), quarter)
+        strongest = []
+        for part in range(len(areas.inside)):
+            inside = np.rot90(areas.inside[part], quarter)
+            cell = int(np.argmax(np.where(inside, heat, -1.0))) if inside.any() else -1
+            strongest.append([] if cell < 0 else [cell % heat.shape[1], cell // heat.shape[1]])
+        return {"parts": parts, "heat": _bytes(np.round(255 * heat).astype(np.uint8)), "strongest": strongest}
+
+    def _metres(self) -> str:
+        """Return how far the answer lies from the place that the photo shows; empty where that is not known."""
+        errors = self.analysis.errors_m
+        off = float("nan") if errors is None else float(errors[self.first.index])
+        return distance(off) if np.isfinite(off) else ""
+
+
+def measured_scale(task: Task) -> Scale:
+    """Return the ends of all bars of a task: what 99 of 100 shares of answers and rivals of a sample of queries fit into."""
+    n = task.contract.n_parts
+    try:
+        queries, gallery = task.sides()
+    except LPNError:  # an index is searched, and not listed
+        return Scale(_LONGEST / n if n > 1 else _LONGEST, _LONGEST)
+    weights = scoring.part_weights(n)
+    count = max(min(_SAMPLE, len(queries), _MOST_NUMBERS // max(gallery.size, 1)), 1)
+    sample = np.unique(np.linspace(0, len(queries) - 1, count).astype(int))
+    shares = []
+    for query in sample.tolist():
+        found = task.start_search(query, queries[query])(weights)
+        first = found.match(0)
+        rival = found.hardest_negative() if first.true else found.positive() or found.hardest_negative()
+        shares += [match.contributions for match in (first, rival) if match is not None]
+    part = float(np.percentile(np.concatenate(shares), _FITS))
+    total = float(np.percentile([share.sum() for share in shares], _FITS))
+    return Scale(_rounded_up(part), _rounded_up(total))
+
+
+def _rounded_up(value: float) -> float:
+    return max(round(float(np.ceil(round(value / _STEP, 6))) * _STEP, 1), _STEP)
+
+
+def _hundredths(shares: Sequence[float] | np.ndarray[Any, Any]) -> list[float]:
+    """Round shares to two digits that add up to their rounded sum."""
+    return [round(10 * share, 2) for share in rounded_to_sum([float(share) / 10 for share in shares])]
+
+
+def _symmetric(boxes: Sequence[Sequence[float]]) -> bool:
+    """Return whether a quarter turn leaves all boxes where they are."""
+    return all(abs(x0 - y0) < 1e-6 and abs(x1 - y1) < 1e-6 and abs(x0 + x1 - 1) < 1e-6 for x0, y0, x1, y1 in boxes)
+
+
+def _bytes(cells: UInt8Array) -> str:
+    return b64encode(np.ascontiguousarray(cells).tobytes()).decode()
