@@ -12,7 +12,7 @@ from functools import partial
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from explorer.screen.loop import Message
+from explorer.screen.loop import ScreenMessage
 from explorer.screen.session import Screens, ScreenSession
 from explorer.web.render import shown_json
 
@@ -32,20 +32,20 @@ class Outbox:
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop, self._ready = loop, asyncio.Event()
-        self._waiting: OrderedDict[str, Message] = OrderedDict()
+        self._waiting: OrderedDict[str, ScreenMessage] = OrderedDict()
 
-    def put(self, message: Message) -> None:
+    def put(self, message: ScreenMessage) -> None:
         """Hand over a message; it replaces a waiting one of its kind."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._put, message)
 
-    def _put(self, message: Message) -> None:
+    def _put(self, message: ScreenMessage) -> None:
         kind = next(iter(message))
         self._waiting.pop(kind, None)
         self._waiting[kind] = message
         self._ready.set()
 
-    async def take(self) -> Message:
+    async def take(self) -> ScreenMessage:
         """Return the oldest message that waits, once there is one."""
         while not self._waiting:
             self._ready.clear()

@@ -19,7 +19,7 @@ _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
 _WEIGHT_DIGITS = 2
 
 
-class Kind(Protocol):
+class FieldKind(Protocol):
     """What a field holds."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> Any:
@@ -32,7 +32,7 @@ class Kind(Protocol):
 
 
 @dataclass(frozen=True)
-class Number:
+class NumberIn:
     """A number from `low` to `high`."""
 
     low: float
@@ -91,7 +91,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Query:
+class QueryOf:
     """A position among the task's queries, or a query's name."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> int:
@@ -107,7 +107,7 @@ class Query:
 
 
 @dataclass(frozen=True)
-class Tile:
+class TileOf:
     """A gallery position, or a tile's name; None or an empty text for none."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> int | None:
@@ -136,7 +136,7 @@ class Weights:
             return ()
         if not isinstance(given, list) or len(given) != n:
             raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
-        number = Number(0.0, MAX_WEIGHT)
+        number = NumberIn(0.0, MAX_WEIGHT)
         weights = tuple(round(number.read(one, state, workspace), _WEIGHT_DIGITS) for one in given)
         if not any(weights):
             raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
@@ -146,7 +146,7 @@ class Weights:
         return ",".join(map(format_number, value))
 
 
-def _row(kind: Kind, default: Any, key: str = "", of_query: bool = False) -> Any:
+def _row(kind: FieldKind, default: Any, key: str = "", of_query: bool = False) -> Any:
     return field(default=default, metadata={"kind": kind, "key": key, "of_query": of_query})
 
 
@@ -174,10 +174,10 @@ class ScreenState:
     task: str = _row(OneOf("tasks"), "", "task")
     model: str = _row(OneOf("models"), "0", "model")
     scoring: str = _row(OneOf("scorings"), "plain", "scoring")
-    query: int = _row(Query(), 0, "query")
+    query: int = _row(QueryOf(), 0, "query")
     own: str = _row(Line(), "")
-    angle: float = _row(Number(-180.0, 180.0), 0.0, "angle", of_query=True)
-    compare: int | None = _row(Tile(), None, "with", of_query=True)
+    angle: float = _row(NumberIn(-180.0, 180.0), 0.0, "angle", of_query=True)
+    compare: int | None = _row(TileOf(), None, "with", of_query=True)
     weights: tuple[float, ...] = _row(Weights(), (), "weights")
     filter: str = _row(OneOf(("all", "missed")), "all", "only")
     find: str = _row(Line(), "", "find")

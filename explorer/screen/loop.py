@@ -13,7 +13,7 @@ from lpn.core.errors import LPNError
 
 # Seconds of an analysis after which the page says that it is being computed.
 _SLOW = 0.5
-Message = dict[str, Any]
+ScreenMessage = dict[str, Any]
 
 
 class Loop:
@@ -28,8 +28,8 @@ class Loop:
 
     def __init__(
         self,
-        answer: Callable[[ScreenState], Message],
-        send: Callable[[Message], None],
+        answer: Callable[[ScreenState], ScreenMessage],
+        send: Callable[[ScreenMessage], None],
         requests: Callable[[], RequestContext],
         on_result: Callable[[ScreenState], None],
     ) -> None:
@@ -60,7 +60,7 @@ class Loop:
         self._on_result(state)
         return None
 
-    def _newest(self) -> tuple[ScreenState, Message]:
+    def _newest(self) -> tuple[ScreenState, ScreenMessage]:
         state = self._state
         assert state is not None
         return state, self._answer(state)

@@ -32,7 +32,7 @@ _LONGEST, _STEP = 2.0, 0.1
 
 
 @dataclass(frozen=True)
-class Scale:
+class BarScale:
     """Ends of the bars, in squared distance: of a part under equal weights, and of the sum."""
 
     part: float
@@ -40,7 +40,7 @@ class Scale:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
+class ScreenResult:
     """An analysis with the tiles that a person compares.
 
     Attributes:
@@ -51,7 +51,7 @@ class Answer:
     feeds: Feeds
     state: ScreenState
     analysis: StateAnalysis
-    scale: Scale
+    scale: BarScale
     address: str
 
     @property
@@ -227,13 +227,13 @@ class Answer:
         return distance(off) if np.isfinite(off) else ""
 
 
-def measured_scale(task: Task) -> Scale:
+def measured_scale(task: Task) -> BarScale:
     """Return the ends of all bars of a task: what 99 of 100 shares of answers and rivals of a sample of queries fit into."""
     n = task.contract.n_parts
     try:
         queries, gallery = task.sides()
     except LPNError:  # an index is searched, and not listed
-        return Scale(_LONGEST / n if n > 1 else _LONGEST, _LONGEST)
+        return BarScale(_LONGEST / n if n > 1 else _LONGEST, _LONGEST)
     weights = scoring.part_weights(n)
     count = max(min(_SAMPLE, len(queries), _MOST_NUMBERS // max(gallery.size, 1)), 1)
     sample = np.unique(np.linspace(0, len(queries) - 1, count).astype(int))
@@ -245,7 +245,7 @@ def measured_scale(task: Task) -> Scale:
         shares += [match.contributions for match in (first, rival) if match is not None]
     part = float(np.percentile(np.concatenate(shares), _FITS))
     total = float(np.percentile([share.sum() for share in shares], _FITS))
-    return Scale(_rounded_up(part), _rounded_up(total))
+    return BarScale(_rounded_up(part), _rounded_up(total))
 
 
 def _rounded_up(value: float) -> float:

@@ -12,6 +12,8 @@ from typing import Final
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
+from explorer.server.auth import HttpRequest
+
 _PAGE = Path(__file__).parent / "page"
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _FILE = re.compile(r".*/screen/([a-z_]{1,40}\.(?:css|js))", re.ASCII)
@@ -26,14 +28,13 @@ def scene_of(path: str) -> str | None:
     return None if match is None else match[1]
 
 
-def respond(path: str, etag: str = "") -> Response | None:
+def respond(request: HttpRequest, zipped: bool) -> Response | None:
     """Return the page at a folder's address, or one of its files; None for the addresses of viser's page.
 
     Args:
-        path: of the request, with its query.
-        etag: that of the copy which the browser has.
+        zipped: the browser reads gzip.
     """
-    place = path.partition("?")[0]
+    place = request.path.partition("?")[0]
     if match := _FILE.fullmatch(place):
         name = match[1]
     elif place.endswith("/") and not place.endswith(_CLASSIC) and scene_of(place) is None:
@@ -43,18 +44,19 @@ def respond(path: str, etag: str = "") -> Response | None:
     file = _PAGE / name
     if not file.is_file():
         return Response(404, "Not Found", Headers({"Content-Length": "0", "Connection": "close"}), b"")
-    content, tag = _read(file, file.stat().st_mtime_ns)
-    headers = Headers({"ETag": tag, "Cache-Control": "no-cache", "Connection": "close"})
-    if etag == tag:
+    content, tag = _read(file, file.stat().st_mtime_ns, zipped)
+    headers = Headers({"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding", "Connection": "close"})
+    if request.only("if-none-match") == tag:
         return Response(304, "Not Modified", headers, b"")
     headers["Content-Type"] = f"{_KINDS[file.suffix]}; charset=utf-8"
-    headers["Content-Encoding"] = "gzip"
+    if zipped:
+        headers["Content-Encoding"] = "gzip"
     headers["Content-Length"] = str(len(content))
     return Response(200, "OK", headers, content)
 
 
 @lru_cache(maxsize=64)
-def _read(file: Path, _: int) -> tuple[bytes, str]:
-    """Return a file, compressed, and the tag of this state of it."""
+def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
+    """Return a file, perhaps compressed, and the tag of this state of it."""
     content = file.read_bytes()
-    return gzip.compress(content, mtime=0), f'"{sha256(content).hexdigest()[:16]}"'
+    return gzip.compress(content, mtime=0) if zipped else content, f'"{sha256(content).hexdigest()[:16]}"'

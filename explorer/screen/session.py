@@ -18,9 +18,9 @@ from explorer.compute.request_context import RequestContext
 from explorer.screen import fields
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
 from explorer.screen.fields import ScreenState
-from explorer.screen.loop import Loop, Message
+from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.rail import Rail
-from explorer.screen.result import STRIP, Answer, measured_scale
+from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.server.message_filter import MAX_UPLOAD
 from explorer.session_state import SessionState
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
@@ -70,7 +70,7 @@ class ScreenSession:
         send: hands a message to the page, from any thread.
     """
 
-    def __init__(self, screens: Screens, send: Callable[[Message], None]) -> None:
+    def __init__(self, screens: Screens, send: Callable[[ScreenMessage], None]) -> None:
         self._screens, self._send = screens, send
         self._lock = threading.RLock()
         self._opened: dict[Workspace, _Opened] = {}
@@ -230,12 +230,12 @@ class ScreenSession:
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
 
-    def _choices(self, state: ScreenState) -> Message:
+    def _choices(self, state: ScreenState) -> ScreenMessage:
         workspace = self._of(state).workspace
         address = fields.to_address(state, workspace)
         return asdict(state) | {"address": address, "query_name": workspace.tasks[state.task].query_names[state.query]}
 
-    def _page(self, state: ScreenState) -> Message:
+    def _page(self, state: ScreenState) -> ScreenMessage:
         """Return what stays while a person looks at one model's task."""
         base, workspace = self._of(state).workspace, self._workspace(state)
         task = self._ranking(state).task
@@ -310,7 +310,7 @@ class ScreenSession:
     def _requests(self) -> RequestContext:
         return self._access().requests
 
-    def _answer(self, state: ScreenState) -> Message:
+    def _answer(self, state: ScreenState) -> ScreenMessage:
         services, opened = self._of(state), self._access()
         own = self._own.get(state.own)
         analysis = opened.analyser.analyse(
@@ -318,7 +318,7 @@ class ScreenSession:
         )
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
         scale = self._screens.scale(analysis.task)
-        answer = Answer(opened.workspace, services.feeds, state, analysis, scale, address)
+        answer = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
         key = self._curve_key(state, analysis)
         if state.angle % STEP == 0 and opened.workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)

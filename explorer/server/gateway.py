@@ -106,12 +106,12 @@ class Screen:
     """A page of our own before viser's.
 
     Attributes:
-        respond: returns the response to a path, with the tag of the copy that the browser has; None for viser's page.
+        respond: returns the page or one of its files, zipped for a browser that reads that; None for addresses of viser's page.
         scene_of: returns the tab whose scene a path is, or None.
         serve: serves the channel of a tab.
     """
 
-    respond: Callable[[str, str], Response | None]
+    respond: Callable[[HttpRequest, bool], Response | None]
     scene_of: Callable[[str], str | None]
     serve: Callable[[str, ServerConnection], Awaitable[None]]
 
@@ -229,7 +229,8 @@ class Gateway:
         if self._pictures is not None and self._pictures.serves(path):
             return self._picture(self._pictures, path, request)
         if self._screen is not None:
-            own = self._screen.respond(raw.path, request.only("if-none-match"))
+            raw.headers.get("Upgrade")  # raises for a repeated header, as viser does
+            own = self._screen.respond(request, "gzip" in raw.headers.get("Accept-Encoding", ""))
             if own is not None:
                 return self._secured(own, request, "'self'")
         response = page(connection, WebsocketRequest(path, raw.headers))

@@ -38,7 +38,7 @@ from lpn.sources.sources import ModelOptions
 from lpn.tasks.opening import calibrated, scored_tasks
 from lpn.tasks.task import SCORINGS
 from tests.conftest import MakeOnce
-from tests.e2e.conftest import PATIENCE, ExplorerPage, served_folder
+from tests.e2e.conftest import PATIENCE, ExplorerPage, classic, served_folder
 from tests.e2e.test_flight import PLACES, REFUSED, RunningFlight
 from tests.e2e.test_flight import flight_app as flight_app
 from tests.explorer.flight_window.conftest import flight as flight
@@ -155,7 +155,7 @@ def windows(model_file: Path, make_once: MakeOnce, tmp_path_factory: pytest.Temp
             "saved": LazyWorkspace("saved", lambda _: open_source(Published(saved=saved, data=data, n_parts=4))),
         }
         app = App(open_model(data, model_file, calibrate=True), "127.0.0.1", free_port(), others=others)
-        yield Windows(f"http://127.0.0.1:{app.server.get_port()}", data, model_file)
+        yield Windows(classic(f"http://127.0.0.1:{app.server.get_port()}"), data, model_file)
         app.close()
 
 

@@ -183,19 +183,20 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         browser = launch(stack.enter_context(sync_playwright()))
         counting = [sys.executable, "-c", COUNTED, *options, str(free_port())]
         with ServerProcess(counting, environment) as counted:
-            _, page = page_seconds(browser, counted.url)  # the browser's own start is nobody's
+            _, page = page_seconds(browser, f"{counted.url}/classic")  # the browser's own start is nobody's
             page.context.close()
         numbers = counts.read_text().split()
         warm = stack.enter_context(ServerProcess([*command, str(free_port())], environment))
         bare = stack.enter_context(ServerProcess([sys.executable, "-c", BARE, str(free_port()), *numbers], environment))
-        opened: dict[str, list[float]] = {bare.url: [], warm.url: []}
+        former = f"{warm.url}/classic"
+        opened: dict[str, list[float]] = {bare.url: [], former: []}
         for _ in range(OPENINGS):
             for url, times in opened.items():  # by turns, and each page alone
                 seconds, page = page_seconds(browser, url)
                 page.context.close()
                 times.append(seconds)
         bare_page, full_page = map(statistics.median, opened.values())
-        _, page = page_seconds(browser, warm.url)
+        _, page = page_seconds(browser, former)
         turn, pick = slider_seconds(page), pick_seconds(page)
         browser.close()
         forward = forward_ms(model, data) / 1000
