@@ -12,11 +12,11 @@ import numpy as np
 
 from explorer import lab_choices
 from explorer.lab_choices import LabChoices
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather, WeatherName
 from lpn.drawing.theme import DARK, LIGHT, Palette
+from lpn.library.analyser import OwnPicture
 from lpn.tasks.task import Scoring, scored_key
 
 MAX_WEIGHT = 2.0

@@ -6,12 +6,11 @@ import threading
 from datetime import UTC, datetime
 from pathlib import Path
 
+from explorer.compute.own_photos import CameraPicture
 from explorer.server.message_filter import MAX_UPLOAD
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
-from lpn.flights import Frame
 from lpn.flights.photo_file import PhotoFile
 
 # Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
@@ -28,7 +27,7 @@ _MAX_SCANS = 100
 _READING = threading.BoundedSemaphore(2)
 
 
-def read(name: str, content: bytes) -> OwnPicture:
+def read(name: str, content: bytes) -> CameraPicture:
     """Decode an uploaded file; nothing is written to disk.
 
     Args:
@@ -56,9 +55,6 @@ def read(name: str, content: bytes) -> OwnPicture:
         photo = file.photo
         taken = photo.local if photo.utc is None else photo.utc
         day = None if taken is None else datetime.fromtimestamp(taken, UTC).date()
-        return OwnPicture(name, picture, _place(photo.frame), photo.frame, day=day, file=file)
-
-
-def _place(frame: Frame) -> tuple[float, float] | None:
-    """Return latitude and longitude of the camera by EXIF or XMP; None where a picture that can be read has none."""
-    return None if frame.latitude is None or frame.longitude is None else (frame.latitude, frame.longitude)
+        frame = photo.frame
+        place = None if frame.latitude is None or frame.longitude is None else (frame.latitude, frame.longitude)
+        return CameraPicture(name, picture, place, day=day, facts=tuple(file.facts), frame=frame)

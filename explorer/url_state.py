@@ -24,10 +24,10 @@ from explorer.parameters import (
 )
 from explorer.session_state import POSITIVE, SessionState, WhyTab, in_words, with_field
 from explorer.workspace import Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.descriptors.weather import WEATHERS
+from lpn.library.analyser import OwnPicture
 
 # Characters of a query string; the region of a large feature map fits.
 _MAX_LENGTH = 20_000

@@ -24,7 +24,6 @@ from explorer.compute.watchers import Watchers
 from explorer.layout import layout_for
 from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis import answer_context
-from lpn.analysis.analyser import Analysis, QueryAnalyser, QueryRequest, describe_tile
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
 from lpn.core.arrays import BoolArray, UInt8Array
@@ -40,6 +39,8 @@ from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
+from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
+from lpn.library.answer import Answer
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.grades import doubtful_photos
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
@@ -415,7 +416,10 @@ class Workspace:
         with self._mosaic_lock:
             if task.name not in self._mosaics:
                 if self.basemap is not None:
-                    drawn = mosaic.draw_map(task.geometry, self.basemap)
+                    west, south, east, north = task.geometry.bounds()
+                    origin = task.geometry.origin
+                    x, y = self.basemap.frame.xy([origin.latitude], [origin.longitude])[0].tolist()
+                    drawn, _ = self.basemap.picture((x + west, y + south, x + east, y + north), mosaic.LARGEST)
                 elif task.depth is not None:
                     drawn = mosaic.empty(task.geometry)
                 else:
@@ -425,18 +429,12 @@ class Workspace:
 
     def vocabulary(self, plain: bool) -> Vocabulary:
         """Return the words to speak, plain or not; a plain ring is called one."""
-        return Vocabulary(plain, self.parts_word.removesuffix("s"))
+        return Vocabulary(plain, self.contract.part_noun)
 
     @property
     def has_parts(self) -> bool:
         """The model describes a picture by several parts, and not by one vector."""
         return self.contract.n_parts > 1
-
-    @property
-    def parts_word(self) -> str:
-        """The noun for parts: "rings" if the first view has more than one of them, else "parts"."""
-        partition = self.contract.partition(self.contract.views[0])
-        return "rings" if partition is not None and partition.kind == "rings" and partition.n > 1 else "parts"
 
     def _part_names(self) -> list[str]:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
@@ -534,15 +532,17 @@ class LazyWorkspace:
             return self._job
 
 
-@dataclass(frozen=True, eq=False)
-class StateAnalysis(Analysis):
-    """The analysis of the query that a state shows.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StateAnalysis(Answer):
+    """The answer to the query that a state shows.
 
     Attributes:
+        tile: the compared tile, described.
         own_photo: registers the own picture that is shown; None without one, or without a map that it may be of.
     """
 
     state: SessionState
+    tile: DescribedPicture
     own_photo: BackgroundJob[OwnPhoto] | None = None
 
     @property
@@ -576,7 +576,7 @@ class StateAnalyser:
 
         Raises:
             BusyError: when the inference queue is full; the caller may retry.
-            SupersededError: when a newer state superseded this one, see `RequestContext.retry_superseded`.
+            SupersededError: when a newer state superseded this one, see `RequestContext.answering`.
             LPNError: when the query cannot be analysed.
         """
         change = state.change

@@ -28,6 +28,26 @@ def test_imports_run_one_way(package: str) -> None:
     assert not wrong, "\n".join(wrong)
 
 
+def test_no_room_of_the_model_and_its_answers_imports_those_of_flights() -> None:
+    rooms = {"models", "retrieval", "explain", "tasks", "analysis", "drawing"}
+    flights = {"flights", "maps", "locate", "live"}
+    found = list(imports(ROOT, "lpn"))
+    above = defaultdict(list)
+    for one in found:
+        above[one.importer].append(one)
+    wrong = set()
+    for start in (name for name in modules(ROOT, "lpn") if room(name) in rooms):
+        reached, ahead = {start}, [start]
+        while ahead:  # what a room imports may import flights in its place
+            for one in above[ahead.pop()]:
+                if room(one.imported) in flights:
+                    wrong.add(f"{one.file}:{one.line}: {one.importer} imports {one.imported}, reached from {start}")
+                elif one.imported not in reached:
+                    reached.add(one.imported)
+                    ahead.append(one.imported)
+    assert not wrong, "\n".join(sorted(wrong))
+
+
 @pytest.mark.parametrize("package", FLOORS)
 def test_every_room_has_a_floor(package: str) -> None:
     rooms = {room(name) for name in modules(ROOT, package)} - {"", "__main__"}

@@ -6,8 +6,8 @@ import secrets
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import date
 
+import numpy as np
 import viser
 
 from explorer import session_state, uploads
@@ -18,17 +18,16 @@ from explorer.server.picture_route import EncodedPicture
 from explorer.session_state import SessionState, StateChange
 from explorer.web.html import Html
 from explorer.web.render import call, render, run
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.drawing import overlays
-from lpn.flights import Frame
-from lpn.flights.photo_file import PhotoFile
+from lpn.library.analyser import OwnPicture
 
 # A picture is held as JPEG of this quality, unless its own file is small: 200 pictures take some 150 MB.
 _QUALITY, _SMALL = 95, 1_000_000
 _THUMBNAIL = 64
+_NO_PIXELS = np.zeros((0, 0, 3), np.uint8)
 # Bytes that the pictures of all browsers of the server take together.
 _MOST_BYTES = 1_000_000_000
 
@@ -43,16 +42,11 @@ _REASONS = {
 
 @dataclass(frozen=True, eq=False)
 class _Held:
-    """A picture in memory: its file, its thumbnail, and the rest as in `OwnPicture`."""
+    """A picture in memory: without its pixels, but with its file and its thumbnail."""
 
-    name: str
+    picture: OwnPicture
     file: bytes
     thumbnail: bytes
-    place: tuple[float, float] | None
-    frame: Frame | None
-    key: str
-    day: date | None
-    photo_file: PhotoFile | None
 
     @property
     def size(self) -> int:
@@ -95,7 +89,7 @@ class HeldBytes:
         with self._lock:
             if self.total + held.size > _MOST_BYTES:
                 raise InputError(
-                    f"{held.name} takes {held.size / 1e6:.1f} MB, and the server holds {self.total / 1e6:,.0f} MB of its "
+                    f"{held.picture.name} takes {held.size / 1e6:.1f} MB, and the server holds {self.total / 1e6:,.0f} MB of its "
                     f"visitors' pictures; up to {_MOST_BYTES / 1e6:,.0f} MB are held, so close yours, or send it later."
                 )
             self.total += held.size
@@ -217,7 +211,7 @@ class OwnPictures:
     def brought(self) -> bool:
         """True if the picture that `reopen` shows was sent at another workspace."""
         with self._lock:
-            shown = self._held[max(self._opened[1], 0)].key if self._held else ""
+            shown = self._held[max(self._opened[1], 0)].picture.key if self._held else ""
             return self._sent.get(shown, self._place) != self._place
 
     def reopen(self, state: SessionState) -> SessionState | None:
@@ -228,7 +222,7 @@ class OwnPictures:
     def find(self, key: str) -> OwnPicture | None:
         """Return the picture that addresses name by a key, decoded; None if it is not held."""
         with self._lock:
-            index = next((index for index, held in enumerate(self._held) if held.key == key), None)
+            index = next((index for index, held in enumerate(self._held) if held.picture.key == key), None)
             return None if index is None else self._open(index)
 
     def show(self, state: SessionState) -> None:
@@ -249,7 +243,7 @@ class OwnPictures:
     def hand_over(self) -> HandedOver:
         """Return the pictures for `take_over`, and hold them no longer: the page is about to show another workspace."""
         with self._lock:
-            sent = {held.key: self._sent.get(held.key, self._place) for held in self._held}
+            sent = {held.picture.key: self._sent.get(held.picture.key, self._place) for held in self._held}
             over = HandedOver(self._held, self._opened[1], sent)
             self._held, self._opened, self._closed = [], (None, -1), self._closed + 1
         return over
@@ -343,8 +337,7 @@ class OwnPictures:
         if opened is not None and at == index:
             return opened
         held = self._held[index]
-        decoded = images.decode_picture(held.file, held.name)
-        picture = OwnPicture(held.name, decoded, held.place, held.frame, held.key, held.day, held.photo_file)
+        picture = replace(held.picture, picture=images.decode_picture(held.file, held.picture.name))
         self._opened = picture, index
         return picture
 
@@ -354,7 +347,10 @@ class OwnPictures:
             chosen = self._opened[1] if chosen is None else chosen
             if self._feed[0] != len(held):
                 rows = self._feeds.publish_list(
-                    self, "own", len(held), lambda start, end: [(i, held[i].name, None) for i in range(start, end)]
+                    self,
+                    "own",
+                    len(held),
+                    lambda start, end: [(i, held[i].picture.name, None) for i in range(start, end)],
                 )
                 self._feed = len(held), rows, self._feeds.publish(self, "own thumbnails", _thumbnails(held))
             _, rows, thumbnails = self._feed
@@ -362,7 +358,7 @@ class OwnPictures:
             self._shell.show("")
             self._data.show("")
             return
-        placed = sum(one.place is not None for one in held)
+        placed = sum(one.picture.place is not None for one in held)
         self._shell.show(render("browse/own", count=len(held), placed=placed, refused=refused, most=MOST_NAMED))
         data = {
             "kind": "queries",
@@ -390,7 +386,7 @@ def _hold(picture: OwnPicture, content: bytes) -> _Held:
     own = len(content) <= _SMALL and max(picture.picture.shape[:2]) < uploads.MAX_SIDE
     file = content if own else images.jpeg(picture.picture, _QUALITY)
     thumbnail = images.jpeg(overlays.square(picture.picture, _THUMBNAIL), 80)
-    return _Held(picture.name, file, thumbnail, picture.place, picture.frame, picture.key, picture.day, picture.file)
+    return _Held(replace(picture, picture=_NO_PIXELS), file, thumbnail)
 
 
 def _thumbnails(held: Sequence[_Held]) -> Callable[[int], EncodedPicture | None]:

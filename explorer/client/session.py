@@ -19,6 +19,7 @@ from explorer.client.messages import PageMessage
 from explorer.client.services import WorkspaceServices
 from explorer.client.views import ClientViews
 from explorer.compute.background_jobs import BackgroundJob
+from explorer.compute.batching import SupersededError
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.own_photos import OwnPhotoComparisons
 from explorer.compute.ranking_progress import RankingProgress
@@ -320,8 +321,9 @@ class ClientSession:
         if self._address.waiting and self._ready is not None:
             return None
         if self._address.waiting:
-            with contextlib.suppress(LPNError):  # it is said when this state is to be drawn
-                self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
+            # An error is said when this state is to be drawn, and a newer state has woken the worker.
+            with contextlib.suppress(LPNError, SupersededError), self._requests.answering():
+                self._analyser.analyse(self._state, SHOWN)
             return None
         shown, reasons = self._shown, self._worker.reasons
         if shown is not None and shown.state == self._state and reasons <= {"size", "own photo"}:
@@ -337,7 +339,11 @@ class ClientSession:
             if ready is not None and ready.state == self._state:
                 analysis = ready
             else:
-                analysis = self._requests.retry_superseded(lambda: self._analyser.analyse(self._state, SHOWN))
+                with self._requests.answering():
+                    try:
+                        analysis = self._analyser.analyse(self._state, SHOWN)
+                    except SupersededError:
+                        analysis = self._analyser.analyse(self._state, SHOWN)
             started = time.perf_counter()
             analysis = self._with_own_photo(analysis)
             self.views.show(analysis, slow.cancel)

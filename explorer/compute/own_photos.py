@@ -8,8 +8,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.resources import yield_cores
+from lpn.flights import Frame
+from lpn.library.analyser import OwnPicture
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import open_matchers
 from lpn.locate.own_photo import OwnPhoto, register_own_photo
@@ -19,6 +20,13 @@ from lpn.maps import Map, Window
 _INTERVAL, _PATIENCE = 0.5, 0.1
 # Registrations of a browser that go on while it shows another picture; the oldest further one ends, and begins anew when shown.
 _MOST_UNFINISHED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class CameraPicture(OwnPicture):
+    """An own picture with what its file tells of the camera; `frame` is None if it tells nothing."""
+
+    frame: Frame | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,7 +139,7 @@ class OwnPhotoJobs:
             if not self._features:
                 self._features = [MapFeatures(self.basemap, matcher) for matcher in open_matchers()]
             return register_own_photo(
-                self.basemap, self._features, picture.picture, picture.frame, windows, on_progress, self._map_error
+                self.basemap, self._features, picture.picture, _frame(picture), windows, on_progress, self._map_error
             )
         finally:
             self._turns.give_back(turn)
@@ -226,9 +234,13 @@ class OwnPhotoComparisons:
             progress.close()
 
 
+def _frame(picture: OwnPicture) -> Frame | None:
+    return picture.frame if isinstance(picture, CameraPicture) else None
+
+
 def _key(picture: OwnPicture) -> str:
     if picture.key:  # a picture that is opened again may have been packed meanwhile
         return picture.key
     digest = hashlib.sha256(picture.picture.tobytes())
-    digest.update(repr((picture.picture.shape, picture.frame)).encode("utf-8", "replace"))
+    digest.update(repr((picture.picture.shape, _frame(picture))).encode("utf-8", "replace"))
     return digest.hexdigest()

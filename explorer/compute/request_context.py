@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TypeVar
+from collections.abc import Iterator
+from contextlib import contextmanager
 
-from explorer.compute.batching import SupersededError, concatenate
+from explorer.compute.batching import concatenate
 from explorer.compute.inference_scheduler import InferenceScheduler
 from lpn.core.arrays import Float32Array
 from lpn.core.views import View
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass, Heads
-
-T = TypeVar("T")
 
 # A request is superseded only after this many seconds in the queue, because its successor takes time to prepare.
 MIN_WAIT = 0.2
@@ -42,17 +40,15 @@ class RequestContext:
             model = model.model
         return None if model is None else QueuedModel(model, self._scheduler, self, background)
 
-    def retry_superseded(self, compute: Callable[[], T]) -> T:
-        """Return the result of `compute`, which reads the newest state.
+    @contextmanager
+    def answering(self) -> Iterator[None]:
+        """Let a newer state supersede the request of the block once; it raises SupersededError.
 
-        If its request is superseded in the queue, `compute` is called again. The new request takes the old one's place.
+        A further request of the block takes the old one's place.
         """
         self._superseded, self._may_cancel = False, True
         try:
-            try:
-                return compute()
-            except SupersededError:
-                return compute()
+            yield
         finally:
             self._may_cancel = False
             self._scheduler.release_position(self)

@@ -11,9 +11,9 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis.comparison import Comparison
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.numbers import shown_difference
+from lpn.core.texts import ordinal
 from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.theme import Colour
-from lpn.drawing.verdicts import ordinal
 from lpn.drawing.words import say
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
@@ -41,7 +41,6 @@ def page(
     total = shown_difference(comparison.other.distance2, followed.distance2)
     right = judge.judged_piece(analysis, workspace) or f"the {say('positive')}"
     names, name = workspace.part_names, right if followed.true else f"this {say('tile')}"
-    without = comparison.without
     of_parts = lead_cells(analysis, followed.index, comparison.other.index)
     cells = None if of_parts is None else of_parts.sum(axis=0)
     graded = judge.is_sure(analysis, workspace)
@@ -68,7 +67,6 @@ def page(
         total=total,
         no_place=no_place(analysis),
         swatches=[theme.css(colour) for colour in colours],
-        ablation_sentence=verdicts.describe_ablation(without, names, name) if without else "",
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
         depth=ranking.depth,
         describe_rank=verdicts.describe_rank,

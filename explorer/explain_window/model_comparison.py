@@ -19,10 +19,10 @@ from explorer.web.render import call, progress_bar, render, run, send
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.arrays import BoolArray, FloatingArray, Int64Array
 from lpn.core.numbers import shown_difference
+from lpn.core.texts import ordinal
 from lpn.core.views import View
 from lpn.drawing import charts, heatmaps, overlays
 from lpn.drawing.charts import ModelPoint
-from lpn.drawing.verdicts import ordinal
 from lpn.drawing.words import say
 from lpn.explain.centre import centre_box, centre_share, has_centre
 from lpn.models.contract import Contract

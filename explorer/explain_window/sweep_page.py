@@ -10,8 +10,8 @@ from markupsafe import Markup
 from explorer.explain_window.whole_task import TurnChoice, WholeTaskSection
 from explorer.web.render import render, send
 from explorer.workspace import StateAnalysis
+from lpn.core.texts import ordinal
 from lpn.drawing import charts, verdicts
-from lpn.drawing.verdicts import ordinal
 from lpn.drawing.words import capitalised, plain, say
 from lpn.explain.sweeps import SweepPoint, SweepResult, SweptProperty, signed_value, swept_label
 

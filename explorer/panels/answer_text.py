@@ -12,7 +12,8 @@ from explorer.web.render import progress_bar
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context
 from lpn.core.arrays import FloatingArray
-from lpn.core.numbers import distance, rounded_to_sum, shown_difference, upper_bound
+from lpn.core.numbers import distance, rounded_to_sum, upper_bound
+from lpn.core.texts import ordinal
 from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import verdicts, words
 from lpn.drawing.verdicts import pictures_of
@@ -104,7 +105,7 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
     first, depth = analysis.matches[0], analysis.ranking.depth
     if analysis.ranking.relevant is None:
-        gap = verdicts.next_tile(first)
+        gap = _next_tile(first)
         if analysis.state.upload is None:
             known = "Its true place is not known here"
             if workspace.flight is not None and workspace.flight.elsewhere:
@@ -134,13 +135,22 @@ def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None,
         return None, headline, sentence
     if analysis.positive is None and depth is not None:
         return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
-    hardest_negative = next((match for match in analysis.matches if not match.true), None)
-    return verdicts.verdict(first, analysis.positive, hardest_negative, workspace.part_names, _error_m(analysis))
+    said = analysis.verdict
+    return said.sign, said.headline, said.sentence
+
+
+def _next_tile(first: Match) -> str:
+    """Say how far behind the top match the next tile is, as a clause."""
+    if first.gap is None:
+        return "there is no other tile"
+    if words.plain():
+        return f"the next best is {first.shown_gap:.3f} behind it"
+    return f"the next tile is {first.shown_gap:.3f} further away (d²)"
 
 
 def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), one word for it, and one sentence without a technical term."""
-    first, positive, error_m = analysis.matches[0], analysis.positive, _error_m(analysis)
+    first, positive, error_m = analysis.matches[0], analysis.positive, analysis.error_m(analysis.matches[0])
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if analysis.ranking.relevant is None:
         if (of_map := _on_map(analysis, workspace)) is not None:
@@ -185,7 +195,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
             f"The model compared {pictures} and found {judged or 'the right one'}{off}.",
         )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
-    rank = "is not near the top" if positive is None or positive.beyond else f"came {verdicts.ordinal(positive.rank)}"
+    rank = "is not near the top" if positive is None or positive.beyond else f"came {ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
@@ -199,7 +209,7 @@ def limit(analysis: StateAnalysis, workspace: Workspace) -> str:
     if window is None or first.true is None or analysis.positive is None:
         return ""
     by = "its GPS tag" if workspace.flight is None else workspace.flight.judge_of(analysis.state.query)
-    lies, error_m = "on it" if first.true else "beyond its edge", _error_m(analysis)
+    lies, error_m = "on it" if first.true else "beyond its edge", analysis.error_m(analysis.matches[0])
     if first.true and error_m is not None:
         lies += _from_middle(error_m, window)
     return f"The chosen piece is {window.size:.0f} m wide; by {by}, the photo's middle lies {lies}."
@@ -273,7 +283,7 @@ def _beside_look(analysis: StateAnalysis, right: bool | None) -> str:
     """Say that the model's own answer disagrees with the place of a photo that is known by other means; "" if it does not."""
     if right is not False:
         return ""
-    off = _error_m(analysis)
+    off = analysis.error_m(analysis.matches[0])
     away = "" if off is None else f", {distance(off)} away"
     return f"The model's own guess, by its look alone, was wrong{away}."
 
@@ -482,7 +492,7 @@ def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
 
 def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str:
     """Say how far the answer, called `tile`, lies from the picture's GPS tag; "" without a tag."""
-    if (error := _error_m(analysis)) is None:
+    if (error := analysis.error_m(analysis.matches[0])) is None:
         return ""
     sentence = f"Its GPS tag lies {distance(error)} from the middle of {tile}"
     if (reach := _off_tag(analysis, workspace)) is None:
@@ -495,7 +505,7 @@ def _off_tag(analysis: StateAnalysis, workspace: Workspace) -> float | None:
 
     The limit is half of the piece's diagonal plus the error of a tag, see `_tag_error`.
     """
-    error, window = _error_m(analysis), _window(analysis)
+    error, window = analysis.error_m(analysis.matches[0]), _window(analysis)
     if analysis.state.upload is None or error is None or window is None:
         return None
     reach = window.size / math.sqrt(2) + _tag_error(workspace)
@@ -532,21 +542,16 @@ def lead(analysis: StateAnalysis, judged: str = "") -> Lead | None:
     Args:
         judged: what the right piece is called where its judge is doubtful, see `explorer.judge.judged_piece`.
     """
-    first, others, answer = analysis.matches[0], analysis.matches[1:], answer_name(analysis)
-    rival: Match | None
-    if first.true is False and (rival := analysis.positive) is not None:
-        name = judged or "the right picture"
-        shown = shown_difference(first.distance2, rival.distance2)
-        return Lead(first.contributions - rival.contributions, shown, name, rival.index, answer, of_answer=False)
-    if first.true:
-        rival = next((match for match in others if not match.true), None)
-        name = "the best piece of another place" if judged else "the best wrong picture"
-    else:
-        rival, name = next(iter(others), None), "the next best picture"
-    if rival is None:
+    said, answer = analysis.verdict, answer_name(analysis)
+    if said.rival is None or said.gains is None:
         return None
-    shown = shown_difference(rival.distance2, first.distance2)
-    return Lead(rival.contributions - first.contributions, shown, name, rival.index, answer, sure=bool(first.true))
+    if said.rival.true and not said.sign:
+        other = judged or "the right picture"
+        return Lead(-said.gains, -said.lead, other, said.rival.index, answer, of_answer=False)
+    other = "the next best picture"
+    if said.sign:
+        other = "the best piece of another place" if judged else "the best wrong picture"
+    return Lead(said.gains, said.lead, other, said.rival.index, answer, sure=bool(said.sign))
 
 
 def answer_name(analysis: StateAnalysis) -> str:
@@ -708,9 +713,3 @@ def _times(right: int, of: int, digits: int = 0) -> str:
     if right < of and float(f"{share:.{digits}f}") == 100:
         share = 100 - 10.0**-digits
     return f"{right:,} times ({share:.{digits}f} %)"
-
-
-def _error_m(analysis: StateAnalysis) -> float | None:
-    """Return the metres from what the query shows to the top match; None where that is unknown."""
-    error_m = math.nan if analysis.errors_m is None else float(analysis.errors_m[analysis.matches[0].index])
-    return error_m if math.isfinite(error_m) else None  # a tile of an index may have no position

@@ -31,7 +31,6 @@ from explorer.web.render import call, render, run
 from explorer.web.style import verdict_ink
 from explorer.web.terms import term
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.errors import PictureError
@@ -45,6 +44,7 @@ from lpn.drawing.theme import Colour
 from lpn.explain.lead_places import LeadPlace, lead_place
 from lpn.flights.cut import TurnedFrame
 from lpn.flights.photo_file import PhotoFile
+from lpn.library.matching_turn import MatchingTurn, matching_turn
 from lpn.locate.belief import belief, disagreements, tag_figures
 from lpn.locate.coverage import outline
 from lpn.locate.grades import is_disputed, off_window, window_of
@@ -293,7 +293,7 @@ def page(
         nowhere=own is not None and not own.answer.accepted,
         full=0.0 if lead is None else max(float(abs(lead.terms).max()), 1e-9),
         part_names=workspace.part_names,
-        part_word=workspace.parts_word.removesuffix("s"),
+        part_word=workspace.contract.part_noun,
         stories=stories,
         own_position=own_position,
         own_held=own_held,
@@ -471,7 +471,7 @@ def _photo_facts(analysis: StateAnalysis) -> tuple[tuple[str, str], ...]:
     """Return what the file of the photo says of it; () where there is no file that can be read."""
     state = analysis.state
     if state.upload is not None:
-        return () if state.upload.file is None else tuple(state.upload.file.facts)
+        return state.upload.facts
     picture = analysis.task.queries[state.query]
     path = picture.cut.frame.file if isinstance(picture.cut, TurnedFrame) else picture.path
     try:

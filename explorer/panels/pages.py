@@ -63,7 +63,7 @@ def keys(workspace: Workspace) -> str:
     return render(
         "panels/keys",
         flight=workspace.has_flight,
-        parts=workspace.parts_word if workspace.has_parts else "",
+        parts=f"{workspace.contract.part_noun}s" if workspace.has_parts else "",
         network=workspace.model is not None,
         cells=not workspace.without_cells,
     )

@@ -19,8 +19,8 @@ from explorer.panels.navigation import Navigation
 from explorer.session_state import MAX_ZOOM, SessionState, StateChange
 from explorer.web.render import render
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.descriptors.weather import WEATHERS
+from lpn.library.analyser import OwnPicture
 
 _HEAT_KINDS = {"Activation": "activation", "Evidence": "evidence"}
 _MAX_FIND = 200
@@ -95,7 +95,7 @@ class QueryPanel:
         with gui.add_folder("Look"):
             fixed = any(workspace.contract.partition(view) is not None for view in workspace.contract.views)
             drawn = workspace.has_parts and (has_model or fixed)
-            controls.checkbox(workspace.parts_word.capitalize(), "rings", visible=drawn)
+            controls.checkbox(f"{workspace.contract.part_noun.capitalize()}s", "rings", visible=drawn)
             controls.checkbox("Take apart", "exploded", visible=drawn)
             has_places = any(task.geometry is not None for task in workspace.tasks.values())
             controls.checkbox("Map", "map", visible=has_places, apply=session_state.show_map)

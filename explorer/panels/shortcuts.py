@@ -60,7 +60,7 @@ def add(
 
 def _changes(workspace: Workspace, panels: Panels) -> list[tuple[str, str | None, StateChange]]:
     """Return label, hotkey, and state change of each command."""
-    navigation, word = panels.navigation, workspace.parts_word
+    navigation, word = panels.navigation, f"{workspace.contract.part_noun}s"
     changes: list[tuple[str, str | None, StateChange]] = [
         ("Next picture", "N", navigation.next),
         ("Previous picture", "P", navigation.previous),

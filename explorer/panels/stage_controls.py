@@ -48,14 +48,13 @@ def part_bars(
     """Return the bars of the compared pair's parts, the lead that they show, and the d² of a full bar.
 
     All pictures have one scale, which depends on the part weights and on CSLS alone; it doubles where a bar would not fit. Where
-    the verdict speaks of the compared tile, the lead is the verdict's: its longest bar on the losing side is the part that the
-    verdict names.
+    the verdict speaks of the compared tile, the lead is the verdict's, and the parts that its headline names are marked.
 
     Args:
         judged: see `answer_text.lead`.
     """
     chosen, lead = analysis.chosen, answer_text.lead(analysis, judged)
-    first = analysis.matches[0]
+    first, marked = analysis.matches[0], analysis.verdict.parts
     if chosen.index not in (first.index, None if lead is None else lead.index):
         terms = chosen.contributions - first.contributions
         lead = answer_text.Lead(
@@ -66,6 +65,7 @@ def part_bars(
             answer_text.answer_name(analysis),
             sure=bool(first.true),
         )
+        marked = tuple(lead.decisive)
     full = (_UNLIKE if chosen.constants is None else _UNLIKE_CSLS) * float(analysis.ranking.weights.max())
     most = max([*chosen.contributions.tolist(), *([] if lead is None else (2 * abs(lead.terms)).tolist())])
     while most > full:
@@ -81,7 +81,7 @@ def part_bars(
                 name,
                 ("off" if off else f"{shares[part]:.3f}", _percent(share, full)),
                 None if lead is None else (signed(figures[part]), _percent(float(lead.terms[part]), full / 2)),
-                lead is not None and part in lead.decisive,
+                part in marked,
                 bool(off),
             )
         )
@@ -148,7 +148,7 @@ class StageControls:
             mapped=analysis.task.geometry is not None,
             partitioned=areas[0] is not None and workspace.has_parts,
             several=workspace.has_parts,
-            parts_word=workspace.parts_word,
+            parts_word=f"{workspace.contract.part_noun}s",
             graded=analysis.ranking.relevant is not None,
         )
 

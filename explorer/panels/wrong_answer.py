@@ -17,6 +17,7 @@ from lpn.analysis.answer_context import FailingKind
 from lpn.analysis.near_duplicates import shows_places
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.numbers import distance
+from lpn.core.texts import ordinal
 from lpn.drawing import verdicts, words
 from lpn.flights.cut import TurnedFrame
 from lpn.locate.summary import doubted_clause
@@ -111,7 +112,7 @@ def _sentence(analysis: StateAnalysis, right: str) -> str:
     if positive is None:
         came = "none of them shows the place"
     else:
-        came = f"{right} is not near the top" if positive.beyond else f"{right} came {verdicts.ordinal(positive.rank)}"
+        came = f"{right} is not near the top" if positive.beyond else f"{right} came {ordinal(positive.rank)}"
     return f"{compared} {_away(analysis)}; {came}."
 
 

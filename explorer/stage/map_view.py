@@ -17,7 +17,6 @@ from explorer.stage.flight_lines import LIFT, FlightLines
 from explorer.stage.image_planes import Plane, Rotation, query_title, rank_title
 from explorer.stage.lettering import LEAST, SIGN_PIXELS, Lettering, legible
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.arrays import AnyArray, Float64Array, FloatingArray, UInt8Array
 from lpn.core.numbers import distance
@@ -27,6 +26,7 @@ from lpn.datasets.rendered import shows_rendered
 from lpn.drawing import captions, overlays, theme
 from lpn.flights import Frame
 from lpn.flights.cameras import rotation
+from lpn.library.analyser import OwnPicture
 from lpn.locate.belief import belief
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.coverage import crossing, outline

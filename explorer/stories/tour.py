@@ -25,7 +25,7 @@ def story(workspace: Workspace) -> Story:
     """Return the tour in five steps; it does not mention what the model and the data set lack."""
     task = next(iter(workspace.tasks.values()))
     live, cells, mapped = workspace.model is not None, workspace.contract.has_cells, task.geometry is not None
-    rings = workspace.parts_word == "rings"
+    rings = workspace.contract.part_noun == "ring"
     whole = "rings" if rings else "parts"
     evidence = (
         " Why this answer?, below it, shows place by place what speaks for it, which adds up. Its tab Heatmaps shows where the "

@@ -29,7 +29,7 @@ from lpn.models.base import Model
 from lpn.retrieval import csls, metrics
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.evaluate import FULL, WITHOUT
-from lpn.retrieval.published_results import PublishedResult, published_pictures
+from lpn.retrieval.saved import PublishedResult, published_pictures
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.task import Task
 

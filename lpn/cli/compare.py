@@ -138,7 +138,7 @@ class ComparisonOfPublished(ComparisonOfSources):
     def _ranked(self) -> Iterator[RankedModel]:
         from lpn.analysis.model_table import rank_published
         from lpn.datasets import open_dataset
-        from lpn.retrieval.published_results import load_saved
+        from lpn.retrieval.saved import load_saved
 
         _check_several(len(self.results))
         dataset = open_dataset(self.data)
@@ -312,7 +312,7 @@ class CompareCommand(ComparisonOfSources):
         from lpn.analysis.model_table import rank_model, rank_published
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
-        from lpn.retrieval.published_results import load_saved
+        from lpn.retrieval.saved import load_saved
         from lpn.tasks.opening import alike_calibrations
 
         files = self.models.models

@@ -85,7 +85,7 @@ class DescribeCommand:
         return 0
 
     def _windows(self, where: Path) -> int:
-        from lpn.descriptors.map_windows import describe_windows
+        from lpn.locate.map_windows import describe_windows
         from lpn.locate.retrieval import pyramid_sizes
         from lpn.maps import NamedWindow, open_map
 

@@ -120,7 +120,7 @@ class EvaluationOfPublished(EvaluationOfSource):
 
     def _evaluate(self) -> tuple[str, Result]:
         from lpn.retrieval.evaluate import evaluate_saved
-        from lpn.retrieval.published_results import check_n_parts, load_saved
+        from lpn.retrieval.saved import check_n_parts, load_saved
 
         protocol = self.ranking.saved_protocol()
         if protocol.centre and self.n_parts is None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -61,12 +61,15 @@ class ExplainCommand:
         from lpn.core import images
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
-        from lpn.datasets import open_dataset
+        from lpn.datasets import Picture, open_dataset
         from lpn.descriptors.transforms import Change
         from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
         from lpn.explain import occlusion
+        from lpn.library.answer import PairEvidence
+        from lpn.library.gallery import answer_of
         from lpn.retrieval import scoring
+        from lpn.retrieval.csls import CslsTerms
         from lpn.sources import open_data
         from lpn.tasks.opening import task_calibration
 
@@ -109,12 +112,23 @@ class ExplainCommand:
         names = model.contract.names(self.view_query)
         console = wide_console(100)
         losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
-        of: dict[str, Any] = {"model": model.fingerprint, "query": str(self.query), "match": str(self.match)}
-        of |= {"view_query": self.view_query, "view_match": self.view_match, "rotate": self.rotate}
+        terms = None if csls is None else CslsTerms(csls[0], csls[1][None])
+        ranking = retrieval.rank(cosines[None], weights, csls=terms)
+        answer = answer_of(
+            model,
+            views,
+            query,
+            [Picture(self.match, 0, str(self.match))],
+            tile.descriptor[None],
+            ranking,
+            str(self.query),
+        )
+        of: dict[str, Any] = {"model": model.fingerprint, "match": str(self.match), "rotate": self.rotate}
+        of |= {"view_query": self.view_query, "view_match": self.view_match}
         if losses is not None:
-            of |= occlusion.to_dict(cosines, weights, losses, names)
+            of |= answer.to_dict() | occlusion.to_dict(cosines, weights, losses, names)
         elif evidence is not None:
-            of |= evidence.to_dict(names, model.contract.claim)
+            of |= replace(answer, pair_evidence=PairEvidence(evidence, None)).to_dict()
         taken = 0.0 if csls is None else float((csls[0] + csls[1]) @ weights)
         _show(console, cosines, weights, taken, evidence, names, model.contract.claim)
         if evidence is not None:

@@ -11,3 +11,9 @@ def listed(words: Sequence[str], conjunction: str = "and") -> str:
     if len(before) < 2:
         return f" {conjunction} ".join(words)
     return f"{', '.join(before)}, {conjunction} {last}"
+
+
+def ordinal(rank: int) -> str:
+    """Return 1st, 2nd, 3rd, 4th, ..."""
+    suffix = "th" if 10 <= rank % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")
+    return f"{rank}{suffix}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal, cast
+from typing import Literal, cast, get_args
 
 View = Literal["satellite", "street", "drone"]
 TaskName = Literal[
@@ -15,6 +15,8 @@ TaskName = Literal[
     "street-to-street",
 ]
 
+# The most common first.
+TASKS: tuple[TaskName, ...] = get_args(TaskName)
 VIEWS: tuple[View, ...] = ("satellite", "street", "drone")
 BRANCH: dict[View, str] = {"satellite": "model_1", "street": "model_2", "drone": "model_3"}
 

@@ -25,13 +25,13 @@ from lpn.datasets.base import (
     Size,
     Truth,
     files_below,
-    hidden_name,
     labels_of,
     unread_below,
     warn_left_out,
 )
 from lpn.datasets.folder import Folder
 from lpn.datasets.layouts.university import University
+from lpn.datasets.listed_paths import hidden_name
 
 __all__ = [
     "Dataset",
@@ -71,8 +71,7 @@ def open_dataset(root: str | Path) -> Dataset:
     if not root.is_dir():
         shown, parent = printable(str(root)), printable(str(root.parent))
         if root.exists():
-            todo = levels.instead([root.name]) or f"give --data {parent}"
-            raise DataError(f"{shown} is a file; expected a data set's folder, so {todo}.")
+            raise DataError(f"{shown} is a file; expected a data set's folder, so give --data {parent}.")
         raise DataError(f"There is no data set folder at {shown}; check the path.")
     layout = _marked(root)
     if split is not None and (layout is None or split not in layout.splits):
@@ -128,8 +127,6 @@ def _unmarked(root: Path) -> Dataset:
         return folder
     names = sorted(child.name for child in root.iterdir())
     inside = ", ".join(printable(name) for name in names[:5]) or "nothing"
-    if (todo := levels.instead(names)) is not None:
-        raise DataError(f"{printable(str(root))} holds {inside}; {todo}.")
     known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
     expected = ", ".join(layout.known_by for layout in known if layout.known_by)
     raise DataError(f"{printable(str(root))} holds {inside}; expected {expected}, or pictures.")

@@ -2,44 +2,28 @@
 
 from __future__ import annotations
 
-import csv
-import json
 import logging
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
-from lpn.core.csv_cells import decode_text, delimited
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
 from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
-from lpn.core.views import views_of
+from lpn.core.views import TASKS, views_of
 from lpn.datasets import geo
-from lpn.datasets.listed_paths import FilesBelow
+from lpn.datasets.listed_paths import FilesBelow, hidden_name
 
 log = logging.getLogger(__name__)
 
-# Tasks between two views, the most common first.
-TASKS = (
-    "drone-to-satellite",
-    "satellite-to-drone",
-    "street-to-satellite",
-    "satellite-to-street",
-    "drone-to-street",
-    "street-to-drone",
-)
 # The published evaluations that measure distances: of DenseUAV, of GTA-UAV, and of UAV-VisLoc in Game4Loc's form.
 PositionProtocol = Literal["DenseUAV", "GTA-UAV", "UAV-VisLoc"]
-# The largest list of pictures (.csv, .txt) that is read, in bytes.
-MAX_LIST_BYTES = 100_000_000
-# Folders that macOS's archives, Windows, Synology's servers, and Linux add; pictures in them are no pictures of the user.
-_ADDED_BY_SYSTEMS = frozenset(("__MACOSX", "$RECYCLE.BIN", "System Volume Information", "@eaDir", "lost+found"))
 
 
 @dataclass(frozen=True)
@@ -220,8 +204,6 @@ class Dataset:
         unusable, effect: what is left out, and what this does, as the warning says it.
         none_whole: what to say of a data set without a training picture and a query, as a predicate; "" if it may be so.
         expected: the expected layout, for the error about a missing view.
-        recipes: the recipes that train on it.
-        paper: the tasks that the paper reports, its tables that need training, and those that need a test split only.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
             results of a group take its queries and gallery pictures, and all pictures without a group.
@@ -247,8 +229,6 @@ class Dataset:
     effect: str = "they are left out"
     none_whole: str = ""
     expected: str = ""
-    recipes: tuple[str, ...] = ("small", "paper", "released")
-    paper: tuple[tuple[str, ...], str, str] | None = None
     panoramas: bool = False
     group_name: str = ""
     mean_of_groups: bool = False
@@ -338,7 +318,7 @@ class Dataset:
     def tasks(self) -> list[str]:
         """Return the test split's tasks, such as "drone-to-satellite", the most common first."""
         pairs = ((task, *views_of(task)) for task in TASKS)
-        return [task for task, query, gallery in pairs if self.has("query", query) and self.has("gallery", gallery)]
+        return [task for task, a, b in pairs if a != b and self.has("query", a) and self.has("gallery", b)]
 
     def has(self, role: str, view: str) -> bool:
         """Return whether the test split has queries ("query") or a gallery ("gallery") of a view."""
@@ -466,11 +446,6 @@ def _is_there(root: Path, pattern: str) -> bool:
     return os.path.isdir(path) if pattern.endswith("/") else os.path.isfile(path)  # noqa: PTH112, PTH113
 
 
-def hidden_name(name: str) -> bool:
-    """Return whether a name is hidden (.ipynb_checkpoints, ._a.jpg, .DS_Store), or one that a system adds (__MACOSX)."""
-    return name.startswith(".") or name in _ADDED_BY_SYSTEMS
-
-
 def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
     """Return the files below a folder whose names end in one of `suffixes`, sorted by path.
 
@@ -515,59 +490,6 @@ def _unread(file: Path) -> str | None:
             return None if header_error(opened) is not None else "has no ending such as .jpg; rename it"
     except OSError:
         return None
-
-
-def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
-    """Yield the lines that are not blank, each after "Line <number> of <name>"; errors as for `read_text`."""
-    for number, line in enumerate(read_text(path, name).splitlines(), 1):
-        if line.strip():
-            yield f"Line {number} of {name}", line
-
-
-def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
-    """Read the value of a JSON file up to a limit of bytes; errors as for `read_text`, and if it is not JSON."""
-    try:
-        return json.loads(read_text(path, name, most=most))
-    except (ValueError, RecursionError) as error:
-        raise DataError(f"{printable(name)} is not JSON; save it again, or unpack it again.") from error
-
-
-def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIST_BYTES) -> str:
-    """Return the text of a file.
-
-    Raises:
-        DataError: if the file cannot be read, has more than `most` bytes, or is neither UTF-8 nor UTF-16.
-    """
-    try:
-        if path.stat().st_size > most:
-            raise DataError(f"{name} has more than {most // 1_000_000} MB; expected a list of pictures as text.")
-        return decode_text(path.read_bytes(), errors)
-    except OSError as error:
-        raise DataError(
-            f"{name} cannot be read ({error.strerror or error}); check that it is there and readable."
-        ) from error
-    except UnicodeDecodeError as error:
-        raise DataError(f"{name} is not text in UTF-8 or UTF-16; expected a list of pictures.") from error
-
-
-def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows of a CSV file that are not blank, each with its line number from 1.
-
-    Values are separated as `lpn.core.csv_cells.delimited` finds out.
-
-    Args:
-        errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
-
-    Raises:
-        DataError: if it is not a CSV file.
-    """
-    rows = delimited(read_text(path, name, errors)).rows
-    line = 0
-    try:
-        for line, values in rows:
-            yield line, values
-    except csv.Error as error:
-        raise DataError(f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it.") from error
 
 
 def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:

@@ -20,7 +20,6 @@ class Folder(Dataset):
     title = "a plain folder of pictures"
     folders = ("",)
     expected = "a data set with queries and a gallery, since this is a folder of pictures"
-    recipes = ()
 
     def __init__(self, root: Path, whole: Path | None = None) -> None:
         super().__init__(root)

@@ -13,14 +13,9 @@ The columns from altitude on are optional and may be empty.
 
 from __future__ import annotations
 
-import codecs
-import csv
-import io
 import math
-import os
 from collections import Counter
-from collections.abc import Mapping, Sequence, Set
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -28,11 +23,11 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.core.csv_cells import decode_text, delimited, mixed_separators
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.listed_paths import by_name, fold, plain_path
+from lpn.datasets.lists import decoded, read_text, table
 
 if TYPE_CHECKING:
     from lpn.datasets.base import Picture
@@ -88,58 +83,30 @@ class Positions:
         source: the file that holds them, for messages.
 
     Raises:
-        DataError: if `geo.csv` is missing or no text; what looks positions up raises it for a malformed line, and names it. Lines
-            of other pictures are read only if a picture has none.
+        DataError: if `geo.csv` is missing or malformed; the message names the line.
     """
 
     def __init__(self, root: Path, by_path: Mapping[str, Position] | None = None, source: str = NAME) -> None:
-        self._root = root
-        self.source = source
-        self._by_path = by_path
-        self._data = _read(root / NAME) if by_path is None else b""
-
-    def all(self) -> Mapping[str, Position]:
-        """Return the positions of all lines by path; raises DataError for a malformed line, and names it."""
-        if self._by_path is None:
-            self._by_path = read_positions(self._data)
-        return self._by_path
+        self.source, self._root = source, root
+        self._by_path = _positions_in(read_text(root / NAME, NAME), NAME) if by_path is None else by_path
 
     def of(self, pictures: Sequence[Picture]) -> list[Position]:
-        """Return the position of each picture.
-
-        Raises:
-            DataError: if a picture has none.
-        """
+        """Return the position of each picture; DataError if one has none."""
         return self.below(names_below(self._root, pictures))
 
     def match(self, names: Sequence[str]) -> list[Position | None]:
         """Return positions by names below a described folder; see the function `match`."""
-        return match(self._listed(names), names, f"{self.source} in {self._root}")
+        return match(self._by_path, names, f"{self.source} in {self._root}")
 
     def below(self, names: Sequence[str]) -> list[Position]:
         """Return positions by paths below the data set's folder; raises DataError as `of` does."""
-        return find_positions(self._listed(names), names, self.source)
-
-    def _listed(self, names: Sequence[str]) -> Mapping[str, Position]:
-        """Return the positions of these pictures if all are listed by their very names, else those of all lines."""
-        if self._by_path is not None:
-            return self._by_path
-        with suppress(DataError):  # among some of the lines it would name a wrong number, so all lines are read below
-            some = read_positions(_lines_of(self._data, set(names)))
-            if all(name in some for name in names):
-                return some
-        return self.all()
+        return find_positions(self._by_path, names, self.source)
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
     """Return the path of each picture below a folder, with forward slashes."""
-    start = os.path.join(root, "")  # noqa: PTH118 (a string, to compare with strings)
-    names = []
-    for picture in pictures:
-        path = str(picture.path)
-        inside = path.startswith(start) and os.sep == "/"
-        names.append(path[len(start) :] if inside else picture.path.relative_to(root).as_posix())
-    return names
+    start = f"{root.as_posix().rstrip('/')}/"
+    return [picture.path.as_posix().removeprefix(start) for picture in pictures]
 
 
 def positions(root: Path) -> Positions | None:
@@ -217,24 +184,27 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
     Raises:
         DataError: if the format is wrong; the message names the line.
     """
-    try:
-        decimal_comma, rows = delimited(decode_text(data))
-        header = tuple(name.strip().lower() for name in next(rows, (0, []))[1])
-        unknown = set(header) - {*_REQUIRED, *_OPTIONAL}
-        if not set(_REQUIRED) <= set(header) or unknown or len(set(header)) < len(header):
+    return _positions_in(decoded(data, file), file)
+
+
+def _positions_in(text: str, file: str) -> dict[str, Position]:
+    def fits(header: list[str]) -> bool:
+        return len(set(header)) == len(header) and {*_REQUIRED} <= {*header} <= {*_REQUIRED, *_OPTIONAL}
+
+    expected = "path,latitude,longitude and, if known, altitude,heading,tilt,fov,width"
+    positions: dict[str, Position] = {}
+    for line, row in table(text, file, fits, expected, decimals=_LIMITS)[1]:
+        path = plain_path(row.pop("path"))
+        numbers = {name: _number(value, name, line) for name, value in row.items() if value or name in _REQUIRED}
+        if not path:
+            raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
+        if numbers["latitude"] == numbers["longitude"] == 0:
             raise DataError(
-                f"The first line of {file} is {_short(','.join(header)) or 'empty'}; expected path,latitude,longitude and, if "
-                f"known, altitude,heading,tilt,fov,width.{mixed_separators(','.join(header))}"
+                f"{line} has the position 0, 0, which programs write for an unknown one; give the picture's."
             )
-        positions: dict[str, Position] = {}
-        for number, values in rows:
-            line = f"Line {number} of {file}"
-            name, position = _position(header, values, line, decimal_comma)
-            if name in positions:
-                raise DataError(f"{line} gives {_short(name)} a second position; keep one.")
-            positions[name] = position
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise _no_text(file) from error
+        if path in positions:
+            raise DataError(f"{line} gives {_short(path)} a second position; keep one.")
+        positions[path] = Position(**numbers)
     return positions
 
 
@@ -288,50 +258,6 @@ def match(positions: Mapping[str, Position], names: Sequence[str], file: str = N
 
 def _place(position: Position | None) -> tuple[float, float] | None:
     return None if position is None else (position.latitude, position.longitude)
-
-
-def _lines_of(data: bytes, names: Set[str]) -> bytes:
-    """Return the first line and the lines that begin with one of these paths; nothing for a file in which that is not clear."""
-    lines = io.BytesIO(data)
-    first = next(lines, b"")
-    if b'"' in data or not first.removeprefix(codecs.BOM_UTF8).lower().startswith(b"path,"):
-        return b""
-    wanted = {name.encode("utf-8", "surrogateescape") for name in names}
-    return b"".join([first, *(line for line in lines if line[: line.find(b",")] in wanted)])
-
-
-def _read(path: Path) -> bytes:
-    try:
-        data = path.read_bytes()
-        decode_text(data)
-    except UnicodeDecodeError as error:
-        raise _no_text(NAME) from error
-    except OSError as error:
-        raise DataError(
-            f"{path} cannot be read ({error.strerror or error}); check that it is there and readable."
-        ) from error
-    return data
-
-
-def _no_text(file: str) -> DataError:
-    return DataError(f"{file} is not a text file of comma-separated values in UTF-8; save it as such.")
-
-
-def _position(header: Sequence[str], values: Sequence[str], line: str, decimal_comma: bool) -> tuple[str, Position]:
-    if len(values) != len(header):
-        raise DataError(f"{line} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
-    path, numbers = "", {}
-    for name, value in zip(header, values, strict=True):
-        text = value.strip()
-        if name == "path":
-            path = plain_path(text)
-        elif text or name in _REQUIRED:
-            numbers[name] = _number(text.replace(",", ".", 1) if decimal_comma else text, name, line)
-    if not path:
-        raise DataError(f"{line} has no path; expected the picture's, relative to the folder.")
-    if numbers["latitude"] == numbers["longitude"] == 0:
-        raise DataError(f"{line} has the position 0, 0, which programs write for an unknown one; give the picture's.")
-    return path, Position(**numbers)
 
 
 def _short(text: str) -> str:

@@ -10,7 +10,6 @@ f field, y paved yard, and a dot where nothing is known.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from lpn.core.arrays import BoolArray
 from lpn.core.errors import DataError
-from lpn.datasets.base import read_text
+from lpn.datasets.lists import read_text, table
 
 NAME = "ground.csv"
 UNKNOWN = "."
@@ -48,18 +47,12 @@ def ground_uses(root: Path) -> Mapping[str, Letters]:
     """
     if not (root / NAME).is_file():
         return {}
-    lines = csv.reader(read_text(root / NAME, NAME).splitlines())
-    if next(lines, None) != ["path", "uses"]:
-        raise DataError(f"{NAME} does not begin with the line path,uses; see lpn.datasets.ground_use for its form.")
     known = {}
-    for number, line in enumerate(lines, 2):
-        rows = line[1].split() if len(line) == 2 else []
-        alike = bool(rows) and len({len(row) for row in rows}) == 1
-        if not alike or not set("".join(rows)) <= {*USES, UNKNOWN}:
-            raise DataError(
-                f"{NAME}, line {number}: expected a path and rows of equally many of the letters {''.join(USES)}{UNKNOWN}."
-            )
-        known[line[0]] = np.array([list(row) for row in rows])
+    for line, row in table(read_text(root / NAME, NAME), NAME, ["path", "uses"].__eq__, "path,uses")[1]:
+        rows = row["uses"].split()
+        if len({len(letters) for letters in rows}) != 1 or not set("".join(rows)) <= {*USES, UNKNOWN}:
+            raise DataError(f"{line}: expected rows of equally many of the letters {''.join(USES)}{UNKNOWN} as uses.")
+        known[row["path"]] = np.array([list(letters) for letters in rows])
     return known
 
 

@@ -1,41 +1,23 @@
-"""The folder to give as a data set: one above, one below, or that of an archive."""
+"""The folder to give as a data set: one above or one below."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
-from lpn.datasets.base import Dataset, hidden_name
+from lpn.datasets.base import Dataset
+from lpn.datasets.listed_paths import hidden_name
 
 # The deepest list of a split is three folders below (Testing/150/query_drone).
 _LEVELS = 3
 # A search for a data set below looks into so many folders at most.
 _MOST_FOLDERS = 2000
 
-# The advice for a file that is no picture, by its ending.
-_INSTEAD = {
-    **dict.fromkeys(
-        (".zip", ".tar", ".tgz", ".gz", ".xz", ".7z", ".rar"), "unpack it first, and give the folder that it makes"
-    ),
-    **dict.fromkeys(
-        (".mp4", ".mov", ".srt"), "read the frames of a flight with lpn flight, and give its folder to lpn locate"
-    ),
-    **dict.fromkeys(
-        (".pth", ".safetensors", ".onnx"), "give a model with --model, and a data set's folder with --data"
-    ),
-}
-
 Marked = Callable[[Path], type[Dataset] | None]
-
-
-def instead(names: Iterable[str]) -> str | None:
-    """Say what to do with files that are no pictures, by the first ending that is known; None without one."""
-    endings = (Path(name).suffix.lower() for name in names)
-    return next((_INSTEAD[ending] for ending in endings if ending in _INSTEAD), None)
 
 
 def below(root: Path, marked: Marked) -> DataError | None:

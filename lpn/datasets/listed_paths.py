@@ -22,6 +22,8 @@ T = TypeVar("T")
 # Lists hold hundreds of thousands of paths, nearly all of which are in this form already.
 _PLAIN = re.compile(r"\w[\w-]*(\.\w+)*(/\w[\w-]*(\.\w+)*)*", re.ASCII)
 _DRIVE = re.compile(r"[A-Za-z]:/")
+# Folders that macOS's archives, Windows, Synology's servers, and Linux add; pictures in them are no pictures of the user.
+_ADDED_BY_SYSTEMS = frozenset(("__MACOSX", "$RECYCLE.BIN", "System Volume Information", "@eaDir", "lost+found"))
 _INVISIBLE = "\ufeff\u200b\u200e\u200f\u2060"
 
 
@@ -68,6 +70,11 @@ def fold(path: str) -> str:
     return (path if path.isascii() else unicodedata.normalize("NFC", path)).casefold()
 
 
+def hidden_name(name: str) -> bool:
+    """Return whether a name is hidden (.ipynb_checkpoints, ._a.jpg, .DS_Store), or one that a system adds (__MACOSX)."""
+    return name.startswith(".") or name in _ADDED_BY_SYSTEMS
+
+
 class FilesBelow:
     """The files and folders below a folder, which is listed once, so that many look-ups are quick."""
 
@@ -76,10 +83,6 @@ class FilesBelow:
         self._listed: dict[str, frozenset[str]] = {}
         self._folded: dict[str, dict[str, str | None]] = {}
         self._folders: dict[str, str | None] = {"": ""}
-
-    def resolve(self, paths: Iterable[str]) -> dict[str, str]:
-        """Return the file that each plain path of a list names; paths without a file are absent."""
-        return {path: name for path in dict.fromkeys(paths) if (name := self.find(path)) is not None}
 
     def find(self, path: str) -> str | None:
         """Return the file of a plain path, or the only one whose name differs in case alone; None without one."""
@@ -98,6 +101,10 @@ class FilesBelow:
                 self._folded[actual] = _by_fold(self._names(actual))
             name = self._folded[actual].get(fold(name)) or ""
         return f"{actual}/{name}".removeprefix("/") if name else None
+
+    def names(self, folder: str) -> list[str]:
+        """Return the sorted names in a folder, without hidden ones; none if it is not there."""
+        return sorted(name for name in self._names(folder) if not hidden_name(name))
 
     def _names(self, folder: str) -> frozenset[str]:
         if folder not in self._listed:

@@ -18,6 +18,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import astuple, fields
 from pathlib import Path
+from typing import Any
 
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import DataError
@@ -26,8 +27,8 @@ from lpn.core.formats import WORLD as WORLD_FORMAT
 from lpn.core.formats import is_newer, newer_version
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import geo
-from lpn.datasets.base import read_rows
 from lpn.datasets.listed_paths import by_name, plain_path
+from lpn.datasets.lists import read_text, table
 
 log = logging.getLogger(__name__)
 
@@ -110,39 +111,33 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
 
 
 def _building(
-    building: dict[str, object] | None, districts: dict[int, dict[str, object]]
+    building: dict[str, Any] | None, districts: dict[int, dict[str, Any]]
 ) -> tuple[str, str, str, float, str]:
     """Return district, its character, kind, height in metres, and whether the building has twins."""
     if building is None:
         return "", "", "", math.nan, ""
-    district = districts[int(str(building["district"]))]
-    height = float(str(building["height"]))
-    twins = "no" if building["twins"] is None else "yes"
-    return str(district["name"]), str(district["character"]), str(building["kind"]), height, twins
+    district, twins = districts[int(building["district"])], "no" if building["twins"] is None else "yes"
+    return str(district["name"]), str(district["character"]), str(building["kind"]), float(building["height"]), twins
 
 
 def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]:
     file = root / NAME
     if not file.is_file():
         return []
-    lines = read_rows(file, NAME)
-    _, header = next(lines, (0, []))
-    names = [printable(unescape(name.strip())) for name in header]
-    if names[:1] != ["path"] or len(names) < 2:
-        raise DataError(
-            f"The first line of {NAME} is {','.join(names) or 'empty'}; expected path and the names of columns."
-        )
+    names, lines = table(
+        read_text(file, NAME),
+        NAME,
+        lambda names: names[:1] == ["path"] and len(names) > 1,
+        "path and the names of columns",
+        tidy=lambda name: printable(unescape(name)),
+    )
     _check_names(names, taken)
     rows: dict[str, list[str]] = {}
-    for number, values in lines:
-        if len(values) != len(names):
-            raise DataError(
-                f"Line {number} of {NAME} has {len(values)} values; expected {len(names)}: {','.join(names)}."
-            )
-        path, *rest = (unescape(value.strip()) for value in values)
-        path = plain_path(path)
+    for where, row in lines:
+        text, *rest = map(unescape, row.values())
+        path = plain_path(text)
         if path in rows:
-            raise DataError(f"Line {number} of {NAME} is a second one for {printable(path)!r}; keep one.")
+            raise DataError(f"{where} is a second one for {printable(path)!r}; keep one.")
         rows[path] = [printable(" ".join(value.splitlines())) for value in rest]
     everywhere = list(rows.values())
     if any(path not in rows for path in paths):

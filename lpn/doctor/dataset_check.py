@@ -17,12 +17,11 @@ from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, LeftOut, Picture, geo, metadata
+from lpn.datasets import Dataset, LeftOut, Picture, Size, geo, metadata
 from lpn.datasets.folder import Folder
 from lpn.datasets.integrity import picture_errors
 from lpn.tasks import notes
 from lpn.tasks.query_outcomes import reserved
-from lpn.training.recipes import RECIPES
 from lpn.training.training_set import trainable
 
 
@@ -150,9 +149,8 @@ def check_dataset(
 
 
 def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
-    full = dataset.published_sizes.get(name)
-    places = len({picture.label for picture in pictures})
-    return Count(name, len(pictures), places, full.pictures if full else None, full.places if full else None)
+    full = dataset.published_sizes.get(name, Size(None))
+    return Count(name, len(pictures), len({picture.label for picture in pictures}), full.pictures, full.places)
 
 
 def _train_labels(lists: dict[str, list[Picture]]) -> dict[str, set[int]]:
@@ -184,17 +182,24 @@ def _without_picture(name: str, labels: Sequence[int], of: int) -> MissingCounte
 
 def _street_places(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[MissingCounterparts]:
     """Find places of the test split without a street picture, which not every place of University-1652 has."""
-    if any(dataset.truth(task) is not None for task in dataset.tasks()):
+    if _truth_is_listed(dataset):
         return
     for role in ("query", "gallery"):
-        of_role = {
-            name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith(f"test/{role}_")
-        }
-        name = f"test/{role}_street"
-        if name in of_role:
+        of_role = {name: _places(lists, name) for name in lists if name.startswith(f"test/{role}_")}
+        if (street := f"test/{role}_street") in of_role:
             everywhere = set().union(*of_role.values())
-            if without := sorted(everywhere - of_role[name]):
-                yield _without_picture(name, without, len(everywhere))
+            if without := sorted(everywhere - of_role[street]):
+                yield _without_picture(street, without, len(everywhere))
+
+
+def _truth_is_listed(dataset: Dataset) -> bool:
+    """Return whether true matches are listed, so that labels are no places."""
+    return any(dataset.truth(task) is not None for task in dataset.tasks())
+
+
+def _places(lists: dict[str, list[Picture]], start: str) -> set[int]:
+    """Return the labels in the lists whose names start so."""
+    return {picture.label for name, of in lists.items() if name.startswith(start) for picture in of}
 
 
 def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
@@ -202,62 +207,56 @@ def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[Missi
 
     Not every place has a street picture. A query without one is no damage, as long as another view answers it.
     """
-    by_task: dict[str, tuple[list[Picture], int]] = {}
+    unanswered: dict[str, list[Picture]] = {}
     answered: set[Path] = set()
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
         queries, truth = dataset.queries(query_view), dataset.truth(task)
-        if truth is None:
-            there = {picture.label for picture in dataset.gallery(gallery_view)}
-            without = [query for query in queries if query.label not in there]
-        else:
-            without = [query for query, of in zip(queries, truth, strict=True) if of.known and not len(of.good)]
-        answered |= {query.path for query in queries}.difference(query.path for query in without)
-        by_task[task] = without, len(queries)
+        there = {picture.label for picture in dataset.gallery(gallery_view)} if truth is None else set()
+        found = [q.label in there for q in queries] if truth is None else [len(t.good) or not t.known for t in truth]
+        answered |= {query.path for query, true in zip(queries, found, strict=True) if true}
+        unanswered[task] = [query for query, true in zip(queries, found, strict=True) if not true]
     damage: list[MissingCounterparts] = []
     gaps: list[MissingCounterparts] = []
-    for task, (without, total) in by_task.items():
-        is_street = views_of(task)[1] == "street"
-        by_street = [query for query in without if is_street and query.path in answered]
-        missed = [query for query in without if not (is_street and query.path in answered)]
-        for queries, kind in ((missed, damage), (by_street, gaps)):
-            if queries:
-                names = tuple(query.name for query in queries)
-                kind.append(MissingCounterparts(task, f"queries of {task} have no true match", names, total))
+    for task, without in unanswered.items():
+        query_view, gallery_view = views_of(task)
+        for kind, is_gap in ((damage, False), (gaps, True)):
+            names = [q.name for q in without if (gallery_view == "street" and q.path in answered) == is_gap]
+            if names:
+                text = f"queries of {task} have no true match"
+                kind.append(MissingCounterparts(task, text, tuple(names), len(dataset.queries(query_view))))
     return damage, gaps
 
 
 def _shared(dataset: Dataset, lists: dict[str, list[Picture]]) -> list[int]:
-    """Find places to train on that are in the test split, too; where truth is listed, labels are no places."""
-    if any(dataset.truth(task) is not None for task in dataset.tasks()):
-        return []
+    """Find places to train on that are in the test split, too."""
     test = "test/query" if dataset.trained_distractors else "test/"
-    places = {
-        split: {picture.label for name, pictures in lists.items() if name.startswith(split) for picture in pictures}
-        for split in ("train/", test)
-    }
-    return sorted(places["train/"] & places[test])
+    return [] if _truth_is_listed(dataset) else sorted(_places(lists, "train/") & _places(lists, test))
 
 
 def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
-    """Find equal files; only files of one size are read."""
+    """Find equal files of different places; only files of one size are read."""
     digests: dict[Path, str] = {}
+
+    def digest(picture: Picture) -> str:
+        if picture.path not in digests:
+            with picture.path.open("rb") as file:
+                digests[picture.path] = hashlib.file_digest(file, "sha256").hexdigest()
+        return digests[picture.path]
+
     for pictures in lists.values():
-        by_size: dict[int, list[Picture]] = defaultdict(list)
-        for picture in (picture for picture in pictures if picture.path not in broken):
-            by_size[picture.path.stat().st_size].append(picture)
-        for same_size in by_size.values():
-            if len({picture.label for picture in same_size}) < 2:
-                continue
-            by_content: dict[str, list[Picture]] = defaultdict(list)
-            for picture in same_size:
-                if picture.path not in digests:
-                    with picture.path.open("rb") as file:
-                        digests[picture.path] = hashlib.file_digest(file, "sha256").hexdigest()
-                by_content[digests[picture.path]].append(picture)
-            for equal in by_content.values():
-                if len({picture.label for picture in equal}) > 1:
-                    yield tuple(_below(root, picture.path) for picture in equal)
+        there = [picture for picture in pictures if picture.path not in broken]
+        for same_size in _alike(there, lambda picture: picture.path.stat().st_size):
+            for equal in _alike(same_size, digest):
+                yield tuple(_below(root, picture.path) for picture in equal)
+
+
+def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> list[list[Picture]]:
+    """Return the pictures of equal key, where they are of different places."""
+    groups: dict[object, list[Picture]] = defaultdict(list)
+    for picture in pictures:
+        groups[key(picture)].append(picture)
+    return [group for group in groups.values() if len({picture.label for picture in group}) > 1]
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
@@ -273,7 +272,6 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
         if dataset.measured_by is not None:
             dataset.coordinates(pictures)
         if known is not None:
-            known.all()  # also the lines that no picture needs
             known.of(pictures)
     except DataError as error:
         return geo.NAME, str(error)
@@ -298,38 +296,14 @@ def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str
 
 def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
     train = _train_labels(lists)
-    places = len(trainable(train).places) if "satellite" in train and len(train) > 1 else 0
-    recipes = [name for name in dataset.recipes if name in RECIPES]
-    if places and recipes:
-        yield f"lpn train, on {places} places with {', '.join(train)}: --recipe {' or '.join(recipes)}"
+    if "satellite" in train and (places := len(trainable(train).places) if len(train) > 1 else 0):
+        yield f"lpn train, on {places} places with {', '.join(train)}"
     for task in dataset.tasks():
-        query_view, gallery_view = views_of(task)
-        queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
-        queried = {picture.label for picture in queries}
-        kept = sum(picture.label in queried for picture in gallery)
-        without = f" ({kept} without distractors)" if dataset.truth(task) is None and 0 < kept < len(gallery) else ""
-        yield f"lpn evaluate --task {task}: {len(queries)} queries, {len(gallery)} pictures in the gallery{without}"
-    if tables := _tables(dataset, places > 0):
-        counts = [_count(dataset, name, pictures) for name, pictures in lists.items()]
-        smaller = any(count.pictures < (count.full_pictures or 0) for count in counts) or not dataset.published_sizes
-        yield f"{tables}{', at the scale of what is here' if smaller else ''}"
-    if (dataset.root / "cvusa" / "splits").is_dir():
-        yield f"Table II of the paper, on the panoramas in {printable(dataset.root.resolve().name)}/cvusa, a data set of its own"
+        queries, gallery = map(len, (dataset.queries(views_of(task)[0]), dataset.gallery(views_of(task)[1])))
+        yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
     yield "lpn describe --images, on any folder of these pictures"
     if isinstance(dataset, Folder) and dataset.whole is not None:
         yield f"lpn doctor --data {printable(str(dataset.whole))}, on the data set that this folder is a part of"
-
-
-def _tables(dataset: Dataset, trainable: bool) -> str | None:
-    """Return the tables of the paper that can be made from this data set."""
-    if dataset.paper is None:
-        return None
-    directions, training, testing = dataset.paper
-    offered = [task for task in directions if task in dataset.tasks()]
-    if not offered:
-        return None
-    which = f"{training} of the paper" if trainable else f"{testing} of the paper, with trained models"
-    return which if len(offered) == len(directions) else f"{which}, {offered[0]} only"
 
 
 def _below(root: Path, file: Path) -> str:
@@ -338,20 +312,15 @@ def _below(root: Path, file: Path) -> str:
 
 def print_report(report: DataSetReport, console: Console) -> None:
     """Print a report with a few names of each kind; `to_dict` has all names."""
-    console.print(f"{report.root} is {report.title}.", markup=False, highlight=False)
     table = Table()
     for name in ("pictures of", "pictures", "places"):
         table.add_column(name, justify="left" if name == "pictures of" else "right")
-    for count in report.counts:
-        row = _of(count.pictures, count.full_pictures), _of(count.places, count.full_places)
-        table.add_row(count.name, *row)
-    console.print(table)
+    for one in report.counts:
+        table.add_row(one.name, _of(one.pictures, one.full_pictures), _of(one.places, one.full_places))
     how = "decoded" if report.decoded else "read at both ends"
-    good = report.looked_at - len(report.broken)
-    lines = [f"{good} of {report.looked_at} pictures can be read ({how})."]
+    lines = [f"{report.looked_at - len(report.broken)} of {report.looked_at} pictures can be read ({how})."]
     lines += _some("cannot be read", [f"{item.file} {item.why}" for item in report.broken])
-    damage = [f"{item.file} {item.why}" for item in report.left_out if not item.published]
-    lines += _some("are left out", damage)
+    lines += _some("are left out", [f"{item.file} {item.why}" for item in report.left_out if not item.published])
     known = [item.file for item in report.left_out if item.published]
     lines += _some("are left out, being broken in the published data set too", known)
     for item in report.lacking:
@@ -360,11 +329,11 @@ def print_report(report: DataSetReport, console: Console) -> None:
         lines.append("Gaps, which are no damage: a place is used in the views that it has.")
         lines += [f"  {line}" for item in report.gaps for line in _some(f"of {item.of} {item.what}", item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
-    lines += _some("groups of files in one list are equal", [" = ".join(g) for g in report.duplicates])
+    lines += _some("groups of files in one list are equal", [" = ".join(group) for group in report.duplicates])
     lines += [text for text in (report.gap or report.positions, *report.refused) if text]
     lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
-    for line in lines:
+    for line in (f"{report.root} is {report.title}.", table, *lines):
         console.print(line, markup=False, highlight=False)
 
 

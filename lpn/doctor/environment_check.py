@@ -21,16 +21,6 @@ from lpn.core.files import cache_folder, check_writable, printable
 Severity = Literal["OK", "note", "problem"]
 # The explorer's default address.
 HOST, PORT = "127.0.0.1", 8080
-_USES = {
-    "train": "training, export, reading .pth, .safetensors, and .mat, a UMAP of descriptors",
-    "search": "approximate search of millions of tiles",
-    "models": "published models other than LPN",
-    "cluster": "describing on many machines, search on a server",
-    "live": "logs of autopilots, and telemetry by MAVLink",
-    "maps": "maps of your own, flights, and subtitles inside a video",
-    "register": "matching pictures better than by SIFT",
-    "dev": "the tests",
-}
 # Modules whose names differ from their packages'.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 _LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
@@ -164,15 +154,14 @@ def _install(requirement: str) -> str:
 
 
 def _extra(extra: str, packages: tuple[requirements.Package, ...]) -> Finding:
-    use, name = _USES.get(extra, "further things"), f"extra {extra}"
+    name = f"extra {extra}"
     wrong = [package for package in packages if not package.fits]
     if not wrong:
         return Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
-    missing = all(package.installed is None for package in packages)
-    message = (
-        "not installed" if missing else ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
-    )
-    return Finding(name, "note", message, f"for {use}: {_install(f'{requirements.NAME}[{extra}]')}")
+    message = ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
+    if all(package.installed is None for package in packages):
+        message = "not installed"
+    return Finding(name, "note", message, _install(f"{requirements.NAME}[{extra}]"))
 
 
 def _torch() -> Iterator[Finding]:
@@ -235,11 +224,9 @@ def _cache() -> Iterator[Finding]:
         yield Finding("cache", "problem", str(error).partition(";")[0], remedy)
         return
     free = shutil.disk_usage(folder).free
-    message = f"{folder} can be written; {free / 1e9:.1f} GB are free there"
     level: Severity = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
-    yield Finding(
-        "cache", level, message, "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
-    )
+    remedy = "" if level == "OK" else "free space, or set LPN_CACHE to a folder elsewhere"
+    yield Finding("cache", level, f"{folder} can be written; {free / 1e9:.1f} GB are free there", remedy)
 
 
 def _port() -> Iterator[Finding]:
@@ -250,14 +237,11 @@ def _port() -> Iterator[Finding]:
         yield Finding("port", "OK", f"{PORT} on {HOST} is free")
 
 
-_RESTORE = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
-
-
 def _demo(demo: Path) -> Iterator[Finding]:
-    if not demo.is_dir():
-        yield Finding("demo", "problem", "its files are missing", _RESTORE)
-    elif error := _demo_error(demo):
-        yield Finding("demo", "problem", error.rstrip("."), _RESTORE)
+    restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
+    error = _demo_error(demo) if demo.is_dir() else "its files are missing"
+    if error:
+        yield Finding("demo", "problem", error.rstrip("."), restore)
     else:
         yield Finding("demo", "OK", "model, descriptors, and pictures are undamaged")
 
@@ -272,20 +256,16 @@ def _demo_error(demo: Path) -> str | None:
         if not verdict.whole:
             return verdict.message
     try:
-        for file, stores in (
-            (demo / "lpn.onnx", demo / STORES),
-            (demo / DEMO_BASELINE.name, demo / STORES / "baseline"),
-        ):
-            if file.name == DEMO_BASELINE.name and not file.is_file():
+        for name, stores in (("lpn.onnx", demo / STORES), (DEMO_BASELINE.name, demo / STORES / "baseline")):
+            if name == DEMO_BASELINE.name and not (demo / name).is_file():
                 continue
-            fingerprint = lpn.load(file, "cpu").fingerprint
-            for store in sorted(
-                path for path in stores.iterdir() if path.is_dir() and path.name not in ("baseline", "calibrated")
-            ):
-                manifest = open_store(store).manifest
-                name = store.relative_to(demo)
+            fingerprint = lpn.load(demo / name, "cpu").fingerprint
+            for store in sorted(stores.iterdir()):
+                if not store.is_dir() or store.name in ("baseline", "calibrated"):
+                    continue
+                manifest, inside = open_store(store).manifest, store.relative_to(demo)
                 if manifest.fingerprint != fingerprint:
-                    return f"{file.name} is not the model that {name} was made with, so one of them is damaged"
+                    return f"{name} is not the model that {inside} was made with, so one of them is damaged"
                 role = store.name.partition("_")[0]
                 for row in manifest.rows:
                     picture = demo / "test" / f"{role}_{manifest.view}" / row.file

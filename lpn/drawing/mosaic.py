@@ -10,7 +10,6 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.datasets import Picture
 from lpn.drawing import overlays, theme
-from lpn.maps import Map, Window
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Pixels of the mosaic's longer side.
@@ -47,16 +46,6 @@ def empty(geometry: GalleryGeometry) -> UInt8Array:
     canvas = np.empty((max(round((north - south) * scale), 1), max(round((east - west) * scale), 1), 3), np.uint8)
     canvas[:] = _EARTH
     return canvas
-
-
-def draw_map(geometry: GalleryGeometry, basemap: Map) -> UInt8Array:
-    """Draw the ground of a geometry from the map whose windows are its tiles: as `draw`; black where the map has no data."""
-    west, south, east, north = geometry.bounds()
-    side = max(east - west, north - south)
-    x, y = basemap.frame.xy([geometry.origin.latitude], [geometry.origin.longitude])[0]
-    picture, _ = basemap.read(Window(x + west + side / 2, y + north - side / 2, side), LARGEST)
-    rows, columns = (max(round(length / side * LARGEST), 1) for length in (north - south, east - west))
-    return np.ascontiguousarray(picture[:rows, :columns])
 
 
 def _paste(canvas: UInt8Array, tile: UInt8Array, left: int, top: int) -> None:

@@ -8,12 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from lpn.core.arrays import Float64Array, FloatingArray
-from lpn.core.numbers import distance, rounded_to_sum, shown_difference, signed, wrap_degrees
-from lpn.core.texts import listed
+from lpn.core.numbers import rounded_to_sum, signed, wrap_degrees
+from lpn.core.texts import listed, ordinal
 from lpn.core.views import View
 from lpn.drawing.words import capitalised, plain, say, unit
 from lpn.explain import Evidence
-from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
+from lpn.explain.counterfactual import Effect, Reweighting
 from lpn.explain.lead_places import LeadPlace, middle_of
 from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.models.contract import Contract
@@ -29,12 +29,6 @@ _ALIKE = 0.9
 _RIGHT_HEADING, _ROUGH_HEADING = 15.0, 45.0
 # Verbs after one part and after several.
 _LEADS, _COSTS = ("does most of it", "do most of it"), ("costs it most", "cost it most")
-
-
-def ordinal(rank: int) -> str:
-    """Return 1st, 2nd, 3rd, 4th, ..."""
-    suffix = "th" if 10 <= rank % 100 <= 20 else {1: "st", 2: "nd", 3: "rd"}.get(rank % 10, "th")
-    return f"{rank}{suffix}"
 
 
 def describe_rank(match: Match) -> str:
@@ -187,70 +181,6 @@ def no_cells(contract: Contract) -> str:
     )
 
 
-def verdict(
-    first: Match,
-    positive: Match | None,
-    negative: Match | None,
-    part_names: Sequence[str],
-    error_m: float | None = None,
-) -> tuple[bool, str, str]:
-    """Judge the answer to a query whose place is known.
-
-    The decisive parts are those with the largest differences of shares of the squared distance, see `leading_parts`.
-
-    Args:
-        first: the top match.
-        positive: the nearest true match; None where the gallery has none.
-        negative: the hardest negative; None where there is no wrong tile to compare with.
-        error_m: metres from what the query shows to the top match; None where that is unknown.
-
-    Returns:
-        True where the top match is true, else False, also where no answer can be right; a headline; and a sentence that gives
-        the reason.
-    """
-    if positive is None:
-        reason = "The gallery has no tile of this place, so no answer can be right."
-        if plain():
-            reason = "None of the pictures that were searched shows this place, so no answer can be right."
-        return False, f"No {say('positive')}", reason
-    if positive.rank == 1:
-        found = "Found: the answer is right" if plain() else "Found: the top match is true"
-        if negative is None:
-            return True, found, f"No wrong tile is near; {next_tile(first)}."
-        margin = negative.contributions - positive.contributions
-        total = shown_difference(negative.distance2, positive.distance2)
-        return (
-            True,
-            found,
-            f"It leads the {say('hardest negative')} by {total:.3f}{unit()}{_decisive(margin, part_names, total)}.",
-        )
-    top = "answer" if plain() else "top match"
-    if positive.beyond and positive.distance2 < first.distance2:
-        lead = first.distance2 - positive.distance2
-        return (
-            False,
-            f"Missed: the search did not return the {say('positive')}",
-            f"It would lead the {top} by {lead:.3f}{unit()}: the index searches approximately.",
-        )
-    margin = first.contributions - positive.contributions
-    total = shown_difference(first.distance2, positive.distance2)
-    off = "" if error_m is None else f" The answer lies {distance(error_m)} from the place photographed."
-    return (
-        False,
-        f"Wrong: the {say('positive')} is {describe_rank(positive)}",
-        f"It is {abs(total):.3f}{unit()} behind the {top}{_decisive(margin, part_names, total, costs=True)}.{off}",
-    )
-
-
-def next_tile(first: Match) -> str:
-    """Say how far behind the top match the next tile is, as a clause."""
-    if first.gap is None:
-        return "there is no other tile"
-    if plain():
-        return f"the next best is {first.shown_gap:.3f} behind it"
-    return f"the next tile is {first.shown_gap:.3f} further away (d²)"
-
-
 def describe_margin(
     margin: FloatingArray, part_names: Sequence[str], name: str | None = None, total: float | None = None
 ) -> str:
@@ -266,37 +196,6 @@ def describe_margin(
     if total >= 0:
         return f"{name} leads by {total:.3f}{unit()}{_decisive(margin, part_names, total)}."
     return f"{name} is {-total:.3f}{unit()} behind{_decisive(margin, part_names, total, costs=True)}."
-
-
-def describe_ablation(without: RanksWithoutParts, part_names: Sequence[str], name: str | None = None) -> str:
-    """Say which part, left out, would change the rank of a tile most, or all parts without any one of which it would be first.
-
-    A model of one part has none to leave out, and the text is empty.
-    """
-    if len(part_names) == 1:
-        return ""
-    name, a_part = name or f"the {say('positive')}", say("part")
-    ranks = {part: standing.rank for part, standing in enumerate(without.without) if standing is not None}
-    if without.now.rank == 1:
-        needed = [part for part, rank in ranks.items() if rank > 1]
-        if not needed:
-            return f"No single {a_part} is needed: without any one of them {name} stays first."
-        worst = max(needed, key=ranks.__getitem__)
-        more = f" ({len(needed)} of {len(without.without)} {say('part', 2)} are needed)" if len(needed) > 1 else ""
-        return f"Without {a_part} {part_names[worst]} {name} would fall to {ordinal(ranks[worst])}{more}."
-    if without.parts_to_remove:
-        parts = [part_names[part] for part in without.parts_to_remove]
-        which = f"{a_part} {parts[0]}" if len(parts) == 1 else f"any one of the {say('part', 2)} {listed(parts)}"
-        return f"Without {which} {name} would be first."
-    text = f"No single {a_part} is to blame alone"
-    best = min(ranks, key=ranks.__getitem__, default=0)
-    if ranks and ranks[best] < without.now.rank:
-        text += f": at best, without {a_part} {part_names[best]}, {name} would be {ordinal(ranks[best])}"
-    elif ranks:
-        text += f": {name} ranks no better without any one of them"
-    if without.best_alone is not None:
-        text += f"; {a_part} {part_names[without.best_alone]} alone puts it first"
-    return f"{text}."
 
 
 def describe_reweighting(change: Reweighting | None, effect: Effect | None) -> str:

@@ -60,47 +60,19 @@ def margin(ranking: Ranking, positive: int, negative: int) -> Margin:
 
 
 @dataclass(frozen=True)
-class PositiveRank:
-    """The nearest positive under some part weights.
-
-    Attributes:
-        rank: 1 for the nearest of all tiles.
-        margin: over the hardest negative, in d²; infinite where there is no negative.
-    """
-
-    rank: int
-    margin: float
-
-
-@dataclass(frozen=True)
 class RanksWithoutParts:
     """The rank of the nearest positive without each part, and by each part alone.
 
     Attributes:
-        now: the rank under the ranking's weights.
+        now: the rank under the ranking's weights, 1 for the nearest of all tiles.
         without: the rank without each part, the other weights scaled to a sum of one; None if all other parts have weight 0
             or are empty in the query (see `Ranking.lengths`).
         alone: the rank by each part alone; None if the part is empty in the query.
     """
 
-    now: PositiveRank
-    without: tuple[PositiveRank | None, ...]
-    alone: tuple[PositiveRank | None, ...]
-
-    @property
-    def parts_to_remove(self) -> list[int]:
-        """The parts (from 0), each of which puts the positive first when it alone is removed; none if it is first already."""
-        if self.now.rank == 1:
-            return []
-        return [part for part, standing in enumerate(self.without) if standing is not None and standing.rank == 1]
-
-    @property
-    def best_alone(self) -> int | None:
-        """The part (from 0) that ranks the positive first on its own; None if no part does.
-
-        If several parts do, this is the part with the largest margin.
-        """
-        return _best(self.alone)
+    now: int
+    without: tuple[int | None, ...]
+    alone: tuple[int | None, ...]
 
 
 def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWithoutParts | None:
@@ -121,7 +93,7 @@ def ranks_without_parts(ranking: Ranking, tile: int | None = None) -> RanksWitho
     n = len(ranking.weights)
     nonempty = np.ones(n, bool) if ranking.lengths is None else ranking.lengths > 0
 
-    def rank_by(values: FloatingArray) -> PositiveRank | None:
+    def rank_by(values: FloatingArray) -> int | None:
         # Empty parts give every tile the same score, so a rank by them would be meaningless.
         if not (values[nonempty] > 0).any():
             return None
@@ -162,7 +134,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
     positives, negatives = _split(ranking, tile)
     if not len(positives):
         return None
-    if _positive_rank(ranking, ranking.weights, positives, negatives).rank == 1:
+    if _positive_rank(ranking, ranking.weights, positives, negatives) == 1:
         return Reweighting(ranking.weights)
     n, now = len(ranking.weights), ranking.weights.astype(np.float64)
     now /= now.sum()
@@ -178,7 +150,7 @@ def smallest_change(ranking: Ranking, tile: int | None = None) -> Reweighting | 
             continue
         solution = now + basis @ step
         weights = scoring.part_weights(n, np.where(solution < 1e-9, 0.0, solution))
-        if _positive_rank(ranking, weights, positives, negatives).rank == 1:
+        if _positive_rank(ranking, weights, positives, negatives) == 1:
             reach = float(np.linalg.norm(step))
             best = Reweighting(weights)
     return best
@@ -260,20 +232,10 @@ def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:
     return ranked[true], ranked[~true]
 
 
-def _positive_rank(
-    ranking: Ranking, weights: Float32Array, positives: Int64Array, negatives: Int64Array
-) -> PositiveRank:
-    """Return the rank that `retrieval.rank` would give: float32 scores, ties in gallery order."""
+def _positive_rank(ranking: Ranking, weights: Float32Array, positives: Int64Array, negatives: Int64Array) -> int:
+    """Return the 1-based rank that `retrieval.rank` would give: float32 scores, ties in gallery order."""
     scores = ranking.similarities @ weights
     index = positives[int(np.argmax(scores[positives]))]
     score, others = scores[index], scores[negatives]
     ties_before = np.count_nonzero(others[: np.searchsorted(negatives, index)] == score)
-    rank = 1 + np.count_nonzero(others > score) + ties_before
-    return PositiveRank(int(rank), 2 * (float(score) - float(others.max())) if len(others) else np.inf)
-
-
-def _best(ranks: Sequence[PositiveRank | None]) -> int | None:
-    margins = {
-        part: part_rank.margin for part, part_rank in enumerate(ranks) if part_rank is not None and part_rank.rank == 1
-    }
-    return max(margins, key=margins.__getitem__, default=None)
+    return int(1 + np.count_nonzero(others > score) + ties_before)

@@ -1,6 +1,6 @@
 """Windows of a map into an index, block by block: neither windows nor descriptors of a whole county are ever in memory.
 
-A store of descriptors (`lpn.descriptors.map_windows`) lists all windows in its manifest. Here a window is known by its name in
+A store of descriptors (`lpn.locate.map_windows`) lists all windows in its manifest. Here a window is known by its name in
 the index only. So 10^7 windows need no more memory than 10^4.
 """
 

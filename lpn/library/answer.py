@@ -1,28 +1,33 @@
-"""The answer of a gallery to one picture: its ranking, the reason as a figure, and both as HTML for a notebook."""
+"""The answer to one query: the one object that the app, reports, stories, notebooks, and JSON render."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any, Self
 
 from markupsafe import Markup
 
-from lpn import explain, retrieval
-from lpn.core.arrays import UInt8Array
+from lpn import explain
+from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import check_ending, printable, write_atomic
 from lpn.core.notebook_html import table
-from lpn.core.views import View
-from lpn.datasets import Picture
 from lpn.drawing import charts, overlays, pair_figure, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.models.base import Model
-from lpn.models.trace import Trace
+from lpn.explain import Correspondences, Evidence
 from lpn.retrieval import DescribedPicture, Match, Ranking
+from lpn.tasks import verdict
+from lpn.tasks.task import Task
+from lpn.tasks.verdict import Verdict
 
-_SHOWN = 5
+# Matches that a notebook shows.
+SHOWN = 5
 _THUMBNAIL = 96
+_SIGNS = {True: "✓ ", False: "✗ ", None: ""}
 
 
 @dataclass(frozen=True)
@@ -58,22 +63,75 @@ class PairPicture:
 
 
 @dataclass(frozen=True, eq=False)
-class Answer:
-    """A gallery in the order of its distance to one picture; a notebook shows its first matches.
+class PairEvidence:
+    """The evidence for the score of a pair.
 
     Attributes:
-        model: it described query and gallery.
-        views: of query and gallery.
-        query: the picture after its change, with its descriptor.
-        pictures: of the gallery.
-        ranking: of all pictures, under the part weights of the search.
+        correspondences: of the query's cells and of the tile's; None unless requested.
     """
 
-    model: Model
-    views: tuple[View, View]
+    evidence: Evidence
+    correspondences: tuple[Correspondences, Correspondences] | None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Answer:
+    """The gallery of a task in the order of its distance to one query, with a verdict; a notebook shows its first matches.
+
+    Attributes:
+        task: the query's; its gallery was searched.
+        name: the query's name.
+        query: the query after its change, with its descriptor.
+        ranking: of the gallery, under the part weights of the search.
+        matches: the nearest tiles.
+        chosen: the tile that the query is compared with.
+        describe_tile: describes a tile of the task by its gallery position.
+        source: the query's picture before the change, (H, W, 3) uint8.
+        tile: the compared tile, described; None where that waits until it is needed.
+        positive: the nearest positive; None if the query has none, or its place is not known.
+        errors_m: metres from the place that the query shows to each tile, (G,); of the user's own picture, from its camera. None
+            without positions.
+        zoom: of the query's picture, see `Picture.zoom`; of the user's own picture the one that a calibration chose.
+        pair_evidence: of the compared tile; None if it was not requested, or there is no network.
+        seconds: time that the answer took.
+    """
+
+    task: Task
+    name: str
     query: DescribedPicture
-    pictures: tuple[Picture, ...]
     ranking: Ranking
+    matches: list[Match]
+    chosen: Match
+    describe_tile: Callable[[Task, int], DescribedPicture]
+    source: UInt8Array
+    tile: DescribedPicture | None = None
+    positive: Match | None = None
+    errors_m: Float64Array | None = None
+    zoom: float = 1.0
+    pair_evidence: PairEvidence | None = None
+    seconds: float = 0.0
+
+    @cached_property
+    def verdict(self) -> Verdict:
+        """Whether the first match is right, and which parts make it so."""
+        return verdict.judge(
+            self.ranking, self.task.part_names, self.task.contract.part_noun, self.error_m(self.matches[0])
+        )
+
+    def error_m(self, match: Match) -> float | None:
+        """Return the metres from the place that the query shows to a tile; None where that is unknown."""
+        error_m = math.nan if self.errors_m is None else float(self.errors_m[match.index])
+        return error_m if math.isfinite(error_m) else None
+
+    def ungraded(self) -> Self:
+        """Return the answer to a query whose place is not known."""
+        return replace(
+            self,
+            ranking=replace(self.ranking, relevant=None),
+            matches=[replace(match, true=None) for match in self.matches],
+            chosen=replace(self.chosen, true=None),
+            positive=None,
+        )
 
     def top(self, k: int) -> list[NamedMatch]:
         """The k nearest pictures, or all when there are fewer.
@@ -81,16 +139,16 @@ class Answer:
         A match has `rank` (1 for the nearest), `name`, `index` in the gallery, `score`, `distance2` (d², 0 .. 4), `cosines` of
         the parts (n,), and `contributions`, their shares of d² (n,), which add up to it.
         """
-        return [NamedMatch(**vars(match), name=self.pictures[match.index].name) for match in self.ranking.top(k)]
+        return [NamedMatch(**vars(match), name=self.task.gallery[match.index].name) for match in self.ranking.top(k)]
 
-    def evidence(self, rank: int = 1) -> explain.Evidence:
-        """Account for the score of the picture at a rank, cell by cell; the picture is described once more.
+    def evidence(self, rank: int = 1) -> Evidence:
+        """Account for the score of the picture at a rank, cell by cell; the picture may be described once more.
 
         Raises:
             InputError: if there is no such rank, or the model gives no cells.
             PictureError: if the picture cannot be read any more.
         """
-        return self._pair(rank)[0]
+        return self._pair(rank)[1]
 
     def figure(self, rank: int = 1) -> PairPicture:
         """Draw the query beside the picture at a rank: their parts, the evidence of their cells, and bars for each part.
@@ -99,53 +157,80 @@ class Answer:
             InputError: if there is no such rank, or the model gives no cells.
             PictureError: if the picture cannot be read any more.
         """
-        evidence, tile, traces = self._pair(rank)
-        pictures = [
-            self.model.as_partitioned(one.picture, view)
-            for one, view in zip((self.query, tile), self.views, strict=True)
-        ]
-        areas = [
-            PartAreas.of(self.model.contract, view, trace.size, trace)
-            for view, trace in zip(self.views, traces, strict=True)
-        ]
-        name = printable(self.pictures[int(self.ranking.order[rank - 1])].name)
-        titles = f"Query, {self.views[0]}", f"Rank {rank} of {len(self.pictures):,}, {self.views[1]}: {name}"
-        return PairPicture(
-            pair_figure.draw(
-                evidence, (pictures[0], pictures[1]), titles, self.views, self.model.contract, (areas[0], areas[1])
+        tile, evidence = self._pair(rank)
+        model, contract, views = self.task.model, self.task.contract, self.task.views
+        assert model is not None  # it gave the cells
+        (one, first), (other, second) = (
+            (
+                model.as_partitioned(shown.picture, view),
+                PartAreas.of(contract, view, self.task.map_sizes[view], shown.trace),
             )
+            for shown, view in zip((self.query, tile), views, strict=True)
         )
+        name = printable(self.task.gallery[int(self.ranking.order[rank - 1])].name)
+        titles = f"Query, {views[0]}", f"Rank {rank} of {self.task.tiles:,}, {views[1]}: {name}"
+        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, contract, (first, second)))
 
-    def _pair(self, rank: int) -> tuple[explain.Evidence, DescribedPicture, tuple[Trace, Trace]]:
-        """Return the evidence for the picture at a rank, the picture, and the traces of query and picture."""
-        if rank not in range(1, len(self.pictures) + 1):
-            raise InputError(f"There is no rank {rank}; the gallery has ranks 1 to {len(self.pictures)}.")
-        if self.query.trace is None:
-            raise InputError(f"{verdicts.no_cells(self.model.contract)} Its answers have no figure.")
-        index = int(self.ranking.order[rank - 1])
-        picture = self.pictures[index].load_zoomed()
-        tile = retrieval.describe_picture(self.model, picture, self.views[1])
-        assert tile.trace is not None  # cells are of the model, not of a view
-        return (
-            explain.evidence(self.query.trace, tile.trace, self.ranking.weights, self.ranking.csls_of(index)),
-            tile,
-            (self.query.trace, tile.trace),
-        )
+    def _pair(self, rank: int) -> tuple[DescribedPicture, Evidence]:
+        """Return the picture at a rank, described, and the evidence for it."""
+        if rank not in range(1, len(self.ranking.order) + 1):
+            raise InputError(f"There is no rank {rank}; the gallery has ranks 1 to {len(self.ranking.order)}.")
+        match = self.ranking.match(rank - 1)
+        tile = self.tile if self.tile is not None and match.index == self.chosen.index else None
+        tile = tile or self.describe_tile(self.task, match.index)
+        pair = pair_evidence(self.query, tile, self.ranking.weights, csls=self.ranking.csls_of(match.index))
+        if pair is None:
+            raise InputError(f"{verdicts.no_cells(self.task.contract)} Its answers have no figure.")
+        return tile, pair.evidence
+
+    def to_dict(self, k: int = 10) -> dict[str, Any]:
+        """The answer as JSON values: the verdict, its k nearest tiles with each part's share of d², and the evidence, if any."""
+        said, names = self.verdict, self.task.part_names
+        rival = None if said.rival is None else self._listed(said.rival)
+        judged: dict[str, Any] = {
+            "sign": said.sign,
+            "headline": said.headline,
+            "sentence": said.sentence,
+            "rival": rival,
+        }
+        judged |= {"lead": said.lead, "gains": None if said.gains is None else said.gains.tolist()}
+        values: dict[str, Any] = {
+            "query": self.name,
+            "task": self.task.name,
+            "weights": self.ranking.weights.tolist(),
+            "verdict": judged | {"parts": [names[part] for part in said.parts]},
+            "compared": self._listed(self.chosen),
+            "nearest": [self._listed(match) for match in self.ranking.top(k)],
+        }
+        pair = self.pair_evidence
+        return values if pair is None else values | pair.evidence.to_dict(names, self.task.contract.claim)
+
+    def _listed(self, match: Match) -> dict[str, Any]:
+        return {
+            "rank": match.rank_text if match.beyond else match.rank,
+            "name": self.task.gallery[match.index].name,
+            "true": match.true,
+            "score": match.score,
+            "distance2": match.distance2,
+            "shares": match.contributions.tolist(),
+            "metres": self.error_m(match),
+        }
 
     def _repr_html_(self) -> str:
-        matches, names = self.top(_SHOWN), self.model.contract.names(self.views[0])
+        matches, names, view = self.top(SHOWN), self.task.part_names, self.task.gallery_view
         full = max((match.distance2 for match in matches), default=0.0)
         rows: list[tuple[object, ...]] = [(Markup("<b>query</b>"), _thumbnail(self.query.picture), "", "", "")]
         for match in matches:
             shares = _bar(match, full, names)
-            picture = _thumbnail(self.pictures[match.index].load())
+            picture = _thumbnail(self.task.gallery[match.index].load())
             rows.append((match.rank, picture, printable(match.name), Markup(f"{match.distance2:.4f}"), shares))
         legend = Markup(", ").join(
             Markup('<span style="border-bottom: .25em solid {}">{}</span>').format(charts.part_colour(part), name)
             for part, name in enumerate(names)
         )
         bars = Markup("contributions to d²: {}").format(legend) if len(names) > 1 else ""
-        caption = f"{len(matches)} of {len(self.pictures):,} {self.views[1]} pictures, by their distance to the query"
+        caption = f"{len(matches)} of {self.task.tiles:,} {view} pictures, by their distance to the query"
+        caption = f"{_SIGNS[self.verdict.sign]}{self.verdict.headline}. {self.verdict.sentence} {caption}"
         return table(caption, ("rank", "", "name", "d²", bars), rows)
 
 
@@ -165,3 +250,22 @@ def _bar(match: NamedMatch, full: float, names: Sequence[str]) -> Markup:
 def _thumbnail(picture: UInt8Array) -> Markup:
     small = overlays.data_uri(overlays.square(picture, _THUMBNAIL))
     return Markup('<img src="{}" width="{}" height="{}" alt="">').format(small, _THUMBNAIL, _THUMBNAIL)
+
+
+def pair_evidence(
+    query: DescribedPicture,
+    tile: DescribedPicture,
+    weights: Float32Array,
+    correspondences: bool = False,
+    csls: tuple[Float32Array, Float32Array] | None = None,
+) -> PairEvidence | None:
+    """The evidence of a pair under part weights (n,) that sum to one; None without a network.
+
+    Args:
+        csls: see `Evidence`.
+    """
+    if query.trace is None or tile.trace is None:
+        return None
+    evidence = explain.evidence(query.trace, tile.trace, weights, csls)
+    pairs = explain.correspondences(query.trace, tile.trace, weights) if correspondences else None
+    return PairEvidence(evidence, pairs)

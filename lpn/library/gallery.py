@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
@@ -16,12 +17,14 @@ from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.library.answer import Answer
+from lpn.library.analyser import describe_tile
+from lpn.library.answer import SHOWN, Answer
 from lpn.models.base import Model
-from lpn.retrieval import calibration, scoring
+from lpn.retrieval import DescribedPicture, Ranking, calibration, scoring
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import CslsTerms
 from lpn.retrieval.csls import hubness as hubness_of
+from lpn.tasks.gallery_task import GalleryTask
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -132,7 +135,52 @@ class Gallery:
         cosines, terms = scoring.part_cosines(query.descriptor, self.descriptors), None
         if self.hubness is not None:
             terms = CslsTerms.of_query(cosines, self.hubness, self.neighbours)
-        return Answer(model, (view, self.view), query, self.pictures, retrieval.rank(cosines, part_weights, csls=terms))
+        ranking = retrieval.rank(cosines, part_weights, csls=terms)
+        return answer_of(model, (view, self.view), query, self.pictures, self.descriptors, ranking)
+
+
+def answer_of(
+    model: Model,
+    views: tuple[View, View],
+    query: DescribedPicture,
+    pictures: Sequence[Picture],
+    descriptors_of: Float32Array,
+    ranking: Ranking,
+    name: str = "query",
+) -> Answer:
+    """Return the answer to a described picture whose place is not known.
+
+    Args:
+        model: it described query and pictures, as its `Model.for_task` of the views.
+        views: of the query and of the pictures.
+        descriptors_of: of the pictures, (G, n, D).
+        ranking: of the pictures.
+    """
+    task = GalleryTask(
+        name=f"{views[0]}-to-{views[1]}",
+        model=model,
+        model_name=model.contract.method,
+        data_name="pictures",
+        root=Path(),
+        contract=model.contract,
+        map_sizes={view: model.map_size(view) for view in views},
+        queries=(),
+        gallery=pictures,
+        query_labels=np.zeros(0, np.int64),
+        gallery_labels=np.arange(len(pictures)),
+        query_descriptors=descriptors_of[:0],
+        gallery_descriptors=descriptors_of,
+    )
+    return Answer(
+        task=task,
+        name=name,
+        query=query,
+        ranking=ranking,
+        matches=ranking.top(SHOWN),
+        chosen=ranking.match(0),
+        describe_tile=lambda task, index: describe_tile(task, index, model),
+        source=query.picture,
+    )
 
 
 def _listed(folder: str | Path) -> list[Picture]:

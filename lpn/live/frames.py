@@ -19,7 +19,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import printable
-from lpn.datasets.base import hidden_name
+from lpn.datasets.listed_paths import hidden_name
 from lpn.flights.base import Frame
 from lpn.flights.photos import read_photo
 from lpn.flights.sources import PHOTOS

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError
+from lpn.core.files import printable
 from lpn.core.numbers import upper_bound, wrap_degrees
-from lpn.datasets.rendered import TruePose, true_poses
+from lpn.datasets.rendered import TRUTH, is_rendered_flight
 from lpn.flights.cameras import rotation
 from lpn.locate.located import LocatedFlight
 
@@ -64,13 +69,13 @@ def pose_errors(located: LocatedFlight) -> PoseErrors | None:
         DataError: if the exact poses cannot be read.
     """
     folders = {located_frame.frame.file.parent for located_frame in located.frames}
-    truths: dict[str, TruePose] = {}
+    truths: dict[str, _TruePose] = {}
     for folder in sorted(folders):
-        truths |= true_poses(folder)
+        truths |= _true_poses(folder)
     return _compared(located, truths) if any(frame.frame.file.name in truths for frame in located.frames) else None
 
 
-def _compared(located: LocatedFlight, truths: Mapping[str, TruePose]) -> PoseErrors:
+def _compared(located: LocatedFlight, truths: Mapping[str, _TruePose]) -> PoseErrors:
     known = [frame for frame in located.frames if frame.frame.file.name in truths]
     flat = located.basemap.elevation is None
     rows, beyond = [], 0
@@ -87,3 +92,29 @@ def _compared(located: LocatedFlight, truths: Mapping[str, TruePose]) -> PoseErr
         rows.append((metres, abs(wrap_degrees(pose.heading - truth.heading)), abs(pose.pitch - truth.pitch), degrees))
     position, heading, pitch, turns = np.array(rows, np.float64).reshape(-1, 4).T
     return PoseErrors(len(known), len(rows), position, heading, pitch, turns, beyond, flat)
+
+
+class _TruePose(NamedTuple):
+    """WGS 84 degrees, metres above the elevation's datum, and angles in degrees."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+    heading: float
+    pitch: float
+    roll: float
+
+
+def _true_poses(photos: Path) -> dict[str, _TruePose]:
+    """Return the exact poses of the photos of a rendered flight, by their names; none for another folder."""
+    file = photos.parent / TRUTH
+    if not is_rendered_flight(photos) or not file.is_file():
+        return {}
+    names = ("latitude", "longitude", "z", "true_heading", "true_pitch", "true_roll")
+    try:
+        with file.open(newline="", encoding="utf-8") as text:
+            return {row["file"]: _TruePose(*(float(row[name]) for name in names)) for row in csv.DictReader(text)}
+    except (OSError, ValueError, KeyError, TypeError, csv.Error) as error:
+        raise DataError(
+            f"{printable(str(file))} has no exact poses; expected the file that the rendering wrote, so bring it back."
+        ) from error

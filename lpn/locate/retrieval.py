@@ -23,7 +23,6 @@ from lpn.core.filled_cache import FilledCache
 from lpn.core.progress import CountProgress, Progress
 from lpn.core.views import View
 from lpn.descriptors.cache import in_cache
-from lpn.descriptors.map_windows import describe_windows
 from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Row
 from lpn.descriptors.transforms import UNCHANGED
@@ -31,6 +30,7 @@ from lpn.descriptors.writer import fill_store, write_store
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, FrameReader, cut_size
 from lpn.locate.index_windows import WindowIndex
+from lpn.locate.map_windows import describe_windows
 from lpn.maps import Map, Window
 from lpn.models.base import Model, normalise, whitened
 from lpn.retrieval import scoring

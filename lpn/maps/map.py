@@ -276,13 +276,20 @@ class Map:
             kept ones are read-only.
         """
         if pixels != OVERVIEW:
-            return self._whole(pixels)
+            return self.picture(self.bounds, pixels)
         with self._overview_lock:
             if self._overview is None:
-                self._overview = self._whole(pixels)
+                self._overview = self.picture(self.bounds, pixels)
                 for array in self._overview:
                     array.setflags(write=False)
             return self._overview
+
+    def picture(self, bounds: Bounds, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        """Return a picture of some bounds in metres of the frame, north up, `pixels` along its longer side: as `overview`."""
+        west, south, east, north = bounds
+        side = max(east - west, north - south)
+        columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
+        return self._read(Window(west + side / 2, north - side / 2, side), pixels, (0, 0, columns, rows))
 
     def digest(self) -> str:
         """Return a digest that changes with the pixels or their places: of names, sizes, and times of change of all files.
@@ -324,13 +331,6 @@ class Map:
     def _side(self) -> float:
         """The longer side in metres."""
         return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1])
-
-    def _whole(self, pixels: int) -> tuple[UInt8Array, BoolArray]:
-        west, south, east, north = self.bounds
-        side = self._side
-        columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
-        whole = Window(west + side / 2, north - side / 2, side)
-        return self._read(whole, pixels, (0, 0, columns, rows))
 
     def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
         picture = np.zeros((part[3], part[2], 3), np.uint8)

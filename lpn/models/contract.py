@@ -160,6 +160,12 @@ class Contract:
         partition = self.partition(view)
         return [str(part + 1) for part in range(self.n_parts)] if partition is None else partition.names()
 
+    @property
+    def part_noun(self) -> str:
+        """What a part is called: "ring" if the first view is divided into several rings, else "part"."""
+        partition = self.partition(self.views[0])
+        return "ring" if partition is not None and partition.kind == "rings" and partition.n > 1 else "part"
+
     def default_role(self, view: View) -> Role:
         """Return the role of a view outside of a task: the first of the views is the gallery, as the satellite is."""
         return "gallery" if view == self.views[0] else "query"

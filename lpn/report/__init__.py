@@ -4,7 +4,7 @@ task = lpn.tasks.opening.describe_task(model, "lpn.onnx", dataset)
 write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 
-from lpn.analysis.analyser import OwnPicture
+from lpn.library.analyser import OwnPicture
 from lpn.report.cases import Options, Said, SaidDetails, SaidPicture
 from lpn.report.leaderboard_page import build_leaderboard
 from lpn.report.page import build

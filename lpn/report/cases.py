@@ -6,7 +6,6 @@ from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 
-from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile, pair_evidence
 from lpn.analysis.comparison import effect_on
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
@@ -17,6 +16,8 @@ from lpn.drawing.part_areas import PartAreas
 from lpn.explain import Evidence, counterfactual
 from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
 from lpn.explain.part_activation import part_activation
+from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
+from lpn.library.answer import Answer, pair_evidence
 from lpn.retrieval import DescribedPicture, Match, Ranking
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
@@ -148,18 +149,13 @@ class Pair:
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One query.
+    """One query: its answer, and what a report adds to it.
 
     Attributes:
-        known: True if the query's place is known, even if the gallery has no tile of it.
         doubtful: see `Options`; its place counts as not known.
         facts: names and values of the query's metadata.
         picture: the query's picture on which parts are drawn, see `Model.as_partitioned`.
         areas: of its parts; None if neither a partition nor its cells are known.
-        matches: the nearest tiles, then the nearest positive if it is not among them.
-        errors_m: error of each of `matches` in metres; None if positions are unknown.
-        positive: the nearest positive; None if none is known.
-        hardest_negative: the nearest negative; None if none is known.
         pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
             negative. The counterpart of another tile is the nearest positive.
         margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
@@ -168,22 +164,22 @@ class Case:
         effect: the effect of `change` on all queries of the task; None for a gallery that only searches know.
     """
 
-    name: str
-    known: bool
+    answer: Answer
     doubtful: bool
     facts: list[tuple[str, str]]
     picture: UInt8Array
     areas: PartAreas | None
-    ranking: Ranking
-    matches: list[Match]
-    errors_m: list[float] | None
-    positive: Match | None
-    hardest_negative: Match | None
     pairs: tuple[Pair, ...]
     margin: Margin | None
     without: RanksWithoutParts | None
     change: Reweighting | None
     effect: Effect | None
+
+    @property
+    def matches(self) -> list[Match]:
+        """The nearest tiles, then the nearest positive if it is not among them."""
+        listed, positive = self.answer.matches, self.answer.positive
+        return listed if positive is None or positive.rank <= len(listed) else [*listed, positive]
 
     @property
     def margin_shown(self) -> float | None:
@@ -192,11 +188,6 @@ class Case:
             return None
         distance2 = {pair.match.index: pair.match.distance2 for pair in self.pairs}
         return shown_difference(distance2[self.margin.negative], distance2[self.margin.positive])
-
-    @property
-    def verdict(self) -> bool | None:
-        """True if the top match is a positive; None if unknown."""
-        return self.matches[0].true if self.known else None
 
 
 class Cases:
@@ -221,31 +212,21 @@ class Cases:
         index = None if isinstance(query, OwnPicture) else query
         weights = None if task.weights is None else tuple(task.part_weights.tolist())
         request = QueryRequest(query, options.change, weights, compare=options.compared_tile)
-        analysis = self._analyser.analyse(task, request, options.matches)
-        ranking, chosen, positive, matches = analysis.ranking, analysis.chosen, analysis.positive, analysis.matches
-        if positive is not None and positive.rank > len(matches):
-            matches.append(positive)
-        hardest_negative = ranking.hardest_negative()
-        other = hardest_negative if chosen.true else positive
+        answer = self._analyser.analyse(task, request, options.matches)
+        ranking, chosen, positive = answer.ranking, answer.chosen, answer.positive
+        other = ranking.hardest_negative() if chosen.true else positive
         margin = None
         if other is not None:
             true, wrong = (chosen, other) if chosen.true else (other, chosen)
             margin = counterfactual.margin(ranking, true.index, wrong.index)
         change = None if positive is None or positive.rank == 1 else counterfactual.smallest_change(ranking)
-        errors_m = analysis.errors_m
         return Case(
-            name=analysis.name,
-            known=ranking.relevant is not None,
+            answer=answer,
             doubtful=index in options.ungraded,
             facts=self._facts(index),
-            picture=self._partitioned(analysis.query.picture, 0),
-            areas=self._areas(analysis.query, 0),
-            ranking=ranking,
-            matches=matches,
-            errors_m=None if errors_m is None else [float(errors_m[match.index]) for match in matches],
-            positive=positive,
-            hardest_negative=hardest_negative,
-            pairs=tuple(self._pair(analysis.query, match, ranking) for match in (chosen, other) if match is not None),
+            picture=self._partitioned(answer.query.picture, 0),
+            areas=self._areas(answer.query, 0),
+            pairs=tuple(self._pair(answer.query, match, ranking) for match in (chosen, other) if match is not None),
             margin=margin,
             without=counterfactual.ranks_without_parts(ranking),
             change=change,

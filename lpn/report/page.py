@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
 import lpn
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import InputError
 from lpn.drawing import verdicts
+from lpn.library.analyser import OwnPicture
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
@@ -33,7 +32,7 @@ class _ContentsTile:
 
 @dataclass(frozen=True)
 class _ContentsLine:
-    """One query in the table of contents: its tiles, the rank of the positive, the margin, and the decisive part."""
+    """One query in the table of contents: its tiles, the rank of the positive, and the margin."""
 
     verdict: bool | None
     thumbnail: str
@@ -42,7 +41,6 @@ class _ContentsLine:
     tiles: list[_ContentsTile]
     rank: int | None
     margin: float | None
-    decisive: str | None
 
 
 def build(
@@ -98,7 +96,6 @@ def build(
         figures=_figures(task),
         facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
         lines=lines,
-        decisive=Counter(line.decisive for line in lines if line.decisive).most_common(),
         sections=sections,
     ).encode()
 
@@ -159,26 +156,17 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
 
 def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
     picture = query.picture if isinstance(query, OwnPicture) else task.queries[query].load_cropped()
-    first, truth = case.matches[0], case.positive
+    first, truth = case.matches[0], case.answer.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _ContentsLine(
-        case.verdict,
+        case.answer.verdict.sign,
         thumbnail(picture),
-        case.name,
-        summary(case, task)[0],
+        case.answer.name,
+        summary(case)[0],
         [
             _ContentsTile(match.true, thumbnail(entry.load()), entry.name)
             for match, entry in ((match, task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
         case.margin_shown,
-        _decisive(case, task),
     )
-
-
-def _decisive(case: Case, task: Task) -> str | None:
-    """Name the part that speaks most for the winner of the margin; None without a margin."""
-    if case.margin is None:
-        return None
-    steps = case.margin.parts
-    return task.part_names[int(steps.argmax() if case.margin.total >= 0 else steps.argmin())]

@@ -37,7 +37,7 @@ class _PairEvidence:
 
 def section(case: Case, task: Task, number: int) -> Markup:
     """Render everything about one query."""
-    headline, reason = summary(case, task)
+    headline, reason = summary(case)
     return render(
         "query.html.j2",
         number=number,
@@ -63,27 +63,20 @@ def section(case: Case, task: Task, number: int) -> Markup:
     )
 
 
-def summary(case: Case, task: Task) -> tuple[str, str]:
+def summary(case: Case) -> tuple[str, str]:
     """Return the headline of a case and the sentence that gives its reason."""
-    if not case.known:
-        gap = case.matches[0].shown_gap
-        apart = "there is no other tile" if gap is None else f"the next tile is {gap:.3f} further away (d²)"
-        why = (
-            "It is not graded, as no tile is right for certain" if case.doubtful else "Its true place is not known here"
-        )
-        return "Nearest tile", f"{why}; {apart}."
-    error_m = case.errors_m[0] if case.errors_m else None
-    return verdicts.verdict(case.matches[0], case.positive, case.hardest_negative, task.part_names, error_m)[1:]
+    said = case.answer.verdict
+    if said.sign is not None:
+        return said.headline, said.sentence
+    why = "It is not graded, as no tile is right for certain" if case.doubtful else "Its true place is not known here"
+    return said.headline, f"{why}. {said.sentence}"
 
 
 def _sentences(case: Case, task: Task) -> list[str]:
-    sentences = []
-    several = len(task.part_names) > 1
-    if several and case.without is not None:
-        sentences.append(verdicts.describe_ablation(case.without, task.part_names))
-    if several and case.positive is not None and case.positive.rank > 1:
-        sentences.append(verdicts.describe_reweighting(case.change, case.effect))
-    return sentences
+    positive = case.answer.positive
+    if len(task.part_names) == 1 or positive is None or positive.rank == 1:
+        return []
+    return [verdicts.describe_reweighting(case.change, case.effect)]
 
 
 def _role(case: Case, match: Match) -> str:
@@ -93,8 +86,9 @@ def _role(case: Case, match: Match) -> str:
     if match.true is None:
         return "Tile looked at"
     if match.true:
-        return "The true tile" if case.positive and match.index == case.positive.index else "Another true tile"
-    negative = case.hardest_negative
+        positive = case.answer.positive
+        return "The true tile" if positive and match.index == positive.index else "Another true tile"
+    negative = case.answer.ranking.hardest_negative()
     return "Best wrong tile" if negative and match.index == negative.index else "A wrong tile"
 
 

@@ -26,7 +26,7 @@ from lpn.retrieval import csls, field_metrics, metrics, transfer
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.per_query import PerQuery
 from lpn.retrieval.protocol import Protocol, averaged, centred, sentence
-from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.saved import PublishedResult
 from lpn.retrieval.sides import TaskPictures
 
 log = logging.getLogger(__name__)
@@ -426,7 +426,7 @@ def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]
 
 
 def evaluate_saved(saved: PublishedResult, protocol: Protocol | None = None) -> Result:
-    """Evaluate the descriptors of a published result, see `lpn.retrieval.published_results`.
+    """Evaluate the descriptors of a published result, see `lpn.retrieval.saved`.
 
     Raises:
         DataError: when no query has a label of the gallery.

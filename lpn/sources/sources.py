@@ -22,7 +22,7 @@ from lpn.sources.opened import OpenedSource, query_positions, weighted
 if TYPE_CHECKING:
     from lpn.datasets import Dataset
     from lpn.models.base import Model
-    from lpn.retrieval.plain_arrays import PlainArrays
+    from lpn.retrieval.saved import PlainArrays
     from lpn.tasks.task import Task
 
 # Options of a model, which many commands have.
@@ -297,7 +297,7 @@ class Published(WithoutNetwork):
 
     def task(self) -> Task:
         from lpn.datasets import open_dataset
-        from lpn.retrieval.published_results import check_n_parts, load_saved
+        from lpn.retrieval.saved import check_n_parts, load_saved
         from lpn.tasks.published_task import published_task
 
         return published_task(load_saved(self.saved, check_n_parts(self.n_parts)), open_dataset(self.data))
@@ -334,8 +334,7 @@ class Arrays(WithoutNetwork):
 
     def load(self) -> PlainArrays:
         """Read the arrays, see `load_arrays` for the errors."""
-        from lpn.retrieval.plain_arrays import load_arrays
-        from lpn.retrieval.published_results import check_n_parts
+        from lpn.retrieval.saved import check_n_parts, load_arrays
 
         n_parts = None if self.n_parts is None else check_n_parts(self.n_parts)
         return load_arrays(self.queries, self.gallery, self.paths, n_parts, self.order, self.data)

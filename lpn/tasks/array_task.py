@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lpn.models.contract import Contract
-from lpn.retrieval.plain_arrays import PlainArrays, places_of
+from lpn.retrieval.saved import PlainArrays, places_of
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
 

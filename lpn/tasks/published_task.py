@@ -5,7 +5,7 @@ from __future__ import annotations
 from lpn.core.files import printable
 from lpn.datasets import Dataset
 from lpn.models.spec import Layout, ModelSpec
-from lpn.retrieval.published_results import PublishedResult, published_pictures
+from lpn.retrieval.saved import PublishedResult, published_pictures
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.gallery_task import GalleryTask
 

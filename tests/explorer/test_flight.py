@@ -25,7 +25,7 @@ from explorer.browse.feeds import Feeds
 from explorer.browse.query_list import entries
 from explorer.cli import ExploreFlight, ExploreNamed
 from explorer.compute import own_photos
-from explorer.compute.own_photos import OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
+from explorer.compute.own_photos import CameraPicture, OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
 from explorer.failure_lab import state as lab_state
 from explorer.failure_lab import table as lab_table
 from explorer.failure_lab.service import FailureLab
@@ -38,12 +38,12 @@ from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
+from lpn.library.analyser import OwnPicture
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher
@@ -328,7 +328,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
 
     def taken(of: int) -> OwnPicture:
         photo = photo_of(land(of), ground_to_photo((10.0, -20.0), 200.0, width, size), size)
-        return OwnPicture("mine.jpg", photo, None, frame)
+        return CameraPicture("mine.jpg", photo, frame=frame)
 
     mine, other = taken(0), taken(1)
     analysis, html = shown(mine)
@@ -467,7 +467,7 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
         assert "If the map was made of it, too" not in answer_text.trust(of_another, workspace)
         assert ("Your picture does not tell when it was taken. If" in answer_text.trust(analysis, workspace)) == known
     monkeypatch.setattr(workspace, "basemap", basemap)
-    again = OwnPicture(mine.name, mine.picture.copy(), None, frame)
+    again = CameraPicture(mine.name, mine.picture.copy(), frame=frame)
     job = progress.follow(again)
     assert job is not None
     assert job.wait(0), "the page holds its answer"

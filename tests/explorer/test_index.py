@@ -29,13 +29,13 @@ from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.analysis import part_weights
-from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison, effect_on
 from lpn.cli.main import main
 from lpn.core.errors import InputError, StoreError
 from lpn.flights import write_flight
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask
+from lpn.library.analyser import OwnPicture
 from lpn.maps import NamedWindow
 from lpn.sources import Indexed, ModelOptions
 from lpn.tasks import turned

@@ -11,12 +11,12 @@ from explorer.opening import open_model, open_source, open_tasks
 from explorer.panels import answer_text, pages
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
+from lpn.library.analyser import OwnPicture
 from lpn.models.base import normalise
-from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.saved import PublishedResult
 from lpn.sources import Published
 from lpn.tasks.published_task import published_task
 from tools.fixtures import layouts, small_worlds

@@ -26,11 +26,11 @@ from explorer.panels.stage_controls import part_bars
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.datasets import labels_of, open_dataset
 from lpn.drawing import verdicts
+from lpn.library.analyser import OwnPicture
 from lpn.retrieval.csls import NEIGHBOURS
 from lpn.retrieval.sides import TaskPictures
 from lpn.tasks.opening import calibrated

@@ -12,8 +12,8 @@ import pytest
 from explorer import session_state
 from explorer.compute.worker import Worker
 from explorer.session_state import SessionState
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import PictureError
+from lpn.library.analyser import OwnPicture
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from explorer.opening import open_model
 from explorer.session_state import POSITIVE, SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.descriptors.weather import WEATHERS
+from lpn.library.analyser import OwnPicture
 
 
 @pytest.fixture(scope="module")

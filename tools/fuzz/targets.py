@@ -219,8 +219,7 @@ def results(folder: Path) -> list[FuzzCase]:
     from scipy.io import savemat
 
     from lpn.models.base import normalise
-    from lpn.retrieval.plain_arrays import load_arrays
-    from lpn.retrieval.published_results import load_saved
+    from lpn.retrieval.saved import load_arrays, load_saved
     from lpn.tasks.array_task import array_task
 
     rng = np.random.default_rng(0)

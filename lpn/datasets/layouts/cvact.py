@@ -44,7 +44,6 @@ class CVACT(Dataset):
         "below ANU_data_small"
     )
     expected = f"a valSet in {NAME}"
-    recipes = ("cvact-released", "cvusa-paper", "cvusa-released", "safa-paper", "safa-released")
     panoramas = True
     published_sizes = sizes(
         train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},

@@ -12,8 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lpn.core.errors import DataError
-from lpn.datasets.base import Dataset, PictureRow, read_rows, sizes
+from lpn.datasets.base import Dataset, PictureRow, sizes
 from lpn.datasets.listed_paths import listed_path
+from lpn.datasets.lists import read_rows
 
 _SPLITS = {"train": "splits/train-19zl.csv", "test": "splits/val-19zl.csv"}
 _NUMBER = re.compile(r"\d{1,15}$")
@@ -28,8 +29,6 @@ class CVUSA(Dataset):
     parts = ("bingmap", "streetview", "splits")
     unusable, effect = "files named in splits", "their pairs are left out"
     expected = "a split of CVUSA, splits/val-19zl.csv"
-    recipes = ("cvusa-paper", "cvusa-released", "cvusa-released-resnet50", "safa-paper", "safa-released")
-    paper = (("street-to-satellite",), "Table II", "Table II")
     panoramas = True
     published_sizes = sizes(
         train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},

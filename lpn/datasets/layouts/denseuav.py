@@ -18,9 +18,10 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Dataset, Picture, PositionProtocol, numbered_lines, sizes
+from lpn.datasets.base import Picture, PositionProtocol, sizes
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
+from lpn.datasets.lists import numbered_lines
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
 _HEIGHT = re.compile(r"H(\d+)(_old)?\.\w+", re.IGNORECASE)
@@ -39,8 +40,6 @@ class DenseUAV(University):
     group_name = "height"
     trained_distractors = True
     measured_by: PositionProtocol | None = "DenseUAV"
-    recipes = Dataset.recipes
-    paper = None
     published_sizes = sizes(
         train={"drone": (6_768, 2_256), "satellite": (13_536, 2_256)},
         query={"drone": (2_331, 777), "satellite": (4_662, 777)},

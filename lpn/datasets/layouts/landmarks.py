@@ -13,11 +13,13 @@ import math
 import re
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, PictureRow, Size, files_below, numbered_lines
+from lpn.datasets.base import Dataset, PictureRow, Size, files_below
 from lpn.datasets.integrity import picture_errors
+from lpn.datasets.lists import numbered_lines
 
 PREFIX = "oxc1_"
 TASK = "street-to-street"
@@ -38,7 +40,7 @@ _CORRUPT = {
     "triomphe": (662, 833, 863, 867),
 }
 CORRUPT = frozenset(f"paris_{landmark}_{number:06d}" for landmark, numbers in _CORRUPT.items() for number in numbers)
-_QUERY = re.compile(r"(.+)_(\d{1,6})_query\.txt")
+_QUERY = re.compile(r".+_\d{1,6}_query\.txt")
 
 
 class Landmarks(Dataset):
@@ -61,8 +63,7 @@ class Landmarks(Dataset):
         return bool(_query_files(root))
 
     def rows(self) -> Iterator[PictureRow]:
-        queries = [_Query(self.root, file) for file in _query_files(self.root)]
-        queries.sort(key=lambda query: (query.landmark, query.number))
+        queries = sorted((_query(self.root, file) for file in _query_files(self.root)), key=lambda one: one[:2])
         self.none_whole = f"has the picture of none of its {len(queries)} queries; add them as .jpg"
         if len({query.prefixed for query in queries}) > 1:
             raise DataError(
@@ -70,61 +71,63 @@ class Landmarks(Dataset):
             )
         if queries[0].prefixed or all(query.picture.startswith("paris_") for query in queries):
             self.kind, self.title = "Oxford5k" if queries[0].prefixed else "Paris6k", ""
-            self.published_sizes, self.paper = FULL[self.kind], ((TASK,), "Table VI", "Table VI")
+            self.published_sizes = FULL[self.kind]
         files = _by_name(self.root)
-        for file, why in picture_errors(list(files.values())).items():
-            published = self.kind == "Paris6k" and file.stem in CORRUPT
-            self.leave_out(file.relative_to(self.root).as_posix(), why, published)
-            del files[file.stem]
-        broken = {Path(item.file).stem for item in self.left_out}
+        broken = {file.stem: why for file, why in picture_errors(list(files.values())).items()}
+        for name, why in broken.items():
+            published = self.kind == "Paris6k" and name in CORRUPT
+            self.leave_out(files.pop(name).relative_to(self.root).as_posix(), why, published)
         landmarks = {name: index for index, name in enumerate(sorted({query.landmark for query in queries}))}
         of_landmark = {name: landmarks[query.landmark] for query in reversed(queries) for name in query.good}
         for index, (name, file) in enumerate(files.items()):
             yield PictureRow("test/gallery_street", file, of_landmark.get(name, len(landmarks) + index), name)
         for query in queries:
-            for name in query.names():
+            for name in (query.picture, *query.good, *query.junk):
                 if name not in files and name not in broken:
                     self.leave_out(f"{name}.jpg")
             good, junk = ([files[name] for name in names if name in files] for names in (query.good, query.junk))
-            if (file_of := files.get(query.picture)) is not None:
-                label = landmarks[query.landmark]
-                yield PictureRow("test/query_street", file_of, label, query.name, box=query.box, true=good, junk=junk)
+            if (shown := files.get(query.picture)) is not None:
+                label, name = landmarks[query.landmark], f"{query.landmark}_{query.number}"
+                yield PictureRow("test/query_street", shown, label, name, box=query.box, true=good, junk=junk)
 
     def tasks(self) -> list[str]:
         return [TASK]
 
 
-class _Query:
-    """The four ground-truth files of one query."""
+class _Query(NamedTuple):
+    landmark: str
+    number: int
+    prefixed: bool
+    picture: str
+    box: tuple[float, float, float, float]
+    good: list[str]
+    junk: list[str]
 
-    def __init__(self, root: Path, file: Path) -> None:
-        matched = _QUERY.fullmatch(file.name)
-        assert matched is not None
-        self.landmark, self.number = matched[1], int(matched[2])
-        self.name = f"{self.landmark}_{matched[2]}"
-        where = file.relative_to(root).as_posix()
-        lines = [line for _, line in numbered_lines(file, where)]
-        values = lines[0].split() if len(lines) == 1 else []
-        try:
-            left, top, right, bottom = (float(value) for value in values[1:])
-        except ValueError:
-            left = top = right = bottom = math.nan
-        if not (all(map(math.isfinite, (left, top, right, bottom))) and left < right and top < bottom):
-            content = printable(lines[0][:80]) if lines else "nothing"
-            raise DataError(
-                f"{where} says {content!r} in {len(lines)} lines; expected one line: a picture's name and its box as left, top, "
-                "right, bottom in pixels."
-            )
-        self.box = (left, top, right, bottom)
-        self.prefixed = values[0].startswith(PREFIX)
-        self.picture = _name(values[0].removeprefix(PREFIX), f"Line 1 of {where}")
-        good, ok, self.junk = (
-            _names(root, file.with_name(f"{self.name}_{kind}.txt")) for kind in ("good", "ok", "junk")
+
+def _query(root: Path, file: Path) -> _Query:
+    """Read the four ground-truth files of one query."""
+    where = file.relative_to(root).as_posix()
+    lines = [line for _, line in numbered_lines(file, where)]
+    values = lines[0].split() if len(lines) == 1 else []
+    try:
+        left, top, right, bottom = map(float, values[1:])
+    except ValueError:
+        left = top = right = bottom = math.nan
+    if not (math.isfinite(left + top + right + bottom) and left < right and top < bottom):
+        content = printable(lines[0][:80]) if lines else "nothing"
+        raise DataError(
+            f"{where} says {content!r} in {len(lines)} lines; expected one line: a picture's name and its box as left, top, "
+            "right, bottom in pixels."
         )
-        self.good = list(dict.fromkeys(good + ok))
-
-    def names(self) -> list[str]:
-        return [self.picture, *self.good, *self.junk]
+    stem = file.name.removesuffix("_query.txt")
+    good, ok, junk = (
+        [_name(text, at) for at, text in numbered_lines(listed, listed.relative_to(root).as_posix())]
+        for listed in (file.with_name(f"{stem}_{kind}.txt") for kind in ("good", "ok", "junk"))
+    )
+    landmark, _, number = stem.rpartition("_")
+    picture = _name(values[0].removeprefix(PREFIX), f"Line 1 of {where}")
+    prefixed, box = values[0].startswith(PREFIX), (left, top, right, bottom)
+    return _Query(landmark, int(number), prefixed, picture, box, list(dict.fromkeys(good + ok)), junk)
 
 
 def _query_files(root: Path) -> list[Path]:
@@ -135,15 +138,10 @@ def _query_files(root: Path) -> list[Path]:
 def _by_name(root: Path) -> dict[str, Path]:
     files: dict[str, Path] = {}
     for file in sorted(files_below(root, (".jpg", ".jpeg")), key=lambda file: (file.stem, file)):
-        if file.stem in files:
-            both = " and ".join(printable(f.relative_to(root).as_posix()) for f in (files[file.stem], file))
+        if (other := files.setdefault(file.stem, file)) != file:
+            both = " and ".join(printable(f.relative_to(root).as_posix()) for f in (other, file))
             raise DataError(f"{root.name} has two pictures of one name, {both}; keep one, or give a folder with one.")
-        files[file.stem] = file
     return files
-
-
-def _names(root: Path, file: Path) -> list[str]:
-    return [_name(text, where) for where, text in numbered_lines(file, file.relative_to(root).as_posix())]
 
 
 def _name(text: str, where: str) -> str:

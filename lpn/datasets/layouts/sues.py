@@ -19,8 +19,10 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
-from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, read_text, sizes
+from lpn.datasets.base import Dataset, Picture, PictureRow, sizes
 from lpn.datasets.layouts.university import place_pictures
+from lpn.datasets.listed_paths import hidden_name
+from lpn.datasets.lists import read_text
 
 HEIGHTS = ("150", "200", "250", "300")
 INDEX = "indexs.yaml"
@@ -51,12 +53,13 @@ class SUES200(Dataset):
     )
 
     def rows(self) -> Iterator[PictureRow]:
-        if _is_raw(self.root):
-            yield from _raw(self.root)
-        else:
-            yield from _split(self.root, "train", {"train/drone": "drone", "train/satellite": "satellite"})
-            test = [f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite")]
-            yield from _split(self.root, "test", {f"test/{name}": name for name in test})
+        drone = _drone_folder(self.root)
+        if (self.root / _TILES).is_dir() and (drone is not None or (self.root / INDEX).is_file()):
+            yield from _raw(self.root, drone)
+            return
+        yield from _split(self.root, "train", ["drone", "satellite"], "train/")
+        test = [f"{role}_{view}" for role in ("query", "gallery") for view in ("drone", "satellite")]
+        yield from _split(self.root, "test", test, "test/")
 
 
 def _drone_folder(root: Path) -> Path | None:
@@ -64,13 +67,8 @@ def _drone_folder(root: Path) -> Path | None:
     return next((path for path in folders if not hidden_name(path.name)), None)
 
 
-def _is_raw(root: Path) -> bool:
-    """Return whether a folder is SUES-200's raw form, or what is left of it."""
-    return (root / _TILES).is_dir() and (_drone_folder(root) is not None or (root / INDEX).is_file())
-
-
-def _split(root: Path, split: str, lists: dict[str, str]) -> Iterator[PictureRow]:
-    """Yield the drone pictures of all heights, and the tiles of the first height that has some, by list and folder."""
+def _split(root: Path, split: str, names: list[str], before: str) -> Iterator[PictureRow]:
+    """Yield the drone pictures of all heights, and the tiles of the first height that has some."""
     top = next((root / name for name in _SPLITS[split] if (root / name).is_dir()), None)
     if top is None:
         return
@@ -79,23 +77,23 @@ def _split(root: Path, split: str, lists: dict[str, str]) -> Iterator[PictureRow
         raise DataError(
             f"{top.name} of {printable(root.name)} has no folder {', '.join(HEIGHTS)}; expected one for each height of SUES-200."
         )
-    read: set[str] = set()
     for height in heights:
-        if missing := [name for name in lists.values() if not (top / height / name).is_dir()]:
+        if missing := [name for name in names if not (top / height / name).is_dir()]:
             raise DataError(
                 f"{top.name}/{height} of {printable(root.name)} has no folder {' and no folder '.join(missing)}; expected "
-                f"{', '.join(lists.values())} for each height, as in SUES-200."
+                f"{', '.join(names)} for each height, as in SUES-200."
             )
-        for of, name in lists.items():
-            pictures = place_pictures(top / height / name) if of not in read else []
-            for picture in pictures:
-                yield _row(of, picture, picture.label, picture.name, height)
-            if pictures and "satellite" in of:
-                read.add(of)
+    for height in heights:
+        for name in names:
+            if "drone" in name:
+                for picture in place_pictures(top / height / name):
+                    yield _drone_row(before + name, picture, picture.label, picture.name, height)
+    for name in (name for name in names if "satellite" in name):
+        tiles = next(filter(None, (place_pictures(top / height / name) for height in heights)), [])
+        yield from (PictureRow(before + name, tile.path, tile.label, tile.name) for tile in tiles)
 
 
-def _raw(root: Path) -> Iterator[PictureRow]:
-    drone = _drone_folder(root)
+def _raw(root: Path, drone: Path | None) -> Iterator[PictureRow]:
     if drone is None or not (root / INDEX).is_file():
         missing = INDEX if drone is not None else 'a folder whose name contains "drone"'
         raise DataError(
@@ -109,28 +107,24 @@ def _raw(root: Path) -> Iterator[PictureRow]:
             raise DataError(
                 f"The folder {printable(place.name)} in {printable(drone.name)} is not a number; expected one folder per place."
             )
+        # The folder of a height stands where that of a place does elsewhere.
         for picture in place_pictures(place):
-            # The folder of a height stands where that of a place does elsewhere.
-            height = picture.path.parent.name
-            if height in HEIGHTS:
-                rows.append(_row("drone", picture, int(place.name), f"{place.name}/{picture.path.stem}", height))
-    rows += [_row("satellite", tile, tile.label, tile.name, "") for tile in place_pictures(root / _TILES)]
+            if (height := picture.path.parent.name) in HEIGHTS:
+                name = f"{place.name}/{picture.path.stem}"
+                rows.append(_drone_row("drone", picture, int(place.name), name, height))
+    rows += [PictureRow("satellite", tile.path, tile.label, tile.name) for tile in place_pictures(root / _TILES)]
     for row in rows:
         yield replace(row, of=f"train/{row.of}" if row.label in trained else f"test/query_{row.of}")
         yield replace(row, of=f"test/gallery_{row.of}")
 
 
-def _row(of: str, picture: Picture, place: int, name: str, height: str) -> PictureRow:
-    """Return the row of a picture; only drone pictures have a height."""
-    if "satellite" in of:
-        return PictureRow(of, picture.path, place, name)
+def _drone_row(of: str, picture: Picture, place: int, name: str, height: str) -> PictureRow:
     return PictureRow(of, picture.path, place, f"{name} {height} m", height)
 
 
 def _trained(file: Path) -> set[int]:
     """Return the numbers below `index:` in the published list of places to train on."""
-    _, _, listed = read_text(file, INDEX).partition("index")
-    numbers = {int(number) for number in re.findall(r"\b\d{1,4}\b", listed)}
+    numbers = {int(number) for number in re.findall(r"\b\d{1,4}\b", read_text(file, INDEX).partition("index")[2])}
     if not numbers:
         raise DataError(f"{INDEX} names no place; expected its key index with the numbers of the places to train on.")
     return numbers

@@ -15,10 +15,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -26,8 +25,9 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Dataset, Picture, PictureRow, PositionProtocol, Size, Truth, files_below, read_json
-from lpn.datasets.listed_paths import FilesBelow, fold, listed_path, name_of
+from lpn.datasets.base import Dataset, Picture, PictureRow, PositionProtocol, Size, files_below
+from lpn.datasets.listed_paths import fold, listed_path, name_of
+from lpn.datasets.lists import read_json
 
 # Side of GTA-UAV's map in pixels, and metres of a pixel.
 _MAP_PIXELS, _METRES = 24_576, 0.45
@@ -53,8 +53,7 @@ _WEIGHTS = "pair_{}_sate_weight_list"
 _LOCATIONS: dict[str, PositionProtocol] = {"drone_loc_x_y": "GTA-UAV", "drone_loc_lat_lon": "UAV-VisLoc"}
 
 
-@dataclass(frozen=True)
-class _Pair:
+class _Pair(NamedTuple):
     """One object of a list: the drone picture's file, its position, and the overlaps of its true tiles and of all its tiles."""
 
     file: str
@@ -67,7 +66,8 @@ class _Pair:
 class TilePairs(Dataset):
     """A folder of GTA-UAV, or of UAV-VisLoc as GTA-UAV's programs prepare it, in one of its areas.
 
-    A tile's label is its number. A drone picture's label is that of the tile it overlaps most.
+    A tile's label is its number. A drone picture's label is that of the tile it overlaps most. Tiles that are true for a test
+    picture are queries, too.
     """
 
     kind = "GTA-UAV"
@@ -83,8 +83,8 @@ class TilePairs(Dataset):
         return [area for area in self.splits if (self.root / _LIST.format(area, "test")).is_file()]
 
     def rows(self) -> Iterator[PictureRow]:
-        listed = _LIST.format(self.split, "test")
-        pairs, form = _read(self.root / listed, self.files)
+        listed, name = _LIST.format(self.split, "test"), printable(self.root.name)
+        pairs, form = self._pairs(listed)
         self.kind, self.measured_by, self.expected = form, form, f"{listed} with true tiles"
         if form == "GTA-UAV":
             self.published_sizes = {"test/gallery_satellite": Size(14_640)}
@@ -92,9 +92,7 @@ class TilePairs(Dataset):
             self.title, self.positions_from = "UAV-VisLoc in GTA-UAV's layout", f"{listed} and the tiles' names"
         folders = {pair.tiles for pair in pairs}
         if len(folders) != 1:
-            raise DataError(
-                f"The test list of {printable(self.root.name)} names {len(folders)} folders of tiles; expected one."
-            )
+            raise DataError(f"The test list of {name} names {len(folders)} folders of tiles; expected one.")
         repeated, times = Counter(pair.file for pair in pairs).most_common(1)[0]
         if times > 1:
             raise DataError(
@@ -102,53 +100,28 @@ class TilePairs(Dataset):
             )
         folder = folders.pop()
         tiles = self._tiles(folder)
-        numbers = {name: number for number, name in enumerate(tiles)}
+        numbers = {file: number for number, file in enumerate(tiles.values())}
         self._spots = {self.root / pair.file: pair.place for pair in pairs}
-        trained = self.root / _LIST.format(self.split, "train")
+        trained = _LIST.format(self.split, "train")
+        train = self._pairs(trained)[0] if (self.root / trained).is_file() else []
         used: set[int] = set()
-        train = _read(trained, self.files)[0] if trained.is_file() else []
+        drones: dict[str | Path, list[str | Path]] = {file: [] for file in numbers}
         for of, of_split in (("train/drone", train), ("test/query_drone", pairs)):
-            for pair in of_split:
-                for name in pair.listed:
-                    if name not in tiles:
-                        self.leave_out(f"{folder}/{name}")
-                overlaps: dict[str | Path, float] = {
-                    tiles[name]: weight for name, weight in (pair.listed | pair.true).items() if name in tiles
-                }
-                true = [name for name in pair.true if name in tiles]
-                if self.files.find(pair.file) is None:
-                    self.leave_out(pair.file)
-                elif pair.true and not true:
-                    self.leave_out(pair.file, "has none of its true tiles")
-                elif true:
-                    label = numbers[max(true, key=lambda name: pair.true[name])]
-                    used |= {label} if of == "train/drone" else set()
-                    good = [tiles[name] for name in true]
-                    semi = [file for file in overlaps if file not in good]
-                    name = Path(pair.file).stem
-                    yield PictureRow(of, pair.file, label, name, true=good, semi=semi, overlaps=overlaps)
-        for name, file in tiles.items():
-            if numbers[name] in used:
-                yield PictureRow("train/satellite", file, numbers[name], Path(file).stem)
-            yield PictureRow("test/gallery_satellite", file, numbers[name], Path(file).stem)
-
-    def tasks(self) -> list[str]:
-        return ["drone-to-satellite", "satellite-to-drone"] if self.pictures("test/query_drone") else []
-
-    def queries(self, view: str) -> list[Picture]:
-        if view != "satellite":
-            return super().queries(view)
-        tiles = super().gallery("satellite")
-        return [tiles[tile] for tile in self._drones]
-
-    def gallery(self, view: str) -> list[Picture]:
-        return super().queries("drone") if view == "drone" else super().gallery(view)
-
-    def truth(self, task: str) -> list[Truth] | None:
-        if task != "satellite-to-drone":
-            return super().truth(task)
-        none = np.zeros(0, np.int64)
-        return [Truth(np.array(drones, np.int64), none, trapezoid=False) for drones in self._drones.values()]
+            for row in filter(None, (self._row(of, pair, folder, tiles, numbers) for pair in of_split)):
+                yield row
+                if of == "train/drone":
+                    used.add(row.label)
+                    continue
+                yield replace(row, of="test/gallery_drone")
+                for tile in row.true or ():
+                    drones[tile].append(row.file)
+        for file, number in numbers.items():
+            row = PictureRow("test/gallery_satellite", file, number, Path(file).stem)
+            yield row
+            if number in used:
+                yield replace(row, of="train/satellite")
+            if drones[file]:
+                yield replace(row, of="test/query_satellite", true=drones[file])
 
     def coordinates(self, pictures: Sequence[Picture]) -> Float64Array:
         """Return metres of the map (GTA-UAV), or latitude and longitude in degrees (UAV-VisLoc), (N, 2)."""
@@ -158,18 +131,8 @@ class TilePairs(Dataset):
         return geo.Position(*self._spot(picture))
 
     def _spot(self, picture: Picture) -> tuple[float, float]:
-        if picture.path in self._spots:
-            return self._spots[picture.path]
-        return _metres_of_tile(picture.path) if self.measured_by == "GTA-UAV" else _degrees_of_tile(picture.path)
-
-    @cached_property
-    def _drones(self) -> dict[int, list[int]]:
-        """For each tile that is true for a test picture, the positions of these pictures, in the order of the tiles."""
-        drones: dict[int, list[int]] = {}
-        for position, truth in enumerate(super().truth("drone-to-satellite") or ()):
-            for tile in truth.good.tolist():
-                drones.setdefault(tile, []).append(position)
-        return dict(sorted(drones.items()))
+        of_tile = _metres_of_tile if self.measured_by == "GTA-UAV" else _degrees_of_tile
+        return self._spots.get(picture.path) or of_tile(picture.path)
 
     def _tiles(self, folder: str) -> dict[str, str]:
         """Return the path of each tile below the root by its folded name."""
@@ -188,37 +151,54 @@ class TilePairs(Dataset):
                 )
         return tiles
 
+    def _row(
+        self, of: str, pair: _Pair, folder: str, tiles: dict[str, str], numbers: dict[str, int]
+    ) -> PictureRow | None:
+        """Return the row of a drone picture; None for one without a true tile, or that is not there."""
+        for name in pair.listed:
+            if name not in tiles:
+                self.leave_out(f"{folder}/{name}")
+        overlaps: dict[str | Path, float] = {
+            tiles[name]: weight for name, weight in (pair.listed | pair.true).items() if name in tiles
+        }
+        true = {tiles[name]: weight for name, weight in pair.true.items() if name in tiles}
+        if self.files.find(pair.file) is None:
+            self.leave_out(pair.file)
+        elif pair.true and not true:
+            self.leave_out(pair.file, "has none of its true tiles")
+        elif true:
+            semi = [file for file in overlaps if file not in true]
+            best = numbers[max(true, key=true.__getitem__)]
+            return PictureRow(of, pair.file, best, Path(pair.file).stem, true=[*true], semi=semi, overlaps=overlaps)
+        return None
 
-def _read(file: Path, files: FilesBelow) -> tuple[list[_Pair], PositionProtocol]:
-    """Return the pairs of a list with paths as they are on this machine, and whether they are GTA-UAV's or UAV-VisLoc's."""
-    entries = read_json(file, file.name, _LARGEST_LIST)
-    if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-        raise DataError(f"{file.name} is not a list of objects; expected one for each drone picture, as in GTA-UAV.")
-    key = next((key for key in _LOCATIONS if key in entries[0]), None)
-    if key is None:
-        raise DataError(
-            f"The first object of {file.name} has neither {' nor '.join(_LOCATIONS)}; expected one of them."
-        )
-    pairs = [_pair(entry, key, f"Object {number} of {file.name}", files) for number, entry in enumerate(entries, 1)]
-    return pairs, _LOCATIONS[key]
+    def _pairs(self, name: str) -> tuple[list[_Pair], PositionProtocol]:
+        """Return the pairs of a list with paths as they are on this machine, and whether they are GTA-UAV's or UAV-VisLoc's."""
+        entries = read_json(self.root / name, name, _LARGEST_LIST)
+        if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
+            raise DataError(f"{name} is not a list of objects; expected one for each drone picture, as in GTA-UAV.")
+        key = next((key for key in _LOCATIONS if key in entries[0]), None)
+        if key is None:
+            raise DataError(f"The first object of {name} has neither {' nor '.join(_LOCATIONS)}; expected one of them.")
+        pairs = [self._pair(entry, key, f"Object {number} of {name}") for number, entry in enumerate(entries, 1)]
+        return pairs, _LOCATIONS[key]
 
-
-def _pair(entry: dict[str, Any], key: str, where: str, files: FilesBelow) -> _Pair:
-    needed = ("drone_img_dir", "drone_img_name", key, "sate_img_dir", *map(_TILES.format, ("pos", "pos_semipos")))
-    if missing := [name for name in needed if name not in entry]:
-        raise DataError(f"{where} has no {', '.join(missing)}; expected the keys of GTA-UAV's lists.")
-    try:
-        first, second = (float(value) for value in _values(entry[key], key))
-        true, listed = (_weighted(entry, kind) for kind in ("pos", "pos_semipos"))
-    except (TypeError, ValueError) as error:
-        raise DataError(
-            f"{where} is malformed: {error}; expected two numbers, and lists of tiles and weights."
-        ) from error
-    if not (math.isfinite(first) and math.isfinite(second)):
-        raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
-    file = listed_path(f"{entry['drone_img_dir']}/{entry['drone_img_name']}", where)
-    tiles = listed_path(str(entry["sate_img_dir"]), where)
-    return _Pair(files.find(file) or file, (first, second), true, listed, files.find(tiles) or tiles)
+    def _pair(self, entry: dict[str, Any], key: str, where: str) -> _Pair:
+        needed = ("drone_img_dir", "drone_img_name", key, "sate_img_dir", *map(_TILES.format, ("pos", "pos_semipos")))
+        if missing := [name for name in needed if name not in entry]:
+            raise DataError(f"{where} has no {', '.join(missing)}; expected the keys of GTA-UAV's lists.")
+        try:
+            first, second = (float(value) for value in _values(entry[key], key))
+            true, listed = (_weighted(entry, kind) for kind in ("pos", "pos_semipos"))
+        except (TypeError, ValueError) as error:
+            raise DataError(
+                f"{where} is malformed: {error}; expected two numbers, and lists of tiles and weights."
+            ) from error
+        if not (math.isfinite(first) and math.isfinite(second)):
+            raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
+        files = f"{entry['drone_img_dir']}/{entry['drone_img_name']}", str(entry["sate_img_dir"])
+        drone, tiles = (self.files.find(file) or file for file in (listed_path(text, where) for text in files))
+        return _Pair(drone, (first, second), true, listed, tiles)
 
 
 def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, linked_folder, printable
-from lpn.datasets.base import Dataset, Picture, sizes
+from lpn.datasets.base import Picture, sizes
 from lpn.datasets.layouts.university import University
 
 log = logging.getLogger(__name__)
@@ -38,8 +38,6 @@ class UniV(University):
     kind = "UniV"
     known_by = "45/2fps (UniV)"
     priority = 0
-    recipes = Dataset.recipes
-    paper = None
     published_sizes = sizes(
         train={"satellite": (701, 701), "drone": (None, 701), "street": (11_663, 701)},
         query={"drone": (None, 701), "satellite": (701, 701), "street": (2_579, 701)},

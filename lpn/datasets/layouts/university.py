@@ -16,7 +16,8 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import linked_folder, printable
 from lpn.core.images import SUFFIXES
-from lpn.datasets.base import Dataset, Picture, hidden_name, sizes
+from lpn.datasets.base import Dataset, Picture, sizes
+from lpn.datasets.listed_paths import hidden_name
 from lpn.datasets.rendered import PLAN, is_rendered
 
 # The lists in the order in which they are shown.
@@ -44,12 +45,6 @@ class University(Dataset):
     parts = ("train", "test")
     priority = -1
     folders = ("train", "test")
-    recipes: tuple[str, ...] = ("paper", "released", "small", "world")
-    paper: tuple[tuple[str, ...], str, str] | None = (
-        ("drone-to-satellite", "satellite-to-drone"),
-        "Tables I, III, IV, V and Figure 5",
-        "Tables IV and V",
-    )
     # The size of train/street is disputed: the publications' sum (50,218 training pictures) and the released folder differ.
     published_sizes = sizes(
         train={"satellite": (701, 701), "drone": (37_854, 701), "street": (None, 701), "google": (21_099, None)},
@@ -62,7 +57,6 @@ class University(Dataset):
         self._read: dict[str, list[Picture]] = {}
         if is_rendered(root):
             self.kind, self.title, self.published_sizes = "world", "a rendered world", {}
-            self.recipes = ("world", "small", "paper", "released")
 
     def pictures(self, name: str) -> list[Picture]:
         if name in LISTS and name not in self._read:

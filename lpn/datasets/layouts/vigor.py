@@ -20,8 +20,9 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.datasets import geo
-from lpn.datasets.base import Dataset, Picture, PictureRow, numbered_lines, sizes
+from lpn.datasets.base import Dataset, Picture, PictureRow, sizes
 from lpn.datasets.listed_paths import fold, listed_path, name_of
+from lpn.datasets.lists import numbered_lines
 
 CITIES = ("Chicago", "NewYork", "SanFrancisco", "Seattle")
 _SPLITS = ("splits", "splits__corrected")
@@ -50,7 +51,6 @@ class VIGOR(Dataset):
     parts = (*(city.lower() for city in CITIES), *_SPLITS, "satellite", "ground")
     splits = ("same-area", "cross-area")
     split_list = f"{_SPLITS[0]}/<city>/{_LISTS['same-area'].format('test')}"
-    recipes = ("cvusa-paper", "cvusa-released")
     panoramas = True
     group_name = "city"
     positions_from = "the pictures' names"

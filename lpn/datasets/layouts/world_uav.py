@@ -20,8 +20,9 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES
 from lpn.core.tables import Column, number_column
-from lpn.datasets.base import Dataset, Picture, PictureRow, hidden_name, numbered_lines, read_json
+from lpn.datasets.base import Dataset, Picture, PictureRow
 from lpn.datasets.listed_paths import fold, listed_path, name_of
+from lpn.datasets.lists import numbered_lines, read_json
 
 _SUFFIXES = {"terrain": "", "city": "_country", "mix": "_all"}
 # The released commands name the lists in both folders.
@@ -98,55 +99,69 @@ class WorldUAV(Dataset):
         paths = dict.fromkeys(listed_path(line, where) for where, line in numbered_lines(file, title))
         if not paths:
             raise DataError(f"{title} of {printable(self.root.name)} names no region; expected the path of one a line.")
-        for path in paths:
-            if not _is_region(self.root / path):
-                missing = next(part for part in ("", _POSITIVE, _TILES) if not (self.root / path / part).exists())
-                self.leave_out(f"{path}/{missing}".rstrip("/"))
-        return [path for path in paths if _is_region(self.root / path)]
+        there = [path for path in paths if _is_region(self.root / path)]
+        for path in (path for path in paths if path not in there):
+            missing = next(part for part in ("", _POSITIVE, _TILES) if not (self.root / path / part).exists())
+            self.leave_out(f"{path}/{missing}".rstrip("/"))
+        return there
+
+    def _pictures_in(self, folder: str) -> list[str]:
+        return [name for name in self.files.names(folder) if name.lower().endswith(SUFFIXES)]
 
     def _tiles(self, region: str) -> dict[str, str]:
         """Return the paths of a region's tiles by their folded names."""
         folder = f"{region}/{_TILES}".lstrip("/")
-        tiles = {fold(name): f"{folder}/{name}" for name in _pictures_in(self.root / folder)}
+        tiles = {fold(name): f"{folder}/{name}" for name in self._pictures_in(folder)}
         if not tiles:
             self.leave_out(folder, "has no tiles")
         return tiles
 
     def _flown(self, of: str, region: str, tiles: dict[str, str], numbers: dict[str, int]) -> Iterator[PictureRow]:
         """Yield the drone pictures of a region, with labels by their first positive."""
-        true = self._true(region, tiles)
-        query = f"{region}/query".lstrip("/")
-        flights = _flights(self.root / query)
-        if not flights:
+        true, query = self._true(region, tiles), f"{region}/query".lstrip("/")
+        found = [
+            (int(flight[1]), int(flight[2]), flight[0])
+            for flight in map(_FLIGHT.fullmatch, self.files.names(query))
+            if flight
+        ]
+        if not found:
             self.leave_out(query, "has no flights")
-        for flight, height, rotation in flights:
+        for height, rotation, flight in sorted(found):
             if of == "test/query_drone" and self.split and (height not in _HEIGHTS or rotation % _STEP):
                 continue
             folder = f"{query}/{flight}/footage"
-            files = {Path(name).stem.rpartition("_")[2]: name for name in _pictures_in(self.root / folder)}
+            files = {Path(name).stem.rpartition("_")[2]: name for name in self._pictures_in(folder)}
             for key, of_key in true.items():
                 if key not in files:
                     self.leave_out(f"{folder}/{flight}_{key}.jpeg")
                 elif of_key:
-                    name = f"{region}/{Path(files[key]).stem}".lstrip("/")
+                    name, group = f"{region}/{Path(files[key]).stem}".lstrip("/"), region if self.split else flight
                     file, label = f"{folder}/{files[key]}", numbers[of_key[0]]
-                    yield PictureRow(
-                        of, file, label, name, region if self.split else flight, true=of_key, region=region
-                    )
+                    yield PictureRow(of, file, label, name, group, true=of_key, region=region)
 
     def _true(self, region: str, tiles: dict[str, str]) -> dict[str, list[str]]:
         """Return the true tiles of each key of a region, positives first; those that are not there are left out."""
-        positive, semi = (_lists(self.root, f"{region}/{name}".lstrip("/")) for name in (_POSITIVE, _SEMI))
+        positive, semi = (self._names_by_key(f"{region}/{name}".lstrip("/")) for name in (_POSITIVE, _SEMI))
         true = {}
         for key, names in positive.items():
-            named = [*names, *semi.get(key, ())]
-            true[key] = [tile for name in named if (tile := tiles.get(fold(name_of(name)))) is not None]
-            for name in named:
-                if fold(name_of(name)) not in tiles:
-                    self.leave_out(f"{region}/{_TILES}/{printable(name)}".lstrip("/"))
+            named = {name: tiles.get(fold(name_of(name))) for name in (*names, *semi.get(key, ()))}
+            true[key] = [tile for tile in named.values() if tile is not None]
+            for name in (name for name, tile in named.items() if tile is None):
+                self.leave_out(f"{region}/{_TILES}/{printable(name)}".lstrip("/"))
             if tiles and not true[key]:
                 self.leave_out(f"{region} {key}".strip(), "has none of its true tiles")
         return true
+
+    def _names_by_key(self, name: str) -> dict[str, list[str]]:
+        """Return the names of tiles by key; a file that is not there has none."""
+        lists = read_json(self.root / name, name) if (self.root / name).is_file() else {}
+        if not isinstance(lists, dict) or not all(
+            isinstance(names, list) and all(isinstance(tile, str) for tile in names) for names in lists.values()
+        ):
+            raise DataError(
+                f"{printable(name)} is not an object of lists; expected names of tiles by the numbers of frames."
+            )
+        return lists
 
 
 def _is_region(folder: Path) -> bool:
@@ -160,32 +175,3 @@ def _list(root: Path, name: str, split: str) -> Path | None:
 
 def _tile_name(path: str) -> str:
     return path.replace(f"{_TILES}/", "").rpartition(".")[0]
-
-
-def _lists(root: Path, name: str) -> dict[str, list[str]]:
-    """Return the names of tiles by key; a file that is not there has none."""
-    lists = read_json(root / name, name) if (root / name).is_file() else {}
-    if not isinstance(lists, dict) or not all(
-        isinstance(names, list) and all(isinstance(tile, str) for tile in names) for names in lists.values()
-    ):
-        raise DataError(
-            f"{printable(name)} is not an object of lists; expected names of tiles by the numbers of frames."
-        )
-    return lists
-
-
-def _flights(folder: Path) -> list[tuple[str, int, int]]:
-    """Return the flights' folders, with height and rotation, sorted by these."""
-    found = [flight for name in _names(folder) if (flight := _FLIGHT.fullmatch(name)) is not None]
-    return sorted(((flight[0], int(flight[1]), int(flight[2])) for flight in found), key=lambda flight: flight[1:])
-
-
-def _pictures_in(folder: Path) -> list[str]:
-    return [name for name in _names(folder) if name.lower().endswith(SUFFIXES)]
-
-
-def _names(folder: Path) -> list[str]:
-    try:
-        return sorted(entry.name for entry in folder.iterdir() if not hidden_name(entry.name))
-    except OSError:
-        return []

@@ -28,10 +28,10 @@ from explorer.server.picture_route import PREFIX
 from explorer.session_state import SessionState, StateChange
 from explorer.web.messages import Receivers
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import PictureError
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
+from lpn.library.analyser import OwnPicture
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -279,8 +279,7 @@ def test_a_large_file_is_held_small_and_shown_the_same(page: Page, monkeypatch: 
     assert first is not None
     assert again is not None
     assert again is not first
-    assert again.file is not None
-    assert again.file.digest == sha256(content).hexdigest(), "it is that of the file that was sent"
+    assert dict(again.facts)["SHA-256"] == sha256(content).hexdigest(), "it is that of the file that was sent"
     assert np.abs(again.picture.astype(int) - first.picture).mean() < 4
 
 

@@ -15,6 +15,7 @@ import pytest
 
 from explorer.compute import inference_scheduler
 from explorer.compute.background_jobs import WorkCancelledError
+from explorer.compute.batching import SupersededError
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import (
     BACKGROUND_INTERVAL,
@@ -447,7 +448,11 @@ class DraggingBrowser(threading.Thread):
 
     def run(self) -> None:
         try:
-            self.shown = self.context.retry_superseded(self._answer)
+            with self.context.answering():
+                try:
+                    self.shown = self._answer()
+                except SupersededError:
+                    self.shown = self._answer()
         except Exception as error:
             self.error = error
 

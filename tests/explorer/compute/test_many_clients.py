@@ -50,11 +50,11 @@ from explorer.stage import scene
 from explorer.stage.scene import Stage
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import retrieval
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import ModelFileError
 from lpn.core.views import View
+from lpn.library.analyser import OwnPicture
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass
 from lpn.retrieval import scoring

@@ -31,7 +31,6 @@ from explorer.stage.viewport import Viewport
 from explorer.web.messages import decode
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
-from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
 from lpn.core.numbers import signed
 from lpn.descriptors.transforms import Change
@@ -40,6 +39,7 @@ from lpn.drawing import verdicts
 from lpn.drawing.words import speaking
 from lpn.explain import counterfactual, sweeps
 from lpn.explain.counterfactual import Effect
+from lpn.library.analyser import OwnPicture
 from tools.fixtures import small_worlds
 from tools.fixtures.rankings import ranked_in
 from tools.fixtures.waiting import wait_until

@@ -42,9 +42,7 @@ from explorer.url_state import UrlState
 from explorer.web import terms
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn import explain
-from lpn.analysis.analyser import OwnPicture
 from lpn.analysis.comparison import Comparison
-from lpn.analysis.matching_turn import MatchingTurn, matching_turn
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.datasets import rendered
@@ -54,6 +52,8 @@ from lpn.drawing import theme, verdicts
 from lpn.drawing.words import speaking
 from lpn.explain.sweeps import SweepPoint, SweepResult
 from lpn.flights.photo_file import PhotoFile
+from lpn.library.analyser import OwnPicture
+from lpn.library.matching_turn import MatchingTurn, matching_turn
 from lpn.locate.belief import disagreements
 from lpn.locate.located import LocatedFlight, StageRecord
 from lpn.locate.matchers import SiftMatcher, XFeatMatcher
@@ -393,7 +393,7 @@ def test_a_report_has_the_screen_s_caveats(workspace: Workspace, monkeypatch: py
     monkeypatch.setattr("lpn.analysis.answer_context.FEWEST_GRADED", 10)
     own = small_worlds.place(3)
     data = images.jpeg(own, 90)
-    photo = OwnPicture("mine.jpg", own, file=PhotoFile.of(data, Path("mine.jpg")))
+    photo = OwnPicture("mine.jpg", own, facts=tuple(PhotoFile.of(data, Path("mine.jpg")).facts))
     with monkeypatch.context() as patch, speaking(workspace.vocabulary(True)):
         patch.setattr(rendered, "is_rendered", lambda _: True)
         told = first_screen.said(wrong, workspace)
@@ -571,10 +571,16 @@ def test_the_workbench_speaks_plain_words_until_everything_is_shown(workspace: W
     with speaking(workspace.vocabulary(True)):
         plain = said()
     expert = said()
-    for word in ("part ", "d²", "R@1", "AP ", "cosine", "top match", "level", "gap"):
+    for word in ("part ", "d²", "R@1", "AP ", "cosine", "level", "gap"):
         assert word in expert
         assert word not in plain
-    for word in ("ring ", "right at once", "Found: the answer is right", "how far the next one is behind", "likeness"):
+    for word in (
+        "ring ",
+        "right at once",
+        "It leads the nearest wrong tile by ",
+        "how far the next one is behind",
+        "likeness",
+    ):
         assert word in plain
     state = SessionState(TASK, 4, first_screen=True, plain=True)
     everything = session_state.show_everything(state)

@@ -12,8 +12,8 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
-from lpn.analysis.analyser import OwnPicture
 from lpn.datasets import Truth
+from lpn.library.analyser import OwnPicture
 
 
 def test_a_task_goes_on_where_it_was_left_and_closes_ones_own_picture(data: Path, model_file: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,20 +43,23 @@ def test_bars_of_all_pictures_have_one_scale(workspace: Workspace, analyses: lis
         np.testing.assert_allclose(shares, np.maximum(100 * analysis.chosen.contributions / full, -100), atol=0.06)
 
 
-def test_the_longest_bar_of_the_losing_side_is_the_part_that_the_verdict_names(
+def test_the_bars_of_the_parts_that_the_verdict_names_are_marked(
     workspace: Workspace, analyses: list[StateAnalysis]
 ) -> None:
-    wrong = 0
+    signs = set()
     for analysis in analyses:
         bars, lead, _ = part_bars(analysis, workspace.part_names)
-        true, _, reason = answer_text.verdict(analysis, workspace)
+        right, headline, _ = answer_text.verdict(analysis, workspace)
         assert lead is not None
-        losing = [(bar.lead or ("", 0.0))[1] * (1 if lead.of_answer else -1) for bar in bars]
-        longest = bars[int(np.argmax(losing))]
-        assert longest.decisive
-        assert f"part {longest.name} " in reason or "parts " in reason
-        wrong += not true
-    assert wrong
+        marked = [part for part, bar in enumerate(bars) if bar.decisive]
+        assert marked == list(analysis.verdict.parts)
+        np.testing.assert_allclose(lead.terms, (1 if lead.of_answer else -1) * analysis.verdict.gains)
+        if right and headline.startswith("Ring"):
+            named = re.match(r"Rings? ([\d, and]+) (adds?|decides?)", headline)
+            assert named is not None
+            assert [int(number) - 1 for number in re.findall(r"\d", named[1])] == marked
+        signs.add(right)
+    assert signs == {True, False}
 
 
 def test_a_tile_that_the_verdict_does_not_speak_of_is_compared_with_the_answer(

@@ -17,11 +17,11 @@ from explorer.panels.navigation import Navigation
 from explorer.session_state import SessionState
 from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.tables import number_column
 from lpn.datasets.geo import Position
 from lpn.drawing.words import speaking
 from lpn.explain.lead_places import LeadPlace
+from lpn.library.analyser import OwnPicture
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
 TASK = "drone-to-satellite"

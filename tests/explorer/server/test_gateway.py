@@ -40,8 +40,8 @@ from explorer.server.picture_route import PREFIX, EncodedPicture, PictureRoute
 from explorer.server.rate_limiter import GUESSES, RateLimiter, TokenBucket
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core.errors import DataError, InputError, MissingPackageError
+from lpn.library.analyser import OwnPicture
 from tools.fixtures import small_worlds
 from tools.fixtures.small_proxy import SmallProxy
 from tools.fixtures.waiting import TIMEOUT, wait_until

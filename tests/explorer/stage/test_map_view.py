@@ -18,9 +18,9 @@ from explorer.stage.camera import MAP_CENTRE
 from explorer.stage.lettering import Lettering
 from explorer.stage.map_view import Eye, GalleryMap
 from explorer.workspace import StateAnalyser, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.drawing import theme
 from lpn.flights import Frame
+from lpn.library.analyser import OwnPicture
 from lpn.locate.camera_pose import CameraPose
 from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.own_photo import OwnPhoto

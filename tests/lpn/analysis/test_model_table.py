@@ -20,7 +20,7 @@ from lpn.cli.main import main
 from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
-from lpn.retrieval.published_results import PublishedResult
+from lpn.retrieval.saved import PublishedResult
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 

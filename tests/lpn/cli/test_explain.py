@@ -36,6 +36,11 @@ def test_what_is_written_adds_up_and_needs_no_torch(model_file: Path, pair: list
             assert np.sum(side["cells"]) + side["constant"] == pytest.approx(part["cosine"], abs=1e-5)
     assert sum(part["weighted_cosine"] for part in found["parts"]) == pytest.approx(found["score"], abs=1e-6)
     assert found["distance2"] == pytest.approx(2 - 2 * found["score"])
+    (nearest,) = found["nearest"]
+    assert nearest == found["compared"]
+    assert sum(nearest["shares"]) == pytest.approx(found["distance2"], abs=1e-6)
+    assert found["weights"] == [part["weight"] for part in found["parts"]]
+    assert (found["verdict"]["sign"], found["verdict"]["sentence"]) == (None, "There is no other tile.")
     assert "adds most to the score" in run.stdout
     drawn = cv2.imread(str(picture))
     assert drawn is not None

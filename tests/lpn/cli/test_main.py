@@ -11,7 +11,7 @@ import pytest
 
 from explorer.cli import Explore
 from lpn.cli import main
-from lpn.datasets.base import TASKS
+from lpn.core.views import TASKS
 from lpn.descriptors import open_store
 from lpn.descriptors.weather import WEATHERS
 from tools.fixtures import small_worlds
@@ -188,7 +188,7 @@ def test_a_closed_pipe_ends_a_command_in_silence(arguments: str) -> None:
 
 def test_the_words_of_an_option_are_listed_in_their_order_and_without_none(capsys: pytest.CaptureFixture[str]) -> None:
     for option, value, words in (
-        ("--task", "both", [*TASKS, "street-to-street"]),
+        ("--task", "both", TASKS),
         ("--weather", "hail", [*WEATHERS, "all"]),
     ):
         with pytest.raises(SystemExit):

@@ -162,19 +162,3 @@ def test_a_list_in_another_encoding_is_refused(tmp_path: Path) -> None:
     root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
     (root / "pairs.csv").write_bytes("satellite,drone\nZürich.jpg,1.jpg\n".encode("cp1252"))
     assert refusal(root) == "pairs.csv is not text in UTF-8 or UTF-16; expected a list of pictures."
-
-
-@pytest.mark.parametrize(
-    ("name", "todo"),
-    [
-        ("University-Release.zip", "unpack it first, and give the folder that it makes"),
-        ("DJI_0001.MP4", "read the frames of a flight with lpn flight, and give its folder to lpn locate"),
-        ("net_119.pth", "give a model with --model, and a data set's folder with --data"),
-    ],
-)
-def test_an_archive_a_video_or_a_model_in_place_of_a_data_set_says_what_to_do(
-    tmp_path: Path, name: str, todo: str
-) -> None:
-    (tmp_path / name).write_bytes(b"what it holds does not matter")
-    assert refusal(tmp_path / name) == f"{tmp_path / name} is a file; expected a data set's folder, so {todo}."
-    assert refusal(tmp_path) == f"{tmp_path} holds {name}; {todo}."

@@ -12,7 +12,6 @@ import pytest
 from lpn.core.errors import DataError
 from lpn.datasets import known_layouts, layouts, open_dataset
 from lpn.doctor.dataset_check import check_dataset
-from lpn.training.recipes import RECIPES
 from tools.fixtures import layouts as drawn
 from tools.fixtures import small_worlds
 
@@ -85,4 +84,3 @@ def test_every_file_of_layouts_holds_one_that_can_be_told() -> None:
     known = known_layouts()
     assert {layout.__module__.rpartition(".")[2] for layout in known} == files
     assert len({layout.kind for layout in known}) == len({layout.known_by for layout in known}) == len(known)
-    assert {recipe for layout in known for recipe in layout.recipes} <= set(RECIPES)

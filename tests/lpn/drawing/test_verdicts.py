@@ -8,34 +8,9 @@ import pytest
 from lpn.descriptors.transforms import Change
 from lpn.drawing import verdicts
 from lpn.explain import Evidence, SideEvidence
-from lpn.explain.counterfactual import Effect, PositiveRank, RanksWithoutParts, Reweighting
+from lpn.explain.counterfactual import Effect, Reweighting
 from lpn.explain.sweeps import SweepPoint, SweepResult
-from lpn.retrieval import Match
 from lpn.retrieval.scoring import part_weights
-
-
-def positive_ranks(now: int, without: list[int | None], alone: list[int]) -> RanksWithoutParts:
-    without_each = [None if rank is None else PositiveRank(rank, 0.1 if rank == 1 else -0.1) for rank in without]
-    return RanksWithoutParts(
-        PositiveRank(now, -0.1), tuple(without_each), tuple(PositiveRank(rank, 1 / rank) for rank in alone)
-    )
-
-
-@pytest.mark.parametrize(
-    ("without", "expected"),
-    [
-        (positive_ranks(3, [1, 4], [2, 2]), "Without part a the true tile would be first."),
-        (positive_ranks(3, [1, 1], [2, 2]), "Without any one of the parts a and b the true tile would be first."),
-        (positive_ranks(9, [6, 4], [2, 2]), "without part b, the true tile would be 4th."),
-        (positive_ranks(2, [2, 3], [2, 1]), "no better without any one of them; part b alone puts it first."),
-        (positive_ranks(2, [None, None], [2, 2]), "No single part is to blame alone."),
-        (positive_ranks(1, [1, 1], [1, 1]), "No single part is needed"),
-        (positive_ranks(1, [1, 7], [1, 1]), "Without part b the true tile would fall to 7th."),
-        (positive_ranks(1, [2, 7], [1, 1]), "would fall to 7th (2 of 2 parts are needed)."),
-    ],
-)
-def test_ablation_names_the_part_that_matters_most(without: RanksWithoutParts, expected: str) -> None:
-    assert expected in verdicts.describe_ablation(without, ["a", "b"])
 
 
 def test_reweighting_states_its_effect_on_all_queries() -> None:
@@ -94,37 +69,6 @@ def test_parts_that_lead_alike_are_named_together() -> None:
     assert trails.endswith("parts b, c, and a cost it most, alike (−0.300, −0.290, −0.280).")
     assert verdicts.leading_parts(np.array([0.3, 0.26])) == [0]
     assert verdicts.leading_parts(np.array([-0.1, -0.1])) == [0], "no part leads"
-
-
-def match(rank: int, shares: tuple[float, float], true: bool, beyond: bool = False) -> Match:
-    cosines = 1 - np.array(shares, np.float32)
-    distance2 = float(sum(shares))
-    return Match(rank, rank, 1 - distance2 / 2, distance2, None, cosines, np.array(shares, np.float32), true, beyond)
-
-
-def test_a_true_tile_beyond_the_searched_depth_has_no_rank() -> None:
-    first, far = match(1, (0.1, 0.2), False), match(101, (0.4, 0.3), True, beyond=True)
-    assert (first.rank_text, far.rank_text) == ("1", "> 100")
-    assert verdicts.describe_rank(first) == "1st"
-    verdict = verdicts.verdict(first, far, first, ["a", "b"])
-    assert verdict[:2] == (False, "Wrong: the true tile is not among the 100 found")
-    assert "0.400 (d²) behind the top match; part a costs it most" in verdict[2]
-
-
-def test_a_true_tile_that_an_approximate_search_missed_is_told() -> None:
-    first, missed = match(1, (0.1, 0.2), False), match(101, (0.1, 0.05), True, beyond=True)
-    verdict = verdicts.verdict(first, missed, first, ["a", "b"])
-    assert verdict[:2] == (False, "Missed: the search did not return the true tile")
-    assert "lead the top match by 0.150" in verdict[2]
-
-
-def test_a_query_without_a_true_tile_is_wrong_and_a_part_that_costs_has_a_minus() -> None:
-    first, true = match(1, (0.1, 0.2), False), match(2, (0.4, 0.2), True)
-    assert verdicts.verdict(first, None, None, ["a", "b"])[:2] == (False, "No true tile")
-    assert (
-        "It is 0.300 (d²) behind the top match; part a costs it most (−0.300)."
-        in verdicts.verdict(first, true, first, ["a", "b"])[2:]
-    )
 
 
 @pytest.mark.parametrize(

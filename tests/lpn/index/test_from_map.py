@@ -11,9 +11,9 @@ import pytest
 import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
-from lpn.descriptors.map_windows import describe_windows
 from lpn.index import DescriptorKind, create_index, open_index
 from lpn.index.from_map import index_windows
+from lpn.locate.map_windows import describe_windows
 from lpn.maps import Map, NamedWindow, Window, open_map
 from lpn.models.base import normalise
 from tests.lpn.maps.small_maps import smooth, write_geotiff

@@ -11,17 +11,16 @@ import pytest
 
 import lpn
 from lpn import descriptors
-from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.core.errors import InputError, StoreError
 from lpn.datasets import geo, open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.drawing import verdicts
 from lpn.index import DescriptorKind, IndexEngine, SearchResult, create_index, ground
 from lpn.index.queries import dataset_queries, picture_queries
 from lpn.index.ranking import IndexRanking
 from lpn.index.shared import SharedIndex
 from lpn.index.task import IndexTask, index_task
 from lpn.index.tile_pictures import TilePlaceholder
+from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.models.base import Model, normalise
 from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.opening import describe_task
@@ -365,5 +364,6 @@ def test_a_search_that_returns_fewer_tiles_than_its_depth_invents_no_rank(
     analysis = _analyser(model).analyse(task, QueryRequest(missed), 10)
     assert analysis.positive is not None
     assert analysis.positive.rank_text == "not returned"
-    assert verdicts.verdict(analysis.matches[0], analysis.positive, None, "abcd")[1].startswith("Missed")
+    assert analysis.verdict.headline == "Missed: the search did not return the true tile"
+    assert analysis.verdict.sentence.startswith("It would lead the answer by ")
     index.close()

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn.analysis.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.core.errors import DataError, PictureError
 from lpn.flights import Flight
+from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.locate import retrieval
 from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions

@@ -17,7 +17,6 @@ from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn import report
-from lpn.analysis.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.demo import DEMO
@@ -26,6 +25,7 @@ from lpn.core.views import View
 from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.cache import cached_descriptors, temporary_descriptors
 from lpn.descriptors.transforms import Change
+from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.models.base import Model, normalise
 from lpn.report import Options
 from lpn.report.cases import Cases
@@ -233,7 +233,7 @@ def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Pat
     own = OwnPicture("mine", task.queries[0].load())
     case = Cases(task, Options()).make(own)
     np.testing.assert_array_equal(case.picture, task.queries[0].load_zoomed())
-    assert case.ranking.order.tolist() == Cases(task, Options()).make(0).ranking.order.tolist()
+    assert case.answer.ranking.order.tolist() == Cases(task, Options()).make(0).answer.ranking.order.tolist()
     assert b"calibrated without labels on 48 drone and 48 satellite pictures" in report.build(task, [0])
 
 

@@ -11,8 +11,8 @@ import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.descriptors import Store, open_store
-from lpn.descriptors.map_windows import describe_windows
 from lpn.index import open_index
+from lpn.locate.map_windows import describe_windows
 from lpn.maps import Map, NamedWindow, open_map
 from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model

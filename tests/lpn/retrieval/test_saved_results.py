@@ -15,7 +15,7 @@ from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.retrieval.evaluate import evaluate, evaluate_saved
 from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.published_results import load_saved
+from lpn.retrieval.saved import load_saved
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.published_results import contents
 

@@ -1,28 +1,23 @@
-"""Analyse one query: describe it, rank the gallery, and explain the compared pair.
-
-The explorer and the reports use the same analyser.
-"""
+"""Answer one query: describe it, rank the gallery, and describe the compared tile."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import date
-from typing import Generic, Literal, Self, TypeVar
+from typing import Generic, Literal, TypeVar
 
 import numpy as np
 
-from lpn import explain, retrieval
+from lpn import retrieval
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.datasets import Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.transforms import UNCHANGED, Change
-from lpn.explain import Correspondences, Evidence
-from lpn.flights import Frame
-from lpn.flights.photo_file import PhotoFile
+from lpn.library.answer import Answer, pair_evidence
 from lpn.models.base import Model
 from lpn.retrieval import DescribedPicture, Match, Ranking, scoring
 from lpn.tasks.task import RankUnderWeights, Task
@@ -37,19 +32,17 @@ class OwnPicture:
     Attributes:
         picture: (H, W, 3) uint8.
         place: latitude and longitude of the camera in degrees; None if the file has none.
-        frame: what the file tells of the camera; None if that was not read.
         key: names it in the addresses of the page that holds it; empty where none does.
         day: on which it was taken; None if its file does not tell.
-        file: the file that it was read from; None if that is not known.
+        facts: names and values that its file tells, for people.
     """
 
     name: str
     picture: UInt8Array
     place: tuple[float, float] | None = None
-    frame: Frame | None = None
     key: str = ""
     day: date | None = None
-    file: PhotoFile | None = None
+    facts: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,62 +66,6 @@ class QueryRequest:
     compare: int | Literal["positive"] | None = None
     evidence: bool = False
     correspondences: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class PairEvidence:
-    """The evidence for the score of a pair.
-
-    Attributes:
-        correspondences: of the query's cells and of the tile's; None unless requested.
-    """
-
-    evidence: Evidence
-    correspondences: tuple[Correspondences, Correspondences] | None
-
-
-@dataclass(frozen=True, eq=False)
-class Analysis:
-    """A query against the gallery of its task.
-
-    Attributes:
-        name: the query's name.
-        query: the query after the change.
-        matches: the nearest tiles.
-        chosen: the compared tile.
-        tile: the compared tile, described.
-        positive: the nearest positive; None if the query has none, or its place is not known.
-        errors_m: metres from the place that the query shows to each tile, (G,); of the user's own picture, from its camera. None
-            without positions.
-        source: the query's picture before the change, (H, W, 3) uint8.
-        zoom: of the query's picture, see `Picture.zoom`; of the user's own picture the one that a calibration chose.
-        pair_evidence: None if it was not requested, or there is no network.
-        seconds: time that the analysis took.
-    """
-
-    task: Task
-    name: str
-    query: DescribedPicture
-    ranking: Ranking
-    matches: list[Match]
-    chosen: Match
-    tile: DescribedPicture
-    positive: Match | None
-    errors_m: Float64Array | None
-    source: UInt8Array
-    zoom: float
-    pair_evidence: PairEvidence | None
-    seconds: float
-
-    def ungraded(self) -> Self:
-        """Return the analysis as of a query whose place is not known."""
-        return replace(
-            self,
-            ranking=replace(self.ranking, relevant=None),
-            matches=[replace(match, true=None) for match in self.matches],
-            chosen=replace(self.chosen, true=None),
-            positive=None,
-        )
 
 
 class _LastValue(Generic[T]):
@@ -160,12 +97,12 @@ class QueryAnalyser:
     ) -> None:
         self._model, self._describe_tile, self._load = model, describe_tile, load
         self._source: _LastValue[UInt8Array] = _LastValue()
-        self._query: _LastValue[DescribedPicture] = _LastValue()
+        self._query: tuple[Hashable, DescribedPicture] | None = None
         self._zoom: _LastValue[float] = _LastValue()
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
-    def analyse(self, task: Task, request: QueryRequest, k: int) -> Analysis:
-        """Analyse one request.
+    def analyse(self, task: Task, request: QueryRequest, k: int) -> Answer:
+        """Answer one request; the compared tile is described at once.
 
         Args:
             k: number of matches.
@@ -187,7 +124,18 @@ class QueryAnalyser:
         zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
         query_key = source_key, task.key, index, request.change
         change = request.change.for_picture(picture, zoom)
-        query = self._query.get(query_key, lambda: self._describe(task, index, source, change))
+        if self._query is None or self._query[0] != query_key:
+            if self._model is not None:
+                model = self._model.for_task(*task.views)
+                described = retrieval.describe_picture(model, source, task.query_view, change)
+            elif index is not None:
+                described = DescribedPicture(source, task.query_descriptors[index], None, None)
+            else:
+                raise InputError(
+                    f"{task.model_name} has no network, only descriptors; choose a query of the data set."
+                )
+            self._query = query_key, described
+        query = self._query[1]
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
@@ -199,13 +147,14 @@ class QueryAnalyser:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
         chosen = _chosen(ranking, request.compare)
         tile = self._describe_tile(task, chosen.index)
-        return Analysis(
+        return Answer(
             task=task,
             name=own.name if own else picture.name,
             query=query,
             ranking=ranking,
             matches=matches,
             chosen=chosen,
+            describe_tile=self._describe_tile,
             tile=tile,
             positive=ranking.positive(),
             errors_m=_errors_m(task, index, own),
@@ -223,15 +172,6 @@ class QueryAnalyser:
             return 1.0
         return task.calibration.own_zoom(self._model, own.picture, task.query_view)
 
-    def _describe(self, task: Task, index: int | None, source: UInt8Array, change: Change) -> DescribedPicture:
-        if self._model is not None:
-            return retrieval.describe_picture(self._model.for_task(*task.views), source, task.query_view, change)
-        if index is None:
-            raise InputError(
-                f"{task.model_name} has descriptors but no network to describe other pictures; choose a query of the data set."
-            )
-        return DescribedPicture(source, task.query_descriptors[index], None, None)
-
 
 def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64Array | None:
     """Return metres from a query's place to each tile, (G,); of the user's own picture, from its camera."""
@@ -240,25 +180,6 @@ def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64A
     if index is not None:
         return task.geometry.errors_m(index)
     return None if own is None or own.place is None else task.geometry.metres_from(Position(*own.place))
-
-
-def pair_evidence(
-    query: DescribedPicture,
-    tile: DescribedPicture,
-    weights: Float32Array,
-    correspondences: bool = False,
-    csls: tuple[Float32Array, Float32Array] | None = None,
-) -> PairEvidence | None:
-    """The evidence of a pair under part weights (n,) that sum to one; None without a network.
-
-    Args:
-        csls: see `Evidence`.
-    """
-    if query.trace is None or tile.trace is None:
-        return None
-    evidence = explain.evidence(query.trace, tile.trace, weights, csls)
-    pairs = explain.correspondences(query.trace, tile.trace, weights) if correspondences else None
-    return PairEvidence(evidence, pairs)
 
 
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:

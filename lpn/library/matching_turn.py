@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from lpn.analysis.analyser import Analysis
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.geo import Position
 from lpn.explain.relative_turn import relative_turn
+from lpn.library.answer import Answer
 
 
 @dataclass(frozen=True)
@@ -24,9 +24,7 @@ class MatchingTurn:
     source: Literal["heading", "registration", "model"]
 
 
-def matching_turn(
-    analysis: Analysis, query: int | None, turned: float, registered: float | None
-) -> MatchingTurn | None:
+def matching_turn(answer: Answer, query: int | None, turned: float, registered: float | None) -> MatchingTurn | None:
     """Return the turn at which the compared tile lies like the query as it is shown.
 
     Args:
@@ -37,7 +35,7 @@ def matching_turn(
     Returns:
         None where a picture is no square seen from above, and where nothing tells the turn.
     """
-    task = analysis.task
+    task = answer.task
     if "street" in task.views or any(task.contract.unrolled(view) for view in task.views):
         return None
     if registered is not None:
@@ -45,12 +43,12 @@ def matching_turn(
     places = task.geometry
     if places is not None and query is not None:
         of_query = _heading(places.queries[query], task.query_view)
-        of_tile = _heading(places.tiles[analysis.chosen.index], task.gallery_view)
+        of_tile = _heading(places.tiles[answer.chosen.index], task.gallery_view)
         if of_query is not None and of_tile is not None:
             return MatchingTurn(wrap_degrees(of_query - of_tile + turned), "heading")
-    if analysis.query.trace is None or analysis.tile.trace is None:
+    if answer.query.trace is None or answer.tile is None or answer.tile.trace is None:
         return None
-    by_model = relative_turn(analysis.query.trace, analysis.tile.trace)
+    by_model = relative_turn(answer.query.trace, answer.tile.trace)
     return None if by_model is None else MatchingTurn(float(wrap_degrees(by_model)), "model")
 
 

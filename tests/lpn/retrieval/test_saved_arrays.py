@@ -17,7 +17,7 @@ from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets.geo import Position, metres
 from lpn.retrieval import metrics
-from lpn.retrieval.plain_arrays import load_arrays
+from lpn.retrieval.saved import load_arrays
 from lpn.tasks.array_task import array_task
 from tools.fixtures import layouts, small_worlds
 

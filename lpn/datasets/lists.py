@@ -1,0 +1,124 @@
+"""Lists of pictures in files: text, JSON, and tables of separated values. Damage is named by its line."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable, Collection, Iterator
+from pathlib import Path
+from typing import Any
+
+from lpn.core.csv_cells import decode_text, delimited, mixed_separators
+from lpn.core.errors import DataError
+from lpn.core.files import printable
+
+# The largest list that is read, in bytes.
+MAX_LIST_BYTES = 100_000_000
+# Messages show so many characters of a line.
+_SHOWN = 200
+
+
+def read_text(path: Path, name: str, errors: str = "strict", most: int = MAX_LIST_BYTES) -> str:
+    """Return the text of a file.
+
+    Args:
+        errors: of the decoding; "surrogateescape" keeps the bytes of a file name that is not UTF-8.
+
+    Raises:
+        DataError: if the file cannot be read, has more than `most` bytes, or is neither UTF-8 nor UTF-16.
+    """
+    try:
+        if path.stat().st_size > most:
+            raise DataError(f"{name} has more than {most // 1_000_000} MB; expected a list of pictures as text.")
+        return decoded(path.read_bytes(), name, errors)
+    except OSError as error:
+        raise DataError(
+            f"{name} cannot be read ({error.strerror or error}); check that it is there and readable."
+        ) from error
+
+
+def decoded(data: bytes, name: str, errors: str = "strict") -> str:
+    """Return the text of a file's contents; DataError if they are neither UTF-8 nor UTF-16."""
+    try:
+        return decode_text(data, errors)
+    except UnicodeDecodeError as error:
+        raise DataError(f"{name} is not text in UTF-8 or UTF-16; expected a list of pictures.") from error
+
+
+def numbered_lines(path: Path, name: str) -> Iterator[tuple[str, str]]:
+    """Yield the lines that are not blank, each after "Line <number> of <name>"; errors as for `read_text`."""
+    for number, line in enumerate(read_text(path, name).splitlines(), 1):
+        if line.strip():
+            yield f"Line {number} of {name}", line
+
+
+def read_json(path: Path, name: str, most: int = MAX_LIST_BYTES) -> Any:
+    """Read the value of a JSON file up to a limit of bytes; errors as for `read_text`, and if it is not JSON."""
+    try:
+        return json.loads(read_text(path, name, most=most))
+    except (ValueError, RecursionError) as error:
+        raise DataError(f"{printable(name)} is not JSON; save it again, or unpack it again.") from error
+
+
+def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows of a CSV file that are not blank, each with its line number from 1.
+
+    Values are separated as `lpn.core.csv_cells.delimited` finds out.
+
+    Raises:
+        DataError: as for `read_text`, and if it is not a CSV file.
+    """
+    yield from _checked(delimited(read_text(path, name, errors)).rows, name)
+
+
+def table(
+    text: str,
+    name: str,
+    fits: Callable[[list[str]], bool],
+    expected: str,
+    decimals: Collection[str] = (),
+    tidy: Callable[[str], str] = str.lower,
+) -> tuple[list[str], Iterator[tuple[str, dict[str, str]]]]:
+    """Read a table whose first line names its columns.
+
+    Args:
+        fits: tells whether these are the columns.
+        expected: the columns, for the message about others.
+        decimals: columns in which a decimal comma becomes a point, where nothing is separated by commas.
+        tidy: makes the name of a column of that in the file.
+
+    Returns:
+        The columns, and the values of each line by column, after "Line <number> of <name>".
+
+    Raises:
+        DataError: if the columns do not fit, or a line has more or fewer values.
+    """
+    decimal_comma, numbered = delimited(text)
+    lines = _checked(numbered, name)
+    header = [tidy(column.strip()) for column in next(lines, (0, []))[1]]
+    if not fits(header):
+        found = printable(",".join(header)[:_SHOWN])
+        raise DataError(
+            f"The first line of {name} is {found or 'empty'}; expected {expected}.{mixed_separators(','.join(header))}"
+        )
+
+    def rows() -> Iterator[tuple[str, dict[str, str]]]:
+        for number, values in lines:
+            where = f"Line {number} of {name}"
+            if len(values) != len(header):
+                raise DataError(f"{where} has {len(values)} values; expected {len(header)}: {','.join(header)}.")
+            row = {column: value.strip() for column, value in zip(header, values, strict=True)}
+            if decimal_comma:
+                row |= {column: row[column].replace(",", ".", 1) for column in decimals if column in row}
+            yield where, row
+
+    return header, rows()
+
+
+def _checked(rows: Iterator[tuple[int, list[str]]], name: str) -> Iterator[tuple[int, list[str]]]:
+    line = 0
+    try:
+        for line, values in rows:
+            yield line, values
+    except csv.Error as error:
+        raise DataError(f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it.") from error
