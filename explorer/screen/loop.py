@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from explorer.compute.batching import SupersededError
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import DelayedCall, Worker
@@ -50,7 +51,7 @@ class Loop:
     def _work(self) -> float | None:
         slow = DelayedCall(_SLOW, lambda: self._send({"busy": "Computing"}))
         try:
-            state, message = self._requests().retry_superseded(self._newest)
+            state, message = self._newest()
         except BusyError:
             self._send({"busy": "The server is busy. Trying again."})
             return RETRY_AFTER
@@ -61,9 +62,15 @@ class Loop:
         return None
 
     def _newest(self) -> tuple[ScreenState, ScreenMessage]:
-        state = self._state
-        assert state is not None
-        return state, self._answer(state)
+        """Answer the newest state; one that a newer one supersedes in the queue is answered anew."""
+        with self._requests().answering():
+            while True:
+                state = self._state
+                assert state is not None
+                try:
+                    return state, self._answer(state)
+                except SupersededError:
+                    continue
 
     def _fail(self, error: Exception) -> None:
         text = str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."

@@ -12,14 +12,14 @@ import numpy as np
 
 from explorer.browse.feeds import Feeds
 from explorer.screen.fields import ScreenState
-from explorer.screen.headline import headline
 from explorer.workspace import StateAnalysis, Workspace
-from lpn.analysis.matching_turn import matching_turn
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import LPNError
-from lpn.core.numbers import distance, rounded_to_sum, wrap_degrees
+from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
+from lpn.core.texts import ordinal
 from lpn.core.views import View
+from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
 from lpn.tasks.task import Task
 
@@ -27,6 +27,8 @@ from lpn.tasks.task import Task
 STRIP = 6
 # Queries from which the scale of all bars is measured, numbers that this reads at most, and the percentage of bars that fit.
 _SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
+# A gain below this is called even.
+_EVEN = 0.005
 # The scale of a sum where it is not measured, and the least step of a scale.
 _LONGEST, _STEP = 2.0, 0.1
 
@@ -64,12 +66,10 @@ class ScreenResult:
         """The nearest tile."""
         return self.analysis.ranking.match(0)
 
-    @cached_property
+    @property
     def rival(self) -> Match | None:
-        """The tile of the headline: the nearest wrong one, the truth of a missed query, else the second."""
-        if self.first.true is None:
-            return self.analysis.matches[1] if len(self.analysis.matches) > 1 else None
-        return self.analysis.ranking.hardest_negative() if self.first.true else self.analysis.positive
+        """The tile that the verdict compares the answer with."""
+        return self.analysis.verdict.rival
 
     @cached_property
     def compared(self) -> Match | None:
@@ -87,12 +87,12 @@ class ScreenResult:
         shown = {match.index: match for match in (self.first, compared, truth) if match is not None}
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
-        said = headline(self.analysis, self.first, self.rival, self.word, self.ends)
+        verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
         weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
         return {
             "photo": self._photo(),
             "angle": state.angle,
-            "headline": {"found": said.found, "title": said.title, "reason": said.reason},
+            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": f"{verdict.headline}."},
             "answer": self.first.index,
             "rival": None if compared is None else compared.index,
             "rival_word": self._word(compared, pinned),
@@ -102,25 +102,22 @@ class ScreenResult:
             "strip": [match.index for match in strip],
             "tiles": tiles,
             "rank": None if truth is None or truth.beyond else truth.rank,
-            "nearest": _hundredths([self.first.distance2])[0],
+            "nearest": round(self.first.distance2, 3),
             "scale": {"part": self.scale.part * float(weights.max() / weights.mean()), "total": self.scale.total},
             "weights": list(state.weights),
-            "metres": self._metres(),
+            "metres": "" if metres is None else distance(metres),
         }
 
-    @property
-    def word(self) -> str:
-        """The noun for a part."""
-        return self.workspace.parts_word.removesuffix("s")
-
-    @property
-    def ends(self) -> tuple[str, str]:
-        """Names of the first and the last part."""
-        partition = self.workspace.contract.partition(self.task.query_view)
-        if partition is None or partition.kind != "rings":
-            return f"{self.word} 1", f"{self.word} {self.workspace.contract.n_parts}"
-        centre, outer = "the centre", "the outer one"
-        return (outer, centre) if partition.outside_in else (centre, outer)
+    def _title(self, truth: Match | None) -> str:
+        """Return what follows "Found" or "Missed", or the nearest tile where the truth is not known."""
+        total = f"{self.task.tiles:,}"
+        if self.first.true is None:
+            return f"Nearest of {total}: {self.task.gallery[self.first.index].title}"
+        if self.first.true:
+            return f"first of {total}"
+        if truth is None:
+            return "no tile of the place"
+        return f"truth is {truth.rank_text if truth.beyond else ordinal(truth.rank)} of {total}"
 
     def _strip(self, pinned: Match | None) -> list[Match]:
         """Return the nearest tiles, and last the truth or the chosen tile that lies behind them."""
@@ -137,16 +134,23 @@ class ScreenResult:
         return "truth" if compared.true else "next"
 
     def _rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
-        """Return for each part how much nearer the answer is than the compared tile, as their shown shares differ."""
-        own = _hundredths(self.first.contributions)
-        other = own if compared is None else _hundredths(compared.contributions)
-        rows = []
-        for mine, theirs in zip(own, other, strict=True):
-            gap = round(theirs - mine, 2)
-            judged = self.first.true is not None and not (pinned and not self.first.true) and abs(gap) >= 0.01
-            prefers = (gap > 0) == bool(self.first.true) if judged else None
-            rows.append({"gap": "" if compared is None else f"{abs(gap):.2f}", "minus": gap < 0, "prefers": prefers})
-        return rows
+        """Return for each part how much nearer the answer is than the compared tile, and whether that is towards the truth.
+
+        The gains are shown as the verdict shows them: rounded, they add up to the difference of the shown distances.
+        """
+        if compared is None:
+            return [{"gain": "", "minus": False, "prefers": None}] * self.workspace.contract.n_parts
+        lead = shown_difference(compared.distance2, self.first.distance2)
+        gains = rounded_to_sum((compared.contributions - self.first.contributions).tolist(), total=lead)
+        judged = self.first.true is not None and (self.first.true or not pinned)
+        return [
+            {
+                "gain": f"{abs(gain):.3f}",
+                "minus": gain < 0,
+                "prefers": (gain > 0) == self.first.true if judged and abs(gain) >= _EVEN else None,
+            }
+            for gain in gains
+        ]
 
     def _photo(self) -> dict[str, Any]:
         analysis = self.analysis
@@ -163,14 +167,14 @@ class ScreenResult:
         }
 
     def _tile(self, match: Match, described: bool) -> dict[str, Any]:
-        shares = _hundredths(match.contributions)
+        shares = rounded_to_sum(match.contributions.tolist(), total=match.distance2)
         quarter = self._quarter(match)
         tile = {
             "name": self.task.gallery[match.index].title,
             "src": f"{self.feeds.pictures(self.task, 'tile')}{match.index}",
             "rank": match.rank_text,
             "true": match.true,
-            "distance": f"{sum(shares):.2f}",
+            "distance": f"{match.distance2:.3f}",
             "shares": shares,
             "quarter": quarter,
         }
@@ -220,12 +224,6 @@ class ScreenResult:
             strongest.append([] if cell < 0 else [cell % heat.shape[1], cell // heat.shape[1]])
         return {"parts": parts, "heat": _bytes(np.round(255 * heat).astype(np.uint8)), "strongest": strongest}
 
-    def _metres(self) -> str:
-        """Return how far the answer lies from the place that the photo shows; empty where that is not known."""
-        errors = self.analysis.errors_m
-        off = float("nan") if errors is None else float(errors[self.first.index])
-        return distance(off) if np.isfinite(off) else ""
-
 
 def measured_scale(task: Task) -> BarScale:
     """Return the ends of all bars of a task: what 99 of 100 shares of answers and rivals of a sample of queries fit into."""
@@ -250,11 +248,6 @@ def measured_scale(task: Task) -> BarScale:
 
 def _rounded_up(value: float) -> float:
     return max(round(float(np.ceil(round(value / _STEP, 6))) * _STEP, 1), _STEP)
-
-
-def _hundredths(shares: Sequence[float] | np.ndarray[Any, Any]) -> list[float]:
-    """Round shares to two digits that add up to their rounded sum."""
-    return [round(10 * share, 2) for share in rounded_to_sum([float(share) / 10 for share in shares])]
 
 
 def _symmetric(boxes: Sequence[Sequence[float]]) -> bool:

@@ -24,10 +24,10 @@ from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.server.message_filter import MAX_UPLOAD
 from explorer.session_state import SessionState
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
-from lpn.analysis.analyser import OwnPicture
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
+from lpn.library.analyser import OwnPicture
 from lpn.tasks.task import SCORINGS, scored_key
 
 # Own photos that all tabs hold at a time, each of up to 8 MB.
@@ -247,7 +247,7 @@ class ScreenSession:
             "tasks": list(base.tasks),
             "scorings": scorings,
             "parts": workspace.contract.n_parts,
-            "word": workspace.parts_word.removesuffix("s"),
+            "word": workspace.contract.part_noun,
             "names": workspace.part_names,
             "tiles": task.tiles,
             "photo": _noun(task.query_view, base.has_flight),

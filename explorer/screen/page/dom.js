@@ -43,7 +43,7 @@ export const inkOn = (colour) => {
 };
 
 export const wrap = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
-export const shown = (value) => value.toFixed(2);
+export const shown = (value) => value.toFixed(3);
 export const isPhone = () => innerWidth <= 760;
 
 // Pictures by their addresses; each asks for a new drawing when it has come.

@@ -60,11 +60,11 @@ export const showRows = (rows, page, result, colour) => {
     number.style.color = inkOn(tone);
     if (result.weights.length) number.prepend(make("u", { text: `×${result.weights[part]}` }));
     find("b", row).textContent = shown(answer.shares[part]);
-    const { gap, minus, prefers } = result.rows[part];
+    const { gain, minus, prefers } = result.rows[part];
     const told = find(".line i", row);
     told.className = prefers === null ? "" : prefers ? "right" : "wrong";
-    told.textContent = gap && (prefers === null ? (minus ? "−" : "+") : prefers ? "✓ " : "✗ ") + gap;
-    told.title = prefers === null ? "" : `This part prefers the ${prefers ? "truth" : "wrong tile"} by ${gap}`;
+    told.textContent = gain && (prefers === null ? (minus ? "−" : "+") : prefers ? "✓ " : "✗ ") + gain;
+    told.title = prefers === null ? "" : `This part prefers the ${prefers ? "truth" : "wrong tile"} by ${gain}`;
     fill(find(".track", row), answer.shares[part], result.scale.part, tone);
     fill(find(".track2", row), rival ? rival.shares[part] : 0, result.scale.part);
     const against = rival ? `, ${result.rival_word} ${shown(rival.shares[part])}` : "";
