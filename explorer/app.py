@@ -85,6 +85,8 @@ class App:
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, embedders, screen)
         self._sessions: dict[int, ClientSession] = {}
+        # The tabs whose scenes viser's clients are.
+        self._scenes: dict[int, str] = {}
         self.server.on_client_connect(self._connect)
         self.server.on_client_disconnect(self._disconnected)
 
@@ -106,9 +108,13 @@ class App:
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         """Begin the session of a browser; viser runs a coroutine where the tab of a scene is known."""
-        if SCENE_TAB.get() is None:
+        tab = SCENE_TAB.get()
+        if tab is None:
             begun = thread_pool(client.gui).submit(self._connected, client)
             begun.add_done_callback(_log_error)
+        else:
+            self._scenes[client.client_id] = tab
+            self._channel.attach(tab, client)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         log.info("Browser %d connected", client.client_id)
@@ -237,6 +243,9 @@ class App:
             again.stay(self._choices[key], "The server's log has the details.")
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
+        tab = self._scenes.pop(client.client_id, None)
+        if tab is not None:
+            self._channel.detach(tab, client)
         session = self._sessions.pop(client.client_id, None)
         if session is not None:
             log.info("Browser %d left", client.client_id)

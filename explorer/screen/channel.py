@@ -9,6 +9,7 @@ from collections import OrderedDict
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
+import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
@@ -70,6 +71,18 @@ class Channel:
         for session in list(self.sessions.values()):
             session.leave()
         self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def attach(self, tab: str, client: viser.ClientHandle) -> None:
+        """Give a tab's session the client of its scene; a scene without a session shows nothing."""
+        session = self.sessions.get(tab)
+        if session is not None:
+            session.attach(client)
+
+    def detach(self, tab: str, client: viser.ClientHandle) -> None:
+        """Take the client of a scene that has gone."""
+        session = self.sessions.get(tab)
+        if session is not None and session.client is client:
+            session.attach(None)
 
     async def serve(self, tab: str, connection: ServerConnection) -> None:
         """Serve one tab until its connection ends.

@@ -168,7 +168,7 @@ class ScreenResult:
 
     def _tile(self, match: Match, described: bool) -> dict[str, Any]:
         shares = rounded_to_sum(match.contributions.tolist(), total=match.distance2)
-        quarter = self._quarter(match)
+        quarter = self.quarter(match)
         tile = {
             "name": self.task.gallery[match.index].title,
             "src": f"{self.feeds.pictures(self.task, 'tile')}{match.index}",
@@ -180,17 +180,18 @@ class ScreenResult:
         }
         if not described:
             return tile
-        known = self._described(match)
+        known = self.described(match)
         height, width = self.workspace.as_partitioned(known.picture, self.task.gallery_view).shape[:2]
         aspect = width / height if max(width, height) >= 2 * min(width, height) else 1.0
         return tile | {"aspect": aspect, **self._heat(known, self.task.gallery_view, quarter)}
 
-    def _described(self, match: Match) -> DescribedPicture:
+    def described(self, match: Match) -> DescribedPicture:
+        """Return a tile, described."""
         if match.index == self.analysis.chosen.index:
             return self.analysis.tile
         return self.workspace.tile(self.task, match.index)
 
-    def _quarter(self, match: Match) -> int:
+    def quarter(self, match: Match) -> int:
         """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""
         analysis = replace(self.analysis, chosen=match)
         turn = matching_turn(analysis, None if self.state.own else self.state.query, 0.0, None)

@@ -9,18 +9,22 @@ from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from typing import Any
 
+import viser
+
 from explorer import uploads
 from explorer.client.services import WorkspaceServices
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
+from explorer.compute.worker import Worker
 from explorer.screen import fields
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.rail import Rail
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
+from explorer.screen.scene.scene import Scene, views_of
 from explorer.server.message_filter import MAX_UPLOAD
 from explorer.session_state import SessionState
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
@@ -66,6 +70,9 @@ class Screens:
 class ScreenSession:
     """One tab. Messages come from one thread at a time.
 
+    Attributes:
+        client: viser's, of the tab's scene; None without one.
+
     Args:
         send: hands a message to the page, from any thread.
     """
@@ -89,7 +96,15 @@ class ScreenSession:
             "random": self._random,
             "upload": self._upload,
             "forget": self._forget,
+            "hover": self._hover,
+            "pick": self._pick,
+            "scene": lambda _: self._painter.wake("resized"),
         }
+        # The tab's scene once its frame is there, and what it is to show.
+        self.client: viser.ClientHandle | None = None
+        self._scene: Scene | None = None
+        self._painted: ScreenResult | None = None
+        self._painter = Worker(self._paint, lambda _: None)
 
     def receive(self, message: object) -> None:
         """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
@@ -116,6 +131,7 @@ class ScreenSession:
         """Stop all that goes on for this tab: it has left."""
         self._loop.stop()
         self._curve.stop()
+        self._painter.stop()
         self._progress.close()
         with self._lock:
             for opened in self._opened.values():
@@ -125,6 +141,11 @@ class ScreenSession:
                 self._of(self._state).feeds.leave(self)
                 self._of(self._state).feeds.leave(self._rail)
             self._drop_own()
+
+    def attach(self, client: viser.ClientHandle | None) -> None:
+        """Draw in a frame of viser's page from now on; None once it has gone."""
+        self.client = client
+        self._painter.wake()
 
     # What messages do.
 
@@ -216,6 +237,29 @@ class ScreenSession:
             self._own = {}
             self._screens.own.release()
 
+    def _hover(self, arguments: Mapping[str, Any]) -> None:
+        part, scene = arguments.get("part"), self._scene
+        if scene is not None:
+            scene.hover(part if isinstance(part, int) and part >= 0 else None)
+
+    def _pick(self, arguments: Mapping[str, Any]) -> None:
+        """Say what is at a place of the scene."""
+        place = [arguments.get(name) for name in ("x", "y")]
+        if self._scene is not None and all(isinstance(one, (int, float)) and 0 <= one <= 1 for one in place):
+            found = self._scene.pick(*map(float, place))  # type: ignore[arg-type]
+            self._send({"picked": found or {}})
+
+    def _paint(self) -> None:
+        """Draw the newest result in the tab's scene, which is made for a frame that has just come."""
+        client, result, state = self.client, self._painted, self._state
+        if client is None or result is None or state is None:
+            self._scene = None if client is None else self._scene
+            return
+        if self._scene is None or self._scene.client is not client:
+            self._scene = Scene(client)
+        self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)))
+        self._send({"scene": "ready"})
+
     # What is shown.
 
     def _show(self, state: ScreenState, problems: list[str], new_page: bool = False) -> None:
@@ -229,6 +273,8 @@ class ScreenSession:
         self._show_rail()
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
+        elif (before.view, before.theme) != (state.view, state.theme):
+            self._painter.wake()
 
     def _choices(self, state: ScreenState) -> ScreenMessage:
         workspace = self._of(state).workspace
@@ -318,15 +364,18 @@ class ScreenSession:
         )
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
         scale = self._screens.scale(analysis.task)
-        answer = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
+        result = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
         key = self._curve_key(state, analysis)
         if state.angle % STEP == 0 and opened.workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
         self._analysed = state, analysis
-        return answer.message() | {"state": asdict(state), "curve": _digest(key, state)}
+        message = result.message() | {"scene": views_of(result)}
+        self._painted = result
+        return message | {"state": asdict(state), "curve": _digest(key, state)}
 
     def _after(self, state: ScreenState) -> None:
-        """Begin what goes on behind an answer: the ranking of all queries, and the curve."""
+        """Begin what goes on behind an answer: the scene, the ranking of all queries, and the curve."""
+        self._painter.wake()
         ranking = self._ranking(state)
         self._progress.follow(ranking)
         assert self._analysed is not None

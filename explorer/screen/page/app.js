@@ -8,6 +8,7 @@ import { paintKey, partAt } from "./heat.js";
 import { markFocus, photoTurn, rollPicture, showPicture } from "./pictures.js";
 import { RailList } from "./rail.js";
 import { showRows, showStrip, showSums, sign } from "./rows.js";
+import { SceneFrame } from "./scene.js";
 import { makeTurnable } from "./turn.js";
 
 const STEP = 15; // degrees of a key
@@ -55,6 +56,8 @@ const channel = connect(
       view.curve = points;
       soon();
     },
+    scene: () => scene.ready(),
+    picked: (found) => scene.picked(found),
     busy: (text) => say(text),
     error: (text) => {
       say(text);
@@ -62,6 +65,7 @@ const channel = connect(
     },
   },
   () => {
+    if (view.lost) scene.reload();
     view.lost = false;
     const search = new URLSearchParams(location.search);
     let kept = null;
@@ -143,6 +147,7 @@ const draw = () => {
   showSums(sum, result);
   showStrip(strip, result);
   for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  scene.show(result.scene, state.view);
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
@@ -204,6 +209,7 @@ const drawPictures = () => {
 const focusOn = (part) => {
   if (part === view.focus || dragged() || !view.result || view.page.parts === 1 || isStale()) return;
   view.focus = part;
+  channel.act("hover", { part });
   const { result } = view;
   const shown = view.truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer;
   for (const one of [rows, strip, sum]) markFocus(one, part);
@@ -261,6 +267,8 @@ document.addEventListener("click", (event) => {
   const target = /** @type {Element} */ (event.target);
   const query = /** @type {any} */ (target.closest("[data-query]"));
   if (query) set({ query: Number(query.dataset.query), own: "" });
+  const seen = /** @type {any} */ (target.closest("[data-view]"));
+  if (seen) set({ view: seen.dataset.view });
   const filter = /** @type {any} */ (target.closest("[data-filter]"));
   if (filter) set({ filter: filter.dataset.filter });
 });
@@ -271,6 +279,7 @@ find("#random").onclick = () => channel.act("random");
 find("#find").onclick = () => commands.open();
 find("#palette").onclick = () => commands.open();
 find("#model").onclick = () => set({ model: String((Number(view.state.model) + 1) % view.page.models.length) });
+find("#scene .enlarge").onclick = () => enlarge();
 find("#own").onclick = () => find("#file").click();
 const key = find(".key", photo);
 key.addEventListener("pointerenter", () => show({ colour: true }));
@@ -317,6 +326,7 @@ const commands = new Commands(find("#commands"), list, () => {
     ...others("task", page.tasks, (one) => `Task: ${one}`),
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
+    ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : "City", key: "X", act: () => KEYS.x() }] : []),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
     { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
   ];
@@ -330,11 +340,21 @@ const classicAddress = () => {
 
 const toggleFilter = () => set({ filter: view.state.filter === "all" ? "missed" : "all" });
 const escape = () => {
-  if (view.said && view.result) say("");
+  if (document.body.classList.contains("large")) enlarge(false);
+  else if (view.said && view.result) say("");
   else if (view.result?.pinned) set({ compare: null });
   else if (view.state.filter !== "all") set({ filter: "all" });
 };
+const enlarge = (large = !document.body.classList.contains("large")) => {
+  document.body.classList.toggle("large", large);
+  const button = find("#scene .enlarge");
+  button.textContent = large ? "✕" : "⤢";
+  button.title = large ? "Close (Esc)" : "Enlarge (G)";
+  button.setAttribute("aria-label", large ? "Close" : "Enlarge");
+  scene.resized();
+};
 const KEYS = {
+  x: () => set({ view: view.state.view === "city" ? "apart" : "city" }), g: () => enlarge(),
   n: () => step(1), arrowdown: () => step(1), p: () => step(-1), arrowup: () => step(-1),
   r: () => channel.act("random"), m: toggleFilter, d: flipTheme, escape,
   j: () => turnTo(view.angle + STEP), arrowleft: () => turnTo(view.angle + STEP),
@@ -359,6 +379,12 @@ addEventListener("keydown", press);
 addEventListener("keyup", (event) => {
   if (event.key.toLowerCase() === "t") show({ truth: false });
   if (event.key.toLowerCase() === "f") show({ colour: false });
+});
+
+const scene = new SceneFrame(find("#scene"), channel, press, (found, why) => {
+  if (why === "hover") {
+    if (found.part !== undefined || view.focus >= 0) focusOn(found.part ?? -1);
+  } else if (found.tile !== undefined) compare(found.tile);
 });
 
 // On a phone the curve stands below the pictures.
