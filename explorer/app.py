@@ -81,7 +81,10 @@ class App:
         self._first = self._add(key, workspace)
         self._pictures = PictureRoute(self._find_picture)
         places = {one: name or one for one, name in (self._choices or {key: label}).items()}
-        self._channel = Channel(Screens(self._services_of, DATA if DATA in places else key, places))
+        home = DATA if DATA in places else key
+        if home in self._others:  # it shall be open when the first page comes
+            self._others[home].open()
+        self._channel = Channel(Screens(self._services_of, home, places))
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, embedders, screen)
         self._sessions: dict[int, ClientSession] = {}

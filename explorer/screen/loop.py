@@ -8,12 +8,10 @@ from typing import Any
 from explorer.compute.batching import SupersededError
 from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
 from explorer.compute.request_context import RequestContext
-from explorer.compute.worker import DelayedCall, Worker
+from explorer.compute.worker import Worker
 from explorer.screen.fields import ScreenState
 from lpn.core.errors import LPNError
 
-# Seconds of an analysis after which the page says that it is being computed.
-_SLOW = 0.5
 ScreenMessage = dict[str, Any]
 
 
@@ -49,14 +47,11 @@ class Loop:
         self._worker.stop()
 
     def _work(self) -> float | None:
-        slow = DelayedCall(_SLOW, lambda: self._send({"busy": "Computing"}))
         try:
             state, message = self._newest()
         except BusyError:
             self._send({"busy": "The server is busy. Trying again."})
             return RETRY_AFTER
-        finally:
-            slow.cancel()
         self._send({"result": message})
         self._on_result(state)
         return None

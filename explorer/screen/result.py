@@ -88,11 +88,13 @@ class ScreenResult:
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
         verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
+        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
+        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
         weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
         return {
             "photo": self._photo(),
             "angle": state.angle,
-            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": f"{verdict.headline}."},
+            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": reason},
             "answer": self.first.index,
             "rival": None if compared is None else compared.index,
             "rival_word": self._word(compared, pinned),

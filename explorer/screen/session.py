@@ -159,6 +159,8 @@ class ScreenSession:
             self._send({"error": str(error)})
             services = self._screens.services(self._screens.home)
         state, problems = fields.from_address(search, services.workspace)
+        if not self._opens_model(state):
+            state = replace(state, model="0")
         self._show(state, problems, new_page=True)
 
     def _set(self, values: Mapping[str, Any]) -> None:
@@ -298,6 +300,7 @@ class ScreenSession:
             "tiles": task.tiles,
             "photo": _noun(task.query_view, base.has_flight),
             "turns": workspace.model is not None,
+            "place": "City" if base.basemap is None else "Map",
             "without_cells": workspace.without_cells,
             "step": STEP,
         }

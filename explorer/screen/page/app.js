@@ -147,7 +147,7 @@ const draw = () => {
   showSums(sum, result);
   showStrip(strip, result);
   for (const one of [rows, strip, sum]) markFocus(one, view.focus);
-  scene.show(result.scene, state.view);
+  scene.show(result.scene, state.view, page.place);
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
@@ -326,7 +326,7 @@ const commands = new Commands(find("#commands"), list, () => {
     ...others("task", page.tasks, (one) => `Task: ${one}`),
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
-    ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : "City", key: "X", act: () => KEYS.x() }] : []),
+    ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : view.page.place, key: "X", act: () => KEYS.x() }] : []),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
     { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
   ];

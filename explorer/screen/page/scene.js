@@ -25,8 +25,9 @@ export class SceneFrame {
     addEventListener("resize", () => this.resized());
   }
 
-  /** Make the frame, or hide the box of a task that has no place. */
-  show(views, view) {
+  /** Make the frame, or hide the box of a task that has no place, which is called a city or a map. */
+  show(views, view, place) {
+    find("[data-view=city]", this.box).textContent = place;
     this.box.hidden = !views.length;
     for (const button of findAll("[data-view]", this.box)) {
       button.hidden = !views.includes(button.dataset.view);

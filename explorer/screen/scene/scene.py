@@ -121,7 +121,7 @@ class Scene:
             corners += framed if match.index == result.first.index or match.true else []
         self._show_way(result, places, dark)
         points = np.array(corners or [np.zeros(3)])
-        self._look(points, axes, _CITY_FOV, 0.5, 6000.0, 0.86)
+        self._look(points, axes, _CITY_FOV, 0.5, 6000.0, 0.8)
 
     def _build_city(self, result: ScreenResult, places: GalleryGeometry) -> None:
         """Lay the ground, and the buildings where a plan has them, once for each task."""
@@ -311,7 +311,9 @@ class Scene:
 
 def views_of(result: ScreenResult) -> list[str]:
     """Return what the scene of a result can show: "city" where tiles have positions, "apart" where parts are square rings."""
-    return ["city"] * (result.task.geometry is not None) + ["apart"] * (_halves(result) is not None)
+    halves = _halves(result)
+    apart = halves is not None and len(halves) > 1
+    return ["city"] * (result.task.geometry is not None) + ["apart"] * apart
 
 
 def _halves(result: ScreenResult) -> list[float] | None:
