@@ -214,8 +214,8 @@ def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspa
         except UnusableError as error:
             problems.append(f"{row['key'] or name}: {error}")
             continue
-        if name in ("task", "query", "own"):
-            state = replace(state, own="") if value == getattr(state, name) else replace(state, own="", **_UPRIGHT)
+        if name in ("task", "query", "own") and (value != getattr(state, name) or (state.own and name != "own")):
+            state = replace(state, own="", **_UPRIGHT)
         if name == "task" and value != state.task:
             state = replace(state, query=0, scoring=workspace.default_scoring(value))
         state = replace(state, **{name: value})
