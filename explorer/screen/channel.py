@@ -107,7 +107,7 @@ class Channel:
             writing.cancel()
             if self.sessions.get(tab) is session:
                 del self.sessions[tab]
-            await loop.run_in_executor(self._executor, session.leave)
+            await asyncio.to_thread(session.leave)
 
 
 def _receive(session: ScreenSession, raw: str | bytes) -> None:

@@ -94,7 +94,7 @@ const turnTo = (angle) => {
   if (!view.result || !view.page.turns) return;
   view.angle = Math.round(wrap(angle) * 10) / 10;
   view.focus = -1;
-  if (sent === null) sendAngle();
+  if (sent === null && view.angle !== view.state.angle) sendAngle(); // the server answers a change only
   soon();
 };
 const sendAngle = () => {

@@ -8,6 +8,8 @@ const HEAT_SIDE = 320;
 /** The CSS turn of the photo, which the page turns itself, as the server does. */
 export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
 
+const drawnParts = new WeakMap();
+
 /** Show a picture in its frame: `described` has its address, parts, and heat. */
 export const showPicture = (figure, described, focus, count, transform, label) => {
   const pan = find(".pan", figure);
@@ -22,8 +24,12 @@ export const showPicture = (figure, described, focus, count, transform, label) =
   canvas.width = Math.round(HEAT_SIDE * (described.aspect ?? 1));
   canvas.height = HEAT_SIDE;
   paintHeat(canvas.getContext("2d"), canvas.width, canvas.height, described, focus);
-  drawParts(find("svg", figure), described, count);
-  markFocus(find("svg", figure), focus);
+  const svg = find("svg", figure);
+  // Drawn once for each picture and theme: an element that is replaced under the pointer loses its events.
+  const drawn = drawnParts.get(svg);
+  if (drawn?.described !== described || drawn.light !== isLight()) drawParts(svg, described, count);
+  drawnParts.set(svg, { described, light: isLight() });
+  markFocus(svg, focus);
 };
 
 /** Turn a panorama by rolling its columns; another picture is turned by its transform. */
