@@ -4,6 +4,7 @@ import { find, inkOn, isPhone, makeSvg, partColour, picture, variable } from "./
 import { boxOf, cellsOf, isLight, paintHeat } from "./heat.js";
 
 const HEAT_SIDE = 320;
+const MOST_WIDE = 2.5; // of a strip's crop, which is else a line
 
 /** The CSS turn of the photo, which the page turns itself, as the server does. */
 export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
@@ -25,10 +26,10 @@ export const showPicture = (figure, described, focus, count, transform, label) =
   canvas.height = HEAT_SIDE;
   paintHeat(canvas.getContext("2d"), canvas.width, canvas.height, described, focus);
   const svg = find("svg", figure);
-  // Drawn once for each picture and theme: an element that is replaced under the pointer loses its events.
+  // Drawn once for each picture, size, and theme: an element that is replaced under the pointer loses its events.
   const drawn = drawnParts.get(svg);
-  if (drawn?.described !== described || drawn.light !== isLight()) drawParts(svg, described, count);
-  drawnParts.set(svg, { described, light: isLight() });
+  if (drawn?.described !== described || drawn.size !== innerWidth || drawn.light !== isLight()) drawParts(svg, described, count);
+  drawnParts.set(svg, { described, size: innerWidth, light: isLight() });
   markFocus(svg, focus);
 };
 
@@ -96,7 +97,9 @@ export const drawCrop = (canvas, described, part, count, turn, colour, angle = 0
   const image = picture(described.src);
   if (!parts) return;
   const aspect = described.aspect ?? 1;
-  const [left, top, right, bottom] = boxOf(parts, part);
+  let [left, top, right, bottom] = boxOf(parts, part);
+  const most = (MOST_WIDE * (bottom - top)) / aspect;
+  if (right - left > most) [left, right] = [(left + right - most) / 2, (left + right + most) / 2];
   const scale = side / Math.max((right - left) * aspect, bottom - top);
   const [width, height] = [scale * aspect, scale];
   pen.save();
