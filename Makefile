@@ -65,7 +65,7 @@ SHIPPED := $(basename $(notdir $(wildcard assets/models/*.json)))
 EXPLORE_NEEDS := $(if $(filter-out %.onnx $(SHIPPED),$(MODEL) $(BESIDE)),$(VENV)/.train,$(VENV)/.base)
 
 explore: $(EXPLORE_NEEDS)
-	@$(BIN)/lpn explore $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(BESIDE),--beside "$(BESIDE)") --host $(HOST) --port $(PORT)
+	@$(BIN)/lpn explore $(if $(DATA),"$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(BESIDE),--beside "$(BESIDE)") --host $(HOST) --port $(PORT)
 
 setup: $(VENV)/.train
 	@echo "Ready. Use it with: . $(VENV)/bin/activate"
@@ -133,7 +133,7 @@ fuzz: $(VENV)/.dev
 # Many people at once, every answer checked: make soak MINUTES=10 CLIENTS=20 PAGES=2 SEED=0 ALONE=60 OUT=soak.json
 soak: $(VENV)/.browser
 	$(BIN)/python -m tools.soak $(if $(MINUTES),--minutes $(MINUTES)) $(if $(CLIENTS),--clients $(CLIENTS)) $(if $(PAGES),--pages $(PAGES)) \
-	  $(if $(SEED),--seed $(SEED)) $(if $(ALONE),--alone $(ALONE)) $(if $(DATA),--data "$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
+	  $(if $(SEED),--seed $(SEED)) $(if $(ALONE),--alone $(ALONE)) $(if $(DATA),"$(DATA)") $(if $(MODEL),--model "$(MODEL)") $(if $(OUT),--out "$(OUT)")
 
 # The demo made again, in runs/: a city rendered, LPN and its baseline trained alike on it, all packed. Every step goes on where
 # it stopped. INIT=file: ImageNet weights of a ResNet-18, with torchvision's names; without it networks start from random weights.

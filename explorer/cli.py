@@ -1,10 +1,9 @@
-"""The commands `lpn explore` and `lpn story`, which the entry points `lpn.commands` add to `lpn`."""
+"""The command `lpn explore`, which the entry point `lpn.commands` adds to `lpn`."""
 
 from __future__ import annotations
 
 import sys
 import time
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass, field
@@ -16,30 +15,16 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
 import tyro
 
 from explorer.parameters import DATA
-from lpn.cli import by_source
-from lpn.cli.live import LiveInput
-from lpn.cli.locate import MapError
+from lpn.cli.live import LiveInput, MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
+from lpn.locate.source import FlightSource
 from lpn.models.adapters import Kind
-from lpn.sources import (
-    Arrays,
-    CalibrateOption,
-    CslsOption,
-    Flown,
-    Indexed,
-    KindOption,
-    ModelOptions,
-    PoolingOption,
-    ProviderOption,
-    Published,
-    TaskSource,
-    of_each,
-    shipped_model,
-)
+from lpn.sources import Advanced, ModelOptions, SourceOptions, of_each, shipped_model, source_of
+from lpn.sources.kinds.data import DataSource
 
 if TYPE_CHECKING:
     from explorer.server.auth import Authenticator
@@ -71,11 +56,11 @@ class ServeOptions:
     """Address to listen on; on any other than 127.0.0.1, other machines can connect with the token in the printed link."""
     port: int = 8080
     """Port to listen on."""
-    token: str | None = None
+    token: Advanced[str | None] = None
     """Token to ask for, at least 12 characters; other users see it in the list of processes, so better set LPN_TOKEN."""
-    ask_token: bool = False
+    ask_token: Advanced[bool] = False
     """Ask for a token on 127.0.0.1 too; otherwise other users of this machine can connect without one."""
-    allow_host: Annotated[tuple[str, ...], tyro.conf.UseAppendAction] = ()
+    allow_host: Advanced[Annotated[tuple[str, ...], tyro.conf.UseAppendAction]] = ()
     """A further host name of the page, such as that of a reverse proxy (docs/serving.md); once for each."""
 
     def authenticator(self) -> Authenticator:
@@ -90,49 +75,14 @@ class ServeOptions:
 
 
 @dataclass(kw_only=True)
-class ExploreSource(ABC):
-    """Open the explorer in a browser."""
-
-    # The command runs until it is stopped, so a stop is no failure.
-    SERVES: ClassVar[bool] = True
-
-    serve: ServeOptions = field(default_factory=ServeOptions)
-
-    def run(self) -> None:
-        from explorer.app import serve
-
-        authenticator = self.serve.authenticator()
-        opening, host, port = self.workspaces(), self.serve.host, self.serve.port
-        serve(opening.open_workspace, host, port, authenticator, opening.others, opening.label, opening.key)
-
-    @abstractmethod
-    def workspaces(self) -> Workspaces:
-        """Return what opens the workspaces."""
-
-
-@dataclass(kw_only=True)
-class ExploreNamed(ExploreSource):
-    """Open the explorer in a browser."""
-
-    source: TaskSource
-    query: str | None = None
-    """Name of the query to open with, as the picker shows it; by default the first."""
-
-    def workspaces(self) -> Workspaces:
-        from explorer.opening import open_source
-
-        return Workspaces(partial(open_source, self.source, self.query))
-
-
-@dataclass(kw_only=True)
 class ModelsBeside:
     """Models to compare with."""
 
     beside: tuple[Path, ...] = ()
     """Other trained models to compare on every query (key Y, tab Two models), such as those with other parts or input sizes."""
-    beside_kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
+    beside_kind: Advanced[Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")]] = ()
     """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
-    beside_pooling: tuple[str, ...] = ()
+    beside_pooling: Advanced[tuple[str, ...]] = ()
     """Pooling of each model of --beside, in their order, as --pooling is that of --model; auto for models with parts."""
 
     def models_beside(self, provider: ProviderName) -> list[ModelOptions]:
@@ -149,41 +99,10 @@ class ModelsBeside:
 
 
 @dataclass(kw_only=True)
-class ExploreFlight(ModelsBeside, ExploreSource):
-    """Open a flight over its map in a browser."""
-
-    source: Flown
-    register: bool = True
-    """Lay each photo of the flight over the map; this goes on in the background, and its answers are kept."""
-    map_error: MapError = None
-    query: str | None = None
-    """Name of the frame to open with, as the picker shows it; by default the first that can be read."""
-
-    def workspaces(self) -> Workspaces:
-        from explorer.opening import open_flight_over
-
-        source, model = self.source, self.source.model
-        return Workspaces(
-            partial(
-                open_flight_over,
-                source.map,
-                source.flight,
-                model,
-                self.query,
-                self.models_beside(model.provider),
-                self.register,
-                map_error=self.map_error,
-            )
-        )
-
-
-@dataclass(kw_only=True)
-class ExploreLive(LiveInput):
+class ExploreLive(ServeOptions, LiveInput):
     """Follow a flight in a browser while it flies, as lpn locate --live locates it."""
 
     SERVES: ClassVar[bool] = True
-
-    serve: ServeOptions = field(default_factory=ServeOptions)
 
     def run(self) -> None:
         from explorer.live_window.record import LiveRecord
@@ -191,12 +110,12 @@ class ExploreLive(LiveInput):
         from lpn.live.frames import shown_name
         from lpn.maps import open_map
 
-        authenticator = self.serve.authenticator()
+        authenticator = self.authenticator()
         with ExitStack() as stack:
             basemap = stack.enter_context(closing(open_map(self.map)))
             record = LiveRecord(shown_name(self.live), basemap)
             stack.callback(record.forget)
-            app = LiveApp(record, self.serve.host or "0.0.0.0", self.serve.port, authenticator)
+            app = LiveApp(record, self.host or "0.0.0.0", self.port, authenticator)
             stack.callback(app.close)
 
             def say(sentence: str) -> None:
@@ -211,29 +130,55 @@ class ExploreLive(LiveInput):
 
 
 @dataclass(kw_only=True)
-class Explore(ModelsBeside, ExploreSource):
-    """Open the explorer in a browser."""
+class StoryList:
+    """List the stories that lie beside a data set or flight; lpn explore tells them."""
 
-    SOURCES: ClassVar[dict[str, type[ExploreSource | ExploreLive]]] = {
-        **by_source.of_sources(ExploreNamed, Published, Arrays, Indexed),
-        Flown.WORD: ExploreFlight,
-        "live": ExploreLive,
-    }
+    source: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = None
+    """Data set in any layout of docs/data.md, or the photos of a flight; by default those that lpn explore opens."""
+    stories: bool = True
+    """List the stories."""
 
-    data: Path | None = None
-    """Data set in any layout of docs/data.md, of which the test split is shown; by default the demo."""
-    model: Path | None = None
-    """Trained LPN: .onnx (needs no torch), .safetensors, a published .pth, or a name of lpn models; by default city-lpn, which
-    ships."""
-    kind: KindOption = None
-    pooling: PoolingOption = None
-    provider: ProviderOption = "auto"
-    calibrate: CalibrateOption = None
-    csls: CslsOption = 0
+    def run(self) -> None:
+        from explorer.stories.library import read_all
+
+        if self.source is not None and not self.source.is_dir():
+            raise InputError(f"There is no folder {printable(str(self.source))!r}; give that of a data set or flight.")
+        shipped = {DATA: DEMO, "place": DEMO_PLACE[1], "flight": DEMO_FLIGHT[1]}
+        opened = (
+            {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.source is None else {"": self.source}
+        )
+        stories = {of: read_all(root) for of, root in opened.items()}
+        problems = dict.fromkeys(problem for read in stories.values() for problem in read.errors)
+        for problem in problems:
+            print(f"lpn: {problem}", file=sys.stderr)
+        for of, read in stories.items():
+            for story in read.by_name.values():
+                print(f"{printable(story.name)}  ({len(story.steps)} steps{of})")
+        if not problems and not any(read.by_name for read in stories.values()):
+            print("There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.")
+
+
+@dataclass(kw_only=True)
+class Explore(ModelsBeside, ServeOptions, SourceOptions):
+    """Open the explorer in a browser: on a source, by default on the demo."""
+
+    # The command runs until it is stopped, so a stop is no failure.
+    SERVES: ClassVar[bool] = True
+    MODES: ClassVar[dict[str, type[ExploreLive | StoryList]]] = {"--live": ExploreLive, "--stories": StoryList}
+
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
-    beside_weather: tuple[WeatherName, ...] = ()
+    beside_weather: Advanced[tuple[WeatherName, ...]] = ()
     """Weathers in which to compare the model with itself, such as fog rain, where models of --beside are compared."""
+    register: Advanced[bool] = True
+    """Lay each photo of a flight over the map; this goes on in the background, and its answers are kept."""
+    map_error: MapError = None
+
+    def run(self) -> None:
+        from explorer.app import serve
+
+        authenticator, opening = self.authenticator(), self.workspaces()
+        serve(opening.open_workspace, self.host, self.port, authenticator, opening.others, opening.label, opening.key)
 
     @staticmethod
     def in_background(
@@ -259,7 +204,8 @@ class Explore(ModelsBeside, ExploreSource):
             query = DEMO_QUERY if data is None else None
             opens = partial(open_model, data or DEMO, source, query, calibrate=calibrate, csls=csls)
             return serve_in_background(opens, host, port, authenticator, {})
-        opening = Explore(data=data, model=source, calibrate=calibrate, csls=csls).workspaces()
+        folder = None if data is None else str(data)
+        opening = Explore(source=folder, model=source, calibrate=calibrate, csls=csls).workspaces()
         return serve_in_background(
             opening.open_workspace, host, port, authenticator, opening.others, opening.label, opening.key
         )
@@ -276,17 +222,17 @@ class Explore(ModelsBeside, ExploreSource):
             if given is not None and self.model is None:
                 raise InputError(f"{option} needs --model.")
         beside = self.models_beside(self.provider)
-        if self.data is None and not DEMO.is_dir():
+        if self.source is None and not DEMO.is_dir():
             raise InputError(
-                "The demo's files are missing from this installation; install lpn-explorer again, or give a data set with "
-                "--data and a model with --model."
+                "The demo's files are missing from this installation; install lpn-explorer again, or give a data set, and a "
+                "model with --model."
             )
-        query = DEMO_QUERY if self.data is None and self.query is None else self.query
+        query = DEMO_QUERY if self.source is None and self.query is None else self.query
         baseline = DEMO_BASELINE if self._is_demo and DEMO_BASELINE.is_file() else None
         return partial(
             open_model,
-            self.data or DEMO,
-            self.model or (DEMO_MODEL if self.data is None else shipped_model()),
+            DEMO if self.source is None else self.path,
+            self.model or (DEMO_MODEL if self.source is None else shipped_model()),
             query,
             beside,
             baseline,
@@ -296,11 +242,34 @@ class Explore(ModelsBeside, ExploreSource):
             self.pooling,
             self.beside_weather,
             self.csls,
+            self.task,
         )
 
     def workspaces(self) -> Workspaces:
+        """Return what opens the workspaces.
+
+        Raises:
+            InputError: if an option does not fit the source, or lacks the one that it needs.
+        """
+        from explorer.opening import open_flight_over, open_source
+
+        if self.source is None:
+            return self._demo()
+        source = source_of(self)
+        if isinstance(source, DataSource):
+            return Workspaces(self.opens_data())
+        if isinstance(source, FlightSource) and self.index is None:
+            beside = self.models_beside(self.provider)
+            where = source.map_path, self.path
+            opens = partial(open_flight_over, *where, self, self.query, beside, self.register, map_error=self.map_error)
+            return Workspaces(opens)
+        return Workspaces(partial(open_source, self, self.query))
+
+    def _demo(self) -> Workspaces:
         from explorer.opening import offered, open_offered_flight
 
+        if of_source := [one for one in self.of_source() if one not in ("--calibrate", "--csls")]:
+            raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explore SOURCE.")
         open_data = self.opens_data()
         if not self._is_demo:
             return Workspaces(open_data)
@@ -329,38 +298,13 @@ class Explore(ModelsBeside, ExploreSource):
         if of_city or "place" not in flights or find_spec("rasterio") is None:
             return Workspaces(open_data, others, _LABELS[DATA])
         del others["place"]
-        city = {DATA: offered(_LABELS[DATA], [DEMO, DEMO_MODEL], lambda _: open_data())}
-        return Workspaces(partial(flights["place"], None), city | others, _LABELS["place"], "place")
+        city = {DATA: offered(_LABELS[DATA], [DEMO, DEMO_MODEL], open_data)}
+        return Workspaces(flights["place"], city | others, _LABELS["place"], "place")
 
     @property
     def _is_demo(self) -> bool:
-        return self.data is None and self.model is None
+        return self.source is None and self.model is None
 
 
 _LABELS = {DATA: "a computer-generated city", "place": "a real flight", "flight": "a computer-generated flight"}
 _REAL = "real photos of a place that the model was not trained on, over a map of the flight's other photos"
-
-
-@dataclass(kw_only=True)
-class StoryCommand:
-    """List the stories that lie beside a data set or flight; lpn explore tells them."""
-
-    data: Path | None = None
-    """Data set in any layout of docs/data.md, or the photos of a flight; by default those that lpn explore opens."""
-
-    def run(self) -> None:
-        from explorer.stories.library import read_all
-
-        if self.data is not None and not self.data.is_dir():
-            raise InputError(f"There is no folder {printable(str(self.data))!r}; give that of a data set with --data.")
-        shipped = {DATA: DEMO, "place": DEMO_PLACE[1], "flight": DEMO_FLIGHT[1]}
-        opened = {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.data is None else {"": self.data}
-        stories = {of: read_all(root) for of, root in opened.items()}
-        problems = dict.fromkeys(problem for read in stories.values() for problem in read.errors)
-        for problem in problems:
-            print(f"lpn: {problem}", file=sys.stderr)
-        for of, read in stories.items():
-            for story in read.by_name.values():
-                print(f"{printable(story.name)}  ({len(story.steps)} steps{of})")
-        if not problems and not any(read.by_name for read in stories.values()):
-            print("There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.")

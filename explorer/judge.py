@@ -35,7 +35,7 @@ def is_sure(analysis: StateAnalysis, workspace: Workspace) -> bool:
     """Return False for a photo whose judge is in doubt, see `is_doubtful`, or by whose judge no piece can be right."""
     if workspace.flight is None or analysis.state.upload is not None:
         return True
-    if analysis.positive is None and analysis.ranking.depth is None:
+    if analysis.positive is None:
         return False
     first = analysis.matches[0]
     return first.true is None or not is_doubtful(

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager, nullcontext
-from dataclasses import replace
+from contextlib import AbstractContextManager
+from dataclasses import fields, replace
 from functools import partial
 from pathlib import Path
 
@@ -14,10 +14,9 @@ from explorer.compute.own_photos import OwnPhotoJobs
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
-from lpn.core.consoles import stage_bars, terminal
+from lpn.core.consoles import terminal
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import printable
-from lpn.core.progress import Progress
 from lpn.core.requirements import missing_package
 from lpn.core.resources import ProviderName, yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
@@ -28,14 +27,15 @@ from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
 from lpn.locate.relief import relief_model
+from lpn.locate.source import FlightSource, OpenedFlight
 from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
-from lpn.sources import Flown, ModelOptions, OpenedSource, TaskSource, model_names, open_data
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.sources import ModelOptions, OpenedSource, SourceOptions, model_names, source_of
+from lpn.sources.kinds.data import open_data
+from lpn.tasks.changes import by_csls, changed
 from lpn.tasks.opening import (
-    by_csls,
     calibrated,
     choose_task,
     no_calibration,
@@ -44,7 +44,6 @@ from lpn.tasks.opening import (
     task_calibration,
 )
 from lpn.tasks.task import Scoring, Task
-from lpn.tasks.turned import changed
 
 log = logging.getLogger(__name__)
 
@@ -66,6 +65,7 @@ def open_model(
     pooling: str | None = None,
     beside_weathers: Sequence[WeatherName] = (),
     csls: int = 0,
+    task: str | None = None,
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
@@ -79,6 +79,7 @@ def open_model(
         kind: the method of `model`, see `lpn.load`.
         calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
         pooling: of the tokens of `model`, see `lpn.load`.
+        task: the one to open, in place of all.
         beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
 
     Raises:
@@ -92,7 +93,7 @@ def open_model(
     _check_weathers(beside_weathers)
     if beside_weathers and isinstance(own, ModelOptions):
         own = own.load()
-    scoring = calibrate, csls
+    scoring = task, calibrate, csls
     workspace, dataset = _open_one(data, own, name, scoring)
     warn_left_out(dataset.root.name, dataset.unread(), "pictures are not read", "they are left out")
     workspace.choose_first_query(query)
@@ -114,19 +115,19 @@ def open_model(
 
 
 def _opens(
-    data: Path, model: ModelOptions | Model, name: str, scoring: tuple[bool | None, int]
-) -> Callable[[ReportProgress | None], Workspace]:
+    data: Path, model: ModelOptions | Model, name: str, scoring: tuple[str | None, bool | None, int]
+) -> Callable[[], Workspace]:
     """Return what opens a model on a data set, see `_open_one`."""
-    return lambda report: _open_one(data, model, name, scoring, report)[0]
+    return lambda: _open_one(data, model, name, scoring)[0]
 
 
-def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str, report: ReportProgress) -> Workspace:
+def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str) -> Workspace:
     """Open the tasks of a workspace whose queries are no tiles again, with all queries in a weather."""
     yield_cores()  # it describes all queries, and answers must not wait for it
     tasks = [task for task in workspace.tasks.values() if task.query_view != "satellite"]
     if not tasks:
         raise InputError("All queries are satellite tiles, which have no weather; leave --beside-weather out.")
-    changed_tasks = [replace(changed(task, Change(weather=weather), report), model_name=label) for task in tasks]
+    changed_tasks = [replace(changed(task, Change(weather=weather)), model_name=label) for task in tasks]
     opened = _workspace(OpenedSource(changed_tasks, model), with_city=False)
     opened.weather = weather
     return opened
@@ -139,15 +140,13 @@ def _check_weathers(weathers: Sequence[WeatherName]) -> None:
         )
 
 
-def _put_beside(
-    workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[ReportProgress | None], Workspace]]
-) -> None:
+def _put_beside(workspace: Workspace, names: Sequence[str], opens: Sequence[Callable[[], Workspace]]) -> None:
     """Put models beside that of a workspace: open the first, and the others when a browser asks for them."""
     for name, open_workspace in zip(names, opens, strict=True):
         workspace.beside.append(LazyWorkspace(name, _naming_files([], open_workspace)))
     if opens:
-        first = opens[0](None)
-        workspace.beside[0] = LazyWorkspace(names[0], lambda _: first)
+        first = opens[0]()
+        workspace.beside[0] = LazyWorkspace(names[0], lambda: first)
         workspace.beside[0].open()
 
 
@@ -164,16 +163,16 @@ def _open_one(
     data: Path,
     model: ModelOptions | Model,
     model_name: str,
-    scoring: tuple[bool | None, int],
-    report: ReportProgress | None = None,
+    scoring: tuple[str | None, bool | None, int],
 ) -> tuple[Workspace, Dataset]:
-    """Open one model on a data set, see `open_model`; `scoring` is its calibrate and csls."""
+    """Open one model on a data set, see `open_model`; `scoring` is its task, calibrate, and csls."""
     data_name = printable(data.resolve().name)
     with _status(f"Opening {model_name} and {data_name}"):
         opened = model if isinstance(model, Model) else model.load()
         dataset = open_dataset(data)
-    workspace = _workspace(open_data(opened, model_name, dataset, calibrate=False, every=True, on_progress=report))
-    _offer_scorings(workspace, opened, model_name, dataset, *scoring, report)
+    task, calibrate, csls = scoring
+    workspace = _workspace(open_data(opened, model_name, dataset, task, False, every=True))
+    _offer_scorings(workspace, opened, model_name, dataset, calibrate, csls)
     return workspace, dataset
 
 
@@ -184,36 +183,34 @@ def _offer_scorings(
     dataset: Dataset,
     calibrate: bool | None,
     csls: int,
-    report: ReportProgress | None,
 ) -> None:
     """Let a workspace be ranked calibrated and by CSLS: at once by a calibration that ships or is asked for, else when asked for.
 
     Args:
         calibrate, csls: see `open_model`.
-        report: receives the progress of a calibration; by default the terminal shows it.
     """
-    tasks = [task for task in workspace.tasks.values() if isinstance(task, GalleryTask)]
+    tasks = list(workspace.tasks.values())
     if csls:
         check_neighbours(csls, max(len(task.queries) for task in tasks))
-    asked = task_calibration(model, dataset, calibrate, report)
+    asked = task_calibration(model, dataset, calibrate)
     ready = asked or shipped_calibration(model, dataset)
 
-    def rank(scored: Iterable[GalleryTask]) -> None:
+    def rank(scored: Iterable[Task]) -> None:
         for ranking in [_begin_ranking(task) for task in scored if task.key not in workspace.rankings]:
             workspace.rankings[ranking.task.key] = ranking
 
-    def rank_by(calibration: Calibration, on_progress: ReportProgress | None) -> None:
+    def rank_by(calibration: Calibration) -> None:
         names = list(workspace.tasks)
-        rank(scored_tasks(model, model_name, dataset, calibration, names, on_progress, csls or NEIGHBOURS))
+        rank(scored_tasks(model, model_name, dataset, calibration, names, csls or NEIGHBOURS))
 
-    def prepare(on_progress: ReportProgress) -> None:
+    def prepare(_: ReportProgress) -> None:
         yield_cores()  # answers must not wait for it
-        rank_by(calibrated(model, dataset, on_progress), on_progress)
+        rank_by(calibrated(model, dataset))
 
     if csls and asked is None:
-        rank(by_csls(tasks, csls))
+        rank(by_csls(task, csls) for task in tasks if len(task.queries) >= csls)
     if ready is not None:
-        rank_by(ready, report)
+        rank_by(ready)
     why_not = "" if ready is not None else no_calibration(model, dataset)
     workspace.scorings = Scorings(why_not, prepare if ready is None and not why_not else None)
     opens_with: dict[Scoring, object] = {"csls": csls, "calibrated": asked}
@@ -222,14 +219,12 @@ def _offer_scorings(
         _say(f"{printable(model_name)} is {asked.describe()}.")
 
 
-def _naming_files(
-    files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]
-) -> Callable[[ReportProgress], Workspace]:
+def _naming_files(files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> Callable[[], Workspace]:
     """Return a function whose errors are sentences that name files without their folders, because a browser shows them."""
 
-    def opened(report: ReportProgress) -> Workspace:
+    def opened() -> Workspace:
         try:
-            return open_workspace(report)
+            return open_workspace()
         except ModuleNotFoundError as error:
             raise missing_package(error) from error
         except LPNError as error:
@@ -241,8 +236,8 @@ def _naming_files(
     return opened
 
 
-def open_source(source: TaskSource, query: str | None = None) -> Workspace:
-    """Open the tasks of a source.
+def open_source(options: SourceOptions, query: str | None = None) -> Workspace:
+    """Recognise a source, and open its tasks.
 
     Args:
         query: name of the query that a new browser shows first.
@@ -250,9 +245,10 @@ def open_source(source: TaskSource, query: str | None = None) -> Workspace:
     Raises:
         LPNError: when the source cannot be used, or there is no such query.
     """
-    with _status(f"Opening {source.title}"), stage_bars() as progress:
-        opened = source.open(on_progress=progress)
-    workspace = _workspace(opened, with_city=opened.map is None)
+    source = source_of(options)
+    with _status(f"Opening {source.title}"):
+        opened = source.open()
+    workspace = _workspace(opened, with_city=not isinstance(opened, OpenedFlight))
     _print_notes(opened)
     workspace.choose_first_query(query)
     return workspace
@@ -280,7 +276,6 @@ def open_flight_over(
     beside: Sequence[ModelOptions] = (),
     register: bool = True,
     overlap: float = LocateOptions.overlap,
-    report: ReportProgress | None = None,
     shipped: Path | None = None,
     map_error: float | None = None,
 ) -> Workspace:
@@ -297,7 +292,6 @@ def open_flight_over(
             windows and frames when a browser asks for it.
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
-        report: receives the progress of the description; by default the terminal shows it.
         shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
         map_error: 1-sigma error of the map's places in metres, which radii hold, see `LocateOptions.map_error`.
 
@@ -306,8 +300,8 @@ def open_flight_over(
     """
     name, *names = _names([model, *beside])
     locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
-    source = Flown(map=map_path, flight=flight_path, model=model)
-    opened = _open_flown(source, name, overlap, report, shipped)
+    source = FlightSource(_over(map_path, flight_path, model))
+    opened = _open_flown(source, name, overlap, shipped)
     workspace, located, network = _flight_workspace(opened), opened.located, opened.network
     assert located is not None
     assert network is not None
@@ -320,21 +314,25 @@ def open_flight_over(
     opens = []
     for options, other_name in zip(beside, names, strict=True):
         loaded = options.load()  # one that cannot be loaded ends the start
-        opens.append(_opens_flown(replace(source, model=options), other_name, overlap, loaded))
+        other = FlightSource(_over(map_path, flight_path, options))
+        opens.append(_opens_flown(other, other_name, overlap, loaded))
     _put_beside(workspace, names, opens)
     if register:
         _begin_registration(workspace, located, network, locating)
     return workspace
 
 
-def _opens_flown(
-    source: Flown, name: str, overlap: float, loaded: Model
-) -> Callable[[ReportProgress | None], Workspace]:
+def _over(map_path: Path, flight_path: Path, model: ModelOptions) -> SourceOptions:
+    named = {one.name: getattr(model, one.name) for one in fields(ModelOptions)}
+    return SourceOptions(source=str(flight_path), map=map_path, **named)
+
+
+def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model) -> Callable[[], Workspace]:
     """Return what opens a flight under another model, see `_open_flown`."""
-    return lambda report: _flight_workspace(_open_flown(source, name, overlap, report, loaded=loaded))
+    return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
-def _flight_workspace(opened: OpenedSource) -> Workspace:
+def _flight_workspace(opened: OpenedFlight) -> Workspace:
     workspace = _workspace(opened, with_city=False)
     workspace.scorings = Scorings(
         "Frames are cut to the ground of the map's windows, so a flight needs no calibration."
@@ -343,7 +341,6 @@ def _flight_workspace(opened: OpenedSource) -> Workspace:
 
 
 def open_offered_flight(
-    report: ReportProgress | None,
     map_path: Path,
     flight_path: Path,
     model: Path,
@@ -363,14 +360,13 @@ def open_offered_flight(
         ModelOptions(model=model, provider=provider),
         query,
         overlap=OFFERED_OVERLAP,
-        report=report,
         shipped=shipped,
     )
     workspace.about = about
     return workspace
 
 
-def offered(label: str, files: Sequence[Path], open_workspace: Callable[[ReportProgress], Workspace]) -> LazyWorkspace:
+def offered(label: str, files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> LazyWorkspace:
     """Return a workspace whose answers ship, which is opened when a browser asks for it, or before.
 
     Args:
@@ -381,19 +377,15 @@ def offered(label: str, files: Sequence[Path], open_workspace: Callable[[ReportP
 
 
 def _open_flown(
-    source: Flown,
+    source: FlightSource,
     name: str,
     overlap: float,
-    report: ReportProgress | None,
     shipped: Path | None = None,
     loaded: Model | None = None,
-) -> OpenedSource:
+) -> OpenedFlight:
     """Open a flight without registration, under a name of its model."""
-    with (
-        _status(f"Opening {source.title}"),
-        stage_bars() if report is None else nullcontext(_counts(report)) as progress,
-    ):
-        return source.locate(overlap, progress, shipped=shipped, loaded=loaded).named(name)
+    with _status(f"Opening {source.title}"):
+        return source.locate(overlap, shipped=shipped, loaded=loaded).named(name)
 
 
 def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
@@ -409,8 +401,8 @@ def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
         _city(first) if with_city else _relief(source),
         first.root,
     )
-    workspace.flight = source.located
-    workspace.basemap = source.map if source.located is None else source.located.basemap
+    if isinstance(source, OpenedFlight):
+        workspace.flight, workspace.basemap = source.located, source.map
     workspace.own_photos = None if workspace.basemap is None else OwnPhotoJobs(workspace.basemap)
     return workspace
 
@@ -430,16 +422,12 @@ def _begin_registration(workspace: Workspace, located: LocatedFlight, model: Mod
     def publish(partial: LocatedFlight) -> None:
         workspace.flight = partial
 
-    def register(report: ReportProgress) -> LocatedFlight:
-        return registered(located, model, options, on_progress=_counts(report), on_partial=publish)
+    def register(_: ReportProgress) -> LocatedFlight:
+        return registered(located, model, options, on_partial=publish)
 
     job = workspace.register_flight(register)
     with _status("Registering frames; the page opens while this goes on"):
         job.wait(REGISTRATION_WAIT)
-
-
-def _counts(report: ReportProgress) -> Progress:
-    return lambda _, done, total: report(done, total)
 
 
 def _begin_ranking(task: Task) -> RankingJob:
@@ -457,7 +445,8 @@ def _status(text: str) -> AbstractContextManager[object]:
 def _relief(source: OpenedSource) -> CityModel | None:
     """Return the relief of a flight's map; None without a map, or if its heights are damaged, which logs a warning."""
     try:
-        return None if source.located is None else relief_model(source.located.basemap)
+        located = source.located if isinstance(source, OpenedFlight) else None
+        return None if located is None else relief_model(located.basemap)
     except DataError as error:
         log.warning("The map has no relief: %s", error)
         return None

@@ -16,9 +16,10 @@ from explorer.workspace import StateAnalysis, Workspace
 from lpn import report
 from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
-from lpn.core.errors import InputError, LPNError
+from lpn.core.errors import LPNError
 from lpn.core.files import TYPED, printable
 from lpn.core.progress import CountProgress
+from lpn.library import Answer
 from lpn.locate.task import stage_columns
 from lpn.models.base import Model
 from lpn.tasks import notes
@@ -39,11 +40,7 @@ MakeReport = Callable[[FileProgress, QueuedModel | None], tuple[str, bytes]]
 
 
 def _with_notes(workspace: Workspace, task: Task, model: Model | None, weights: Float32Array | None = None) -> Task:
-    """Return the task with these part weights, the user's notes, and what is known of a flight; InputError for an index."""
-    if task.depth is not None:
-        raise InputError(
-            "A report needs the whole gallery in memory; of an index, save the queries of “All pictures in a table” as CSV."
-        )
+    """Return the task with these part weights, the user's notes, and what is known of a flight."""
     columns = [*task.columns, *([] if workspace.flight is None else stage_columns(workspace.flight))]
     stored = notes.read_notes(own_file(workspace.root, notes.NAME))
     bound = None if model is None else workspace.scored_model(model, task).for_task(*task.views)
@@ -65,18 +62,15 @@ def of_analysis(
     Raises:
         LPNError: when a file of the data set cannot be read.
     """
-    state, task = analysis.state, analysis.task
-    task = _with_notes(workspace, task, model or workspace.model, analysis.ranking.weights)
-    query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
-    # The page may show another answer than the ranking of all photos has.
-    unsure = () if state.upload or judge.is_sure(analysis, workspace) else (state.query,)
-    options = report.Options(
-        change=state.change,
-        compared_tile=analysis.chosen.index,
-        said=said,
-        doubtful=_doubtful(workspace, task),
-        unsure=unsure,
-    )
+    state, task, model = analysis.state, analysis.task, model or workspace.model
+    tile_model = None if model is None else workspace.scored_model(model, task)
+    answer = analysis if state.upload or judge.is_sure(analysis, workspace) else analysis.ungraded()
+    answer = replace(answer, describe_tile=lambda task, index: workspace.tile(task, index, tile_model))
+    query: int | report.OwnPicture | Answer = answer
+    if state.region:  # the shares of painted cells have no evidence of the whole picture beside them
+        query = report.OwnPicture(analysis.name, analysis.source) if state.upload else state.query
+    options = report.Options(change=state.change, said=said, doubtful=_doubtful(workspace, task))
+    task = _with_notes(workspace, task, model, analysis.ranking.weights)
     return f"{safe_file_name(analysis.name)}.html", report.build(task, [query], options, progress)
 
 

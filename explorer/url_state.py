@@ -24,7 +24,6 @@ from explorer.parameters import (
 )
 from explorer.session_state import POSITIVE, SessionState, WhyTab, in_words, with_field
 from explorer.workspace import Workspace
-from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.descriptors.weather import WEATHERS
 from lpn.library.analyser import OwnPicture
@@ -58,7 +57,7 @@ class UrlState:
             for name, task in workspace.tasks.items()
             for side, entries in (
                 ("query", task.queries),
-                ("gallery", task.gallery if task.lists_gallery else ()),
+                ("gallery", task.gallery),
             )
         }
         reach = workspace.contract.input_size[1] // 2, workspace.contract.input_size[0] // 2
@@ -117,8 +116,6 @@ class UrlState:
         self, text: str, state: SessionState, own: Callable[[str], OwnPicture | None] = lambda _: None
     ) -> tuple[SessionState, list[str]]:
         """Return the state that a query string describes, and a sentence about each value that is invalid.
-
-        The name of a tile is looked up in its index, which may take seconds; a tile that cannot be looked up is invalid.
 
         Args:
             text: untrusted; unknown keys are ignored.
@@ -266,21 +263,11 @@ class UrlState:
         if state.selected is None or state.selected == POSITIVE:
             return state.selected
         task = self._workspace.tasks[state.task]
-        if not task.lists_gallery:  # positions differ from one start of the app to the next
-            name = task.tile_name(state.selected)
-            return name if name == printable(name) and name not in (OWN, POSITIVE) else None
         return self._name(state, "gallery", task.gallery, state.selected)
 
     def _read_tile(self, state: SessionState, value: str) -> SessionState:
-        task = self._workspace.tasks[state.task]
-        gallery = task.gallery
-        if not task.lists_gallery:
-            try:
-                tile = None if value in (OWN, POSITIVE) else task.find_tile(value)
-            except LPNError as error:
-                raise UnusableError(str(error)) from error
-        else:
-            tile = self._position(state, "gallery", len(gallery), value)
+        gallery = self._workspace.tasks[state.task].gallery
+        tile = self._position(state, "gallery", len(gallery), value)
         if tile is not None:
             return replace(state, selected=tile)
         if value == POSITIVE:

@@ -201,7 +201,7 @@ class Workspace:
         if state.flight and not self.has_flight:
             state = replace(state, flight=False)
         if self.tasks[state.task].query_view == "satellite":
-            state = replace(state, weather="normal")  # a tile has none, see `lpn.retrieval.weathers`
+            state = replace(state, weather="normal")  # a tile has none, see `lpn.tasks.weathers`
         if self.without_cells:
             state = replace(state, heat=False, heat_kind="activation", region=())
         return (
@@ -257,7 +257,7 @@ class Workspace:
         The truth of a query that is not `graded` counts as not known.
         """
         ranked = self.rankings[task.key].result is not None
-        quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
+        quick = len(task.queries) <= _QUICK_OUTCOMES
         known = self._outcomes(task.key) if ranked and quick else None
         if known is None or self.flight is None:
             return known
@@ -304,7 +304,7 @@ class Workspace:
     def answer_distances(self, task: Task) -> AnswerDistances | None:
         """Return how far the answers of a task are; None until it is ranked, without descriptors, and where it takes long."""
         ranked = self.rankings[task.key].result is not None
-        quick = task.depth is None and len(task.queries) <= _QUICK_OUTCOMES
+        quick = len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
 
     def located(self, analysis: StateAnalysis) -> LocatedFrame | None:
@@ -420,8 +420,6 @@ class Workspace:
                     origin = task.geometry.origin
                     x, y = self.basemap.frame.xy([origin.latitude], [origin.longitude])[0].tolist()
                     drawn, _ = self.basemap.picture((x + west, y + south, x + east, y + north), mosaic.LARGEST)
-                elif task.depth is not None:
-                    drawn = mosaic.empty(task.geometry)
                 else:
                     drawn = mosaic.draw(task.geometry, task.gallery)
                 self._mosaics[task.name] = drawn
@@ -451,7 +449,7 @@ class Workspace:
     def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
         job = self.rankings[name]
         assert job.result is not None
-        task = job.task.current()
+        task = job.task
         try:
             outcomes = task.outcomes_of(job.result.ranking)
             return outcomes, task.tabulate(outcomes, self.part_names)
@@ -489,11 +487,11 @@ class LazyWorkspace:
 
     Args:
         label: display name, such as "the baseline (n = 1)".
-        open_workspace: opens it; that may take as long as the description of all pictures, whose progress it reports.
+        open_workspace: opens it; that may take as long as the description of all pictures, whose progress is shown.
         quick: all pictures are described already, so that it takes about a second.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[ReportProgress], Workspace], quick: bool = False) -> None:
+    def __init__(self, label: str, open_workspace: Callable[[], Workspace], quick: bool = False) -> None:
         self.label, self.quick = label, quick
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
@@ -528,7 +526,7 @@ class LazyWorkspace:
         """Open it in the background, unless it is open or being opened; after a failure, try again."""
         with self._lock:
             self._jobs.forget_failed("open")
-            self._job = self._jobs.join("open", self, self._open)
+            self._job = self._jobs.join("open", self, lambda _: self._open())
             return self._job
 
 

@@ -9,6 +9,7 @@ A folder of pictures is a gallery, and a picture of another view gets an answer 
     ...     print(match.rank, match.name, 0 <= match.distance2 <= 4, match.contributions.shape)
     1 0007/0007.png True (4,)
     >>> answer.figure().save("why.png")
+    >>> answer.paper_figure(true=1, wrong=2).save("figure.pdf")
 
 The published protocol measures a model on a data set:
 
@@ -38,6 +39,9 @@ from lpn.core.errors import InputError, LPNError, MissingPackageError
 from lpn.core.version import __version__
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from lpn.core.consoles import progress_bars
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
     from lpn.core.served_page import ServedPage
@@ -49,8 +53,7 @@ if TYPE_CHECKING:
     from lpn.models.base import Model
     from lpn.models.contract import Contract, ForwardPass, Heads
     from lpn.models.partition import Partition
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol
+    from lpn.tasks.measure import Result
     from lpn.tasks.task import Task
 
 # Without this, importing ONNX Runtime writes an identifier into the user's home folder, and reports its use to Microsoft.
@@ -74,6 +77,7 @@ __all__ = [
     "load_picture",
     "open_dataset",
     "open_task",
+    "progress_bars",
 ]
 
 _MODULE_OF = {
@@ -88,6 +92,7 @@ _MODULE_OF = {
     "Task": "lpn.tasks.task",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
+    "progress_bars": "lpn.core.consoles",
 }
 
 if not TYPE_CHECKING:
@@ -175,7 +180,8 @@ def evaluate(
     model: Model | str | Path,
     data: Dataset | str | Path,
     task: TaskName | None = None,
-    protocol: Protocol | None = None,
+    change: Change | None = None,
+    parts: Sequence[int] | None = None,
     calibrate: bool | None = None,
     csls: int = 0,
 ) -> Result:
@@ -185,31 +191,25 @@ def evaluate(
         model: a model, or what `load` opens.
         data: a data set, or its folder.
         task: such as "drone-to-satellite"; by default the first that data set and model offer.
-        protocol: changes, parts, and the like, see `lpn.retrieval.protocol.Protocol`.
-        calibrate: see `open_task`.
-        csls: see `open_task`; 0 leaves it to the protocol.
+        change: of the queries, such as `Change(rotate=30)`.
+        parts: numbers from 1 of the parts that are compared; None for all.
+        calibrate, csls: see `open_task`.
 
     Raises:
         LPNError: when an argument is wrong, or model or data set cannot be used.
     """
-    from dataclasses import replace
-
     from lpn.descriptors import descriptor_reader
-    from lpn.retrieval.evaluate import evaluate
-    from lpn.retrieval.protocol import Protocol
-    from lpn.tasks.evaluation import protocol_calibration
-    from lpn.tasks.opening import choose_task
+    from lpn.descriptors.transforms import UNCHANGED, Change
+    from lpn.tasks.changes import by_csls, calibrated, changed, with_parts
+    from lpn.tasks.opening import choose_task, lazy_task, task_calibration
 
-    if protocol is not None and not isinstance(protocol, Protocol):
-        raise InputError(
-            f"The protocol is of the type {type(protocol).__name__}; expected an lpn.retrieval.protocol.Protocol."
-        )
-    opened, dataset = _opened_model(model)[0], _opened_data(data)
-    chosen = choose_task(opened, dataset, task)
-    protocol = protocol or Protocol()
-    protocol = replace(protocol, csls=csls or protocol.csls)
-    calibration = protocol_calibration(opened, dataset, protocol, calibrate)
-    return evaluate(opened, dataset, chosen, protocol, descriptor_reader(dataset.root), calibration)
+    if change is not None and not isinstance(change, Change):
+        raise InputError(f"The change is of the type {type(change).__name__}; expected an lpn.Change.")
+    network, dataset = _opened_model(model)[0], _opened_data(data)
+    calibration = task_calibration(network, dataset, calibrate)
+    opened = lazy_task(network, dataset, choose_task(network, dataset, task), descriptor_reader(dataset.root))
+    opened = changed(calibrated(opened, calibration), change or UNCHANGED)
+    return by_csls(with_parts(opened, parts), csls).evaluate()
 
 
 def open_task(
@@ -232,7 +232,7 @@ def open_task(
     Raises:
         LPNError: when an argument is wrong, model or data set cannot be used, or they do not offer the task.
     """
-    from lpn.sources import open_data
+    from lpn.sources.kinds.data import open_data
 
     return open_data(*_opened_model(model), _opened_data(data), task, calibrate, csls).task
 

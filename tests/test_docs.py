@@ -16,9 +16,7 @@ import pytest
 import yaml
 
 import lpn
-from lpn.cli import by_source, main
-from lpn.cli.choices import IN_ORDER
-from lpn.cli.live import LiveCommand
+from lpn.cli import main, parsing
 from lpn.core import log
 from lpn.core.errors import LPNError
 from tools.world.__main__ import Rendering
@@ -28,8 +26,8 @@ PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md"), ROOT / "assets" / "R
 # Words of a page that stand for one of an option's words or numbers.
 STAND_INS = {"TASK": "drone-to-satellite", "K": "3", "N": "1"}
 # Options of every command, of a benchmark, and of the scripts that the authors released.
-FURTHER_OPTIONS = {"--help", "--version", log.FLAG, "--own-seeds"}
-FURTHER_OPTIONS |= {"--extra", "--extra-Google", "--multi-loss"} | set(by_source.options(Rendering))
+FURTHER_OPTIONS = {"--help", "--help-all", "--version", log.FLAG, "--own-seeds"}
+FURTHER_OPTIONS |= {"--extra", "--extra-Google", "--multi-loss"} | set(parsing.options(Rendering))
 # The program beside `lpn` whose commands are parsed, too.
 WORLD = "tools.world"
 
@@ -171,8 +169,8 @@ def refusal(arguments: list[str]) -> str:
         return f"lpn has no command {arguments[0]!r}"
     said = io.StringIO()
     try:
-        with IN_ORDER, redirect_stderr(said):
-            main._parse(command, arguments[1:], f"lpn {arguments[0]}")
+        with redirect_stderr(said):
+            main.reader(command)(arguments[1:], f"lpn {arguments[0]}")
     except LPNError as error:
         return str(error)
     except SystemExit as error:
@@ -203,8 +201,8 @@ def test_a_command_that_no_parser_takes_is_named_with_its_line_and_the_parsers_s
 
 ```bash
 python -m lpn train --data ROOT --out run ... [--epochs many]
-lpn evaluate --data ROOT --model lpn.onnx [--csls K] --task TASK
-lpn evaluate --data ROOT --model lpn.onnx --index tiles
+lpn evaluate ROOT --model lpn.onnx [--csls K] --task TASK
+lpn evaluate index --index tiles --model lpn.onnx
 lpn describe --model lpn.onnx
 ```
 """
@@ -213,7 +211,7 @@ lpn describe --model lpn.onnx
     assert "--learning-speed" in found[0]
     assert "lpn has no command 'exploit'" in found[1]
     assert "--epochs" in found[2]
-    assert "lpn evaluate has no --index for a data set" in found[3]
+    assert "the source, which says itself what it is: lpn evaluate SOURCE" in found[3]
     assert "--out" in found[4]
     assert unknown_options(
         "`lpn train --teacher x`, `lpn index --teach D`, `--dead`, `--no-calibrate`, `lpn exploit`, and `pip --quiet`"
@@ -227,12 +225,11 @@ lpn describe --model lpn.onnx
 
 @cache
 def known_options(command: str) -> set[str]:
-    """Return the options of a command with any of its sources; of all commands for an empty name."""
+    """Return the options of a command and of its modes; of all commands for an empty name."""
     if not command:
         return FURTHER_OPTIONS.union(*map(known_options, main.commands()))
     of = main.commands()[command]
-    kinds = [of, *getattr(of, "SOURCES", {}).values(), *([LiveCommand] if command == "locate" else [])]
-    return FURTHER_OPTIONS.union(*map(by_source.options, kinds))
+    return FURTHER_OPTIONS.union(*map(parsing.options, [of, *parsing.modes(of).values()]), parsing.modes(of))
 
 
 def unknown_options(page: str) -> list[str]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 # Modules that pyproject.toml names; tests run them as `lpn` and as `lpn explore`.
-ENTRY_POINTS = {"lpn.__main__", "explorer.cli"}
+ENTRY_POINTS = {"lpn.__main__", "explorer.cli", "lpn.locate.source"}
 
 
 def modules() -> dict[str, Path]:
@@ -49,7 +49,7 @@ def test_every_module_is_reached_by_the_quick_tests() -> None:
     known = modules()
     waiting = {name for name, file in known.items() if name.split(".")[0] == "tests" and quick(file)}
     waiting |= ENTRY_POINTS | {
-        name for name in known if name.startswith("lpn.datasets.layouts.")
+        name for name in known if name.startswith(("lpn.datasets.layouts.", "lpn.sources.kinds.", "lpn.cli."))
     }  # found by their folder
     reached: set[str] = set()
     while waiting:

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,19 +16,19 @@ import pytest
 import explorer.app
 from explorer.workspace import Workspace
 from lpn import descriptors
-from lpn.cli import by_source
+from lpn.cli import parsing
 from lpn.cli.main import commands, main
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.flights import write_flight
 from lpn.models.onnx_engine import Engine
-from lpn.sources import Arrays
+from lpn.sources import OpenedSource, SourceOptions, TaskSource, known_kinds, open_source, recognise, source_of
 from tests.lpn.locate.scenery import land, small_flight, write_map
 from tools.fixtures.published_results import save_result
 
 TASK = "drone-to-satellite"
 SOURCES = ("data", "published", "arrays", "index", "flight")
-COMMANDS = ("evaluate", "compare", "failures", "report", "sweep", "explore")
+COMMANDS = ("evaluate", "compare", "failures", "report", "explain", "explore")
 
 
 def _save_arrays(folder: Path, data: Path, model_file: Path) -> None:
@@ -57,31 +60,29 @@ def options(
     flight.mkdir()
     write_flight(small_flight(flight, ground), flight)
     model = ["--model", model_file]
-    arrays = ["--queries", folder / "query.npy", "--gallery", folder / "gallery.npy", "--paths", folder / "paths.csv"]
-    flown = ["--map", folder / "ground.tif", "--flight", flight]
+    arrays = ["--gallery", folder / "gallery.npy"], ["--paths", folder / "paths.csv", "--data", data]
+    flown = [flight, "--map", folder / "ground.tif"]
     each: dict[str, list[str | Path]] = {
-        "data": ["--data", data, *model],
-        "published": ["published", "--saved", saved, "--data", data, "--n-parts", "4"],
-        "arrays": ["arrays", *arrays, "--data", data],
-        "index": ["index", "--index", index, "--data", data, *model, "--depth", "10"],
-        "flight": ["flight", *flown, *model],
+        "data": [data, *model],
+        "published": [saved, "--data", data, "--n-parts", "4"],
+        "arrays": [folder / "query.npy", *arrays[0], *arrays[1]],
+        "index": [index, "--data", data, *model],
+        "flight": [*flown, *model],
     }
     special: dict[tuple[str, str], list[str | Path]] = {
-        ("compare", "data"): [model_file, one_part_model_file, "--data", data],
-        ("compare", "published"): ["published", saved, folder / "again.mat", "--data", data],
+        ("compare", "data"): [data, *model, one_part_model_file],
+        ("compare", "published"): [saved, folder / "again.mat", "--data", data],
         ("compare", "arrays"): [
-            "arrays",
-            *arrays[:2],
+            folder / "query.npy",
             folder / "query.npz",
-            *arrays[2:4],
+            *arrays[0],
             folder / "gallery.npz",
-            *arrays[4:],
+            *arrays[1],
         ],
-        ("compare", "index"): ["index", index, folder / "again", "--data", data, *model, "--depth", "10"],
-        ("compare", "flight"): ["flight", model_file, one_part_model_file, *flown, "--page", folder / "page.html"],
-        ("evaluate", "published"): ["published", "--saved", saved, "--n-parts", "4"],
-        ("evaluate", "flight"): ["flight", *flown, *model, "--no-register"],
-        ("explore", "flight"): ["flight", *flown, *model, "--no-register"],
+        ("compare", "index"): [index, folder / "again", "--data", data, *model],
+        ("compare", "flight"): [*flown, *model, one_part_model_file, "--page", folder / "page.html"],
+        ("evaluate", "published"): [saved, "--n-parts", "4"],
+        ("explore", "flight"): [*flown, *model, "--no-register"],
     }
     (folder / "again.mat").write_bytes(saved.read_bytes())
     for side in ("query", "gallery"):
@@ -100,7 +101,7 @@ def _output(command: str, source: str, folder: Path) -> tuple[list[str], Path]:
         "compare": (["--resamples", "20", *table, "--json"], folder / "figures.json"),
         "failures": (["--csv"], folder / "failures.csv"),
         "report": (["--query", query, "--out"], folder / "report.html"),
-        "sweep": (["--query", query, "--step", "90", "--csv"], folder / "sweep.csv"),
+        "explain": (["--over", "rotation", "--query", query, "--step", "90", "--csv"], folder / "sweep.csv"),
         "explore": ([], folder),
     }[command]
 
@@ -121,7 +122,7 @@ def test_each_command_takes_a_task_from_each_source(
     arguments = [command, *options(command, source), *more, *([] if command == "explore" else [str(file)])]
     status = main(arguments)
     told = capsys.readouterr()
-    if command == "sweep" and source in ("published", "arrays"):
+    if command == "explain" and source in ("published", "arrays"):
         assert status == 2
         assert "holds descriptors and no network" in told.err
         assert not file.exists()
@@ -131,7 +132,7 @@ def test_each_command_takes_a_task_from_each_source(
     else:
         assert status == 0, told.err
         assert file.stat().st_size > 100
-        tables = [one for one in tmp_path.glob("table.md") if "| A | B | only A |" in one.read_text("utf-8")]
+        tables = [one for one in tmp_path.glob("table.md") if "| A | B | figure |" in one.read_text("utf-8")]
         assert len(tables) == (command == "compare" and source != "flight")
 
 
@@ -140,36 +141,80 @@ def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str]
     for source in ("data", "published", "arrays", "index"):
         assert main(["evaluate", *options("evaluate", source), "--json", str(tmp_path / "figures.json")]) == 0
         figures = json.loads((tmp_path / "figures.json").read_text())
-        recalls.append([figures["queries"], figures["gallery"], *(figures[f"recall@{k}"] for k in (1, 5, 10))])
-        # AP takes all ranks, which a search to a depth does not tell.
-        assert (figures["ap"] is None) == (source == "index")
+        recalls.append(
+            [figures["queries"], figures["gallery"], *(figures[f"recall@{k}"] for k in (1, 5, 10)), figures["ap"]]
+        )
         assert main(["failures", *options("failures", source), "--csv", str(tmp_path / "f.csv"), "--sort", "name"]) == 0
         lines = (tmp_path / "f.csv").read_text().splitlines()
         column = lines[0].split(",").index("rank")
         ranks.append([line.split(",")[column] for line in lines[1:]])
     assert all(figures == recalls[0] for figures in recalls)
-    assert ranks[0] == ranks[1] == ranks[2]
-    # A search to a depth of 10 does not tell the other ranks.
-    assert [rank if float(rank) <= 10 else "> 10" for rank in ranks[0]] == ranks[3]
+    assert ranks[0] == ranks[1] == ranks[2] == ranks[3]
 
 
-def test_an_option_of_another_source_names_that_source(capsys: pytest.CaptureFixture[str]) -> None:
-    for command, option, word in (
-        ("evaluate", "--saved", "published"),
-        ("explore", "--map=a.tif", "flight"),
-        ("failures", "--index", "index"),
-        ("report", "--queries", "arrays"),
-    ):
-        assert main([command, "--data", "places", option, "x"]) == 2
-        assert f"lpn {command} {word}" in capsys.readouterr().err
+@pytest.mark.parametrize("source", SOURCES)
+def test_an_option_that_does_not_fit_names_the_kind_and_those_that_take_it(
+    source: str, options: Callable[[str, str], list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    noun, option, fitting = {
+        "data": ("a data set", "--map", "an index of a map's windows and a flight"),
+        "published": ("a result of the published test code", "--model", "a data set"),
+        "arrays": ("arrays of descriptors", "--pictures", "an index"),
+        "index": ("an index", "--gallery", "arrays of descriptors"),
+        "flight": ("a flight", "--task", "a data set"),
+    }[source]
+    value = "drone-to-satellite" if option == "--task" else "x"
+    given = [word for word in options("failures", source) if option != "--gallery" or word != "--paths"]
+    for command in ("failures", "report", "explore"):
+        more = ["--out", "r.html"] if command == "report" else []
+        assert main([command, *given, *more, option, value]) == 2
+        said = capsys.readouterr().err
+        assert f" is {noun}, and {option} fits " in said
+        assert fitting in said
+        assert said.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_few_options_are_seen_at_once(command: str) -> None:
-    default = commands()[command]
-    most = 15 if command == "evaluate" else 20
-    for one in (default, *default.SOURCES.values()):
-        assert len(set(by_source.options(one))) <= most, one
+def test_another_package_brings_a_kind_of_source(
+    monkeypatch: pytest.MonkeyPatch, options: Callable[[str, str], list[str]], tmp_path: Path
+) -> None:
+    class ListSource(TaskSource):
+        noun = "a list"
+        takes = frozenset(("data",))
+
+        @classmethod
+        def recognises(cls, options: SourceOptions) -> bool:
+            return options.path.suffix == ".list"
+
+        def open(self, *given: Any) -> OpenedSource:
+            return source_of(SourceOptions(source=self.options.path.read_text(), data=self.options.data)).open(*given)
+
+    point = Mock(load=lambda: ListSource)
+    monkeypatch.setattr(recognise, "entry_points", lambda group: [point] if group == recognise.GROUP else [])
+    known_kinds.cache_clear()
+    try:
+        saved, _, data, *_ = options("failures", "published")
+        (tmp_path / "one.list").write_text(saved)
+        assert main(["failures", str(tmp_path / "one.list"), "--data", data, "--csv", str(tmp_path / "f.csv")]) == 0
+        assert (tmp_path / "f.csv").stat().st_size > 100
+    finally:
+        known_kinds.cache_clear()
+
+
+def test_seventeen_commands_at_most_show_fifteen_options_each_and_take_all(capsys: pytest.CaptureFixture[str]) -> None:
+    assert len(commands()) <= 17
+    for name, command in commands().items():
+        for option, mode in {"": command, **parsing.modes(command)}.items():
+            counts = []
+            for flag in ("--help", "--help-all"):
+                with pytest.raises(SystemExit) as ended:
+                    main([name, *([option] if option else []), flag])
+                assert ended.value.code == 0
+                said = capsys.readouterr().out
+                counts.append(len(set(re.findall(r"^(?:│ |  )(--[a-z-]+)", said, re.MULTILINE))))
+                more = re.search(r"--help-all shows (\d+) more option", said)
+                assert (more is None) == (flag == "--help-all" or counts[0] == len(set(parsing.options(mode)))), name
+            assert counts[0] <= 15, name
+            assert counts[1] == len(set(parsing.options(mode))), name
 
 
 def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -> None:
@@ -178,8 +223,8 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
         np.save(tmp_path / f"{name}.npy", both + 0.01)
     lines = [f"q{i},query,{i if i < 2 else ''}" for i in range(4)] + [f"g{i},gallery,{i}" for i in range(4)]
     (tmp_path / "paths.csv").write_text("\n".join(["file,side,label", *lines]))
-    source = Arrays(queries=tmp_path / "q.npy", gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv")
-    task = source.open().task
+    named = SourceOptions(source=str(tmp_path / "q.npy"), gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv")
+    task = open_source(named).task
     result = task.evaluate()
     assert (result.queries, result.recall["1"]) == (2, 100.0)
     assert replace(task, weights=[1, 0]).evaluate().recall == result.recall
@@ -189,24 +234,27 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("published --saved FOLDER --data FOLDER", "is a folder; give the file that the published test code wrote"),
-        ("arrays --queries FOLDER --gallery FOLDER --paths FOLDER", "is a folder; give the file of query descriptors"),
-        ("index --index FILE --data FOLDER --model city-lpn", "is a file; expected the folder of an index"),
+        ("FILE --data FOLDER", "file.mp4 is a file; expected a data set's folder, so give "),
+        ("FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
+        ("FLIGHT", "flight is a flight; give the map under it as --map"),
         (
-            "flight --flight FOLDER --map FILE --model city-lpn",
-            "file.mp4 is a video or its subtitles; make a flight of it",
+            "index",
+            "There is nothing at index; give the path of the source, which says itself what it is: lpn failures SOURCE",
         ),
+        ("", "There is no SOURCE; give its path first"),
+        ("RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
     ],
 )
-def test_a_folder_in_place_of_a_file_is_named(
+def test_a_source_that_cannot_be_opened_gets_one_sentence(
     words: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
-    names = {"FOLDER": str(tmp_path), "FILE": str(tmp_path / "file.mp4")}
-    assert main(["failures", *(names.get(word, word) for word in words.split())]) == 2
-    assert message in capsys.readouterr().err
-
-
-def test_a_word_that_is_no_source_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["evaluate", "indx", "--index", "tiles"]) == 2
-    assert "no source indx; it has data, published, arrays, index, flight" in capsys.readouterr().err
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "flight").mkdir()
+    (tmp_path / "flight" / "flight.json").touch()
+    names = {"FOLDER": "folder", "FILE": "file.mp4", "FLIGHT": "flight", "RESULT": "r.mat"}
+    words = " ".join(str(tmp_path / names[word]) if word in names else word for word in words.split())
+    assert main(["failures", *words.split()]) == 2
+    said = capsys.readouterr().err
+    assert message in said
+    assert said.count("\n") == 1

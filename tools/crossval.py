@@ -24,7 +24,7 @@ from rich.table import Table
 
 import lpn
 from lpn import descriptors
-from lpn.analysis.model_table import RESAMPLES, intervals
+from lpn.analysis.statistics import RESAMPLES, intervals
 from lpn.cli.train import flag_value
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.consoles import Console, wide_console
@@ -41,8 +41,7 @@ from lpn.reproduce.sources import Source
 from lpn.reproduce.tables import Training
 from lpn.reproduce.trainings import TrainingJob
 from lpn.retrieval import metrics
-from lpn.retrieval.calibration import MIN_PICTURES, calibrate
-from lpn.retrieval.protocol import centred
+from lpn.retrieval.calibration import MIN_PICTURES, calibrate, centred
 from lpn.training import recipes
 from lpn.training.recipes import Recipe, RecipeName
 from lpn.training.training_set import Fold, paired_pictures
@@ -380,7 +379,8 @@ def _differences(
             rows = np.stack([np.concatenate([one[name] - two[name] for one, two in values]) for name in names])
             result[task][reading] = {
                 name: {
-                    **estimate.difference(),
+                    "difference": estimate.value,
+                    "interval": [estimate.low, estimate.high],
                     "better": int((row > 0).sum()),
                     "worse": int((row < 0).sum()),
                 }

@@ -91,7 +91,7 @@ def write(pictures: Sequence[Image.Image], seconds: float, out: Path) -> None:
 def main() -> int:
     """Film a story of the demo."""
     parser = argparse.ArgumentParser(description=__doc__, prog="python -m tools.film")
-    parser.add_argument("story", help="its name, as lpn story lists it")
+    parser.add_argument("story", help="its name, as lpn explore --stories lists it")
     parser.add_argument("out", type=Path, help=".webp file to write")
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), help="width and height in pixels")
     parser.add_argument("--seconds", type=float, default=4.0, help="for which each step stands")

@@ -226,28 +226,25 @@ class ClientViews:
         Args:
             drawn: called when all but the panels is drawn.
         """
-        with speaking(self._workspace.vocabulary(analysis.state.plain)):
-            self._show(analysis, drawn)
-
-    def _show(self, analysis: StateAnalysis, drawn: Callable[[], None]) -> None:
         self.sequence += 1
         if self._dark is None:  # the page sent no greeting; later, an older answer must not bring its theme back
             self.set_theme(analysis.state)
         covered = analysis.state.first_screen
-        if covered:
-            self.first_screen.show(analysis, self.stories.names)
-        with self._client.atomic():  # the page draws one frame
-            if not covered:
-                self._draw_stage(analysis)
-                self.bridge.set_ground(self.stage.ground)
-            self.explain_window.show(analysis)
-            self.lab.show(analysis)
-            self.flight.show(analysis)
-            self.stories.show(analysis)
-            drawn()
-            self.panels.show(analysis, self.sequence, covered)
-        if not covered:  # it goes when what it covered is there
-            self.first_screen.show(analysis, self.stories.names)
+        with speaking(self._workspace.vocabulary(analysis.state.plain)):
+            if covered:
+                self.first_screen.show(analysis, self.stories.names)
+            with self._client.atomic():  # the page draws one frame
+                if not covered:
+                    self._draw_stage(analysis)
+                    self.bridge.set_ground(self.stage.ground)
+                self.explain_window.show(analysis)
+                self.lab.show(analysis)
+                self.flight.show(analysis)
+                self.stories.show(analysis)
+                drawn()
+                self.panels.show(analysis, self.sequence, covered)
+            if not covered:  # it goes when what it covered is there
+                self.first_screen.show(analysis, self.stories.names)
 
     def _draw_stage(self, analysis: StateAnalysis) -> None:
         """Draw the stage, and the controls and bars that lie over it."""

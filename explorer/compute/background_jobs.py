@@ -15,6 +15,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from lpn.core.errors import LPNError
+from lpn.core.progress import listening
 
 log = logging.getLogger(__name__)
 
@@ -32,7 +33,7 @@ class WorkCancelledError(Exception):
 
 
 class BackgroundJob(Generic[T]):
-    """Work that starts at once on its own thread.
+    """Work that starts at once on its own thread; what it reports (`lpn.core.progress`) is the progress of the job.
 
     Args:
         on_abandoned: called with the job when its last client has left.
@@ -91,7 +92,8 @@ class BackgroundJob(Generic[T]):
 
     def _run(self, work: Callable[[ReportProgress], T]) -> None:
         try:
-            self.value = work(self._report)
+            with listening(lambda _, done, total: self._report(done, total)):
+                self.value = work(self._report)
         except WorkCancelledError:
             self.error = "The computation was cancelled."
         except LPNError as error:

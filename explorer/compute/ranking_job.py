@@ -11,17 +11,13 @@ import numpy as np
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array
 from lpn.core.errors import LPNError
-from lpn.retrieval.evaluate import error_shares
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks import ranking_cache
+from lpn.tasks.measure import error_shares
 from lpn.tasks.task import Task
 
 # A ranking of up to this many multiplications (half a second on two cores) is computed before the app starts.
 QUICK_COST = 20_000_000_000
-# An index takes a search for each query: a ranking of up to this many is made before the app starts, if a search is quick.
-QUICK_SEARCHES = 200
-# A ranking by searches of a higher cost (minutes) starts when somebody opens the failure laboratory.
-AUTOMATIC_COST = 100 * QUICK_COST
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +66,6 @@ class RankingJob:
     def __init__(self, task: Task) -> None:
         self.task = task
         self.result: TaskRanking | None = None
-        self._searched = not task.lists_gallery
         self._ranking = task.ranking()
         self._jobs, self._rank_lock = BackgroundJobs(), threading.Lock()
         self._job: BackgroundJob[TaskRanking] | None = None
@@ -81,16 +76,10 @@ class RankingJob:
         Raises:
             InputError: when the task cannot be ranked.
         """
-        few = not self._searched or len(self.task.queries) <= QUICK_SEARCHES
-        if few and ranking_cache.multiplications(self.task) <= QUICK_COST:
+        if ranking_cache.multiplications(self.task) <= QUICK_COST:
             self.result = self._result(self._ranking.finish(lambda *_: None))
         elif (cached := ranking_cache.load(self.task)) is not None:
             self.result = self._result(cached)
-
-    @property
-    def automatic(self) -> bool:
-        """Return True if the ranking starts when a page shows the task, rather than when its outcomes are asked for."""
-        return not self._searched or ranking_cache.multiplications(self.task) <= AUTOMATIC_COST or self.n_ranked > 0
 
     @property
     def ranks(self) -> Int64Array:
@@ -159,9 +148,6 @@ class RankingJob:
         return self.result
 
     def _result(self, ranking: Retrieval) -> TaskRanking:
-        errors = None
-        if self.task.geometry is not None:
-            geometry = self.task.current().geometry
-            assert geometry is not None
-            errors = geometry.answer_errors_m(ranking.best)
+        geometry = self.task.geometry
+        errors = None if geometry is None else geometry.answer_errors_m(ranking.best)
         return TaskRanking(ranking, errors, self.task.known)

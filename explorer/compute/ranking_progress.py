@@ -33,9 +33,7 @@ class RankingProgress:
             figures: waited for after the others; the page shows their results alone, beside those of `main`.
         """
         all_of_them = (main, *others, *figures)
-        pending = tuple(
-            ranking for ranking in all_of_them if ranking.automatic and ranking.result is None and not ranking.error
-        )
+        pending = tuple(ranking for ranking in all_of_them if ranking.result is None and not ranking.error)
         with self._lock:
             if self._closed:
                 return

@@ -6,9 +6,11 @@ import threading
 from collections.abc import Callable, Sequence
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress, in_turn
+from lpn.core.progress import counted_among
 from lpn.core.resources import yield_cores
+from lpn.drawing.charts import TaskRecall
+from lpn.tasks.changes import turned
 from lpn.tasks.task import Task
-from lpn.tasks.turned import TurnedFigures, turned
 
 
 class TurnedJobs:
@@ -19,15 +21,15 @@ class TurnedJobs:
 
     Args:
         task: returns a task by its key, with the model that describes queries in the background; each that is asked for must have
-            figures, see `turned.why_not`.
+            figures, see `changes.why_not`.
     """
 
     def __init__(self, task: Callable[[str], Task]) -> None:
         self._task, self._jobs = task, BackgroundJobs()
-        self._known: dict[tuple[str, float], TurnedFigures] = {}
+        self._known: dict[tuple[str, float], TaskRecall] = {}
         self._lock, self._turn = threading.Lock(), threading.Lock()
 
-    def known(self, task: str) -> list[TurnedFigures]:
+    def known(self, task: str) -> list[TaskRecall]:
         """Return the figures of a task that are computed so far, by degrees."""
         with self._lock:
             return sorted(
@@ -60,13 +62,10 @@ class TurnedJobs:
         queries, described = len(task.queries), 0
         total = queries * sum(degrees != 0 for degrees in missing)  # upright queries are described already
         for degrees in missing:
-
-            def on_progress(done: int, _: int, before: int = described) -> None:
-                report(before + done, total)
-
-            on_progress(0, queries)
-            figures = turned(task, degrees, on_progress)
+            report(described, total)
+            with counted_among(described, total):
+                figures = turned(task, degrees).with_fields(weights=None).metrics
             described += queries if degrees else 0
             with self._lock:
-                self._known[name, degrees] = figures
+                self._known[name, degrees] = TaskRecall(degrees, figures["recall@1"], figures["ap"])
         report(total, total)

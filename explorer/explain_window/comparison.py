@@ -15,7 +15,6 @@ from lpn.core.texts import ordinal
 from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.theme import Colour
 from lpn.drawing.words import say
-from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect
 
 # Side of the pictures of the query and the two tiles, in pixels.
@@ -37,7 +36,7 @@ def page(
     if comparison is None:
         return render("explain/comparison", comparison=None)
     ranking, followed, change = analysis.ranking, comparison.followed, comparison.change
-    margin = counterfactual.margin(ranking, followed.index, comparison.other.index).parts
+    margin = ranking.gains(followed.index, comparison.other.index)
     total = shown_difference(comparison.other.distance2, followed.distance2)
     right = judge.judged_piece(analysis, workspace) or f"the {say('positive')}"
     names, name = workspace.part_names, right if followed.true else f"this {say('tile')}"
@@ -57,7 +56,7 @@ def page(
         tile_picture=lambda index: _picture(workspace.card(analysis.task, index)),
         ordinal=ordinal,
         name=name,
-        margin_sentence=verdicts.describe_margin(margin, names, name, total),
+        margin_sentence=verdicts.describe_margin(total, name),
         region=analysis.state.region,
         part_names=names,
         several=workspace.has_parts,
@@ -68,8 +67,6 @@ def page(
         no_place=no_place(analysis),
         swatches=[theme.css(colour) for colour in colours],
         weights=list(zip(ranking.weights, change.weights, strict=True)) if change else [],
-        depth=ranking.depth,
-        describe_rank=verdicts.describe_rank,
         effect_sentence=_sentence(verdicts.describe_effect(effect)) if effect else "",
         computing=computing,
     )

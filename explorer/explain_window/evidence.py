@@ -37,7 +37,7 @@ def page(analysis: StateAnalysis, workspace: Workspace) -> str:
     """Render the tab; without cells it says why there is no evidence."""
     pair = analysis.pair_evidence
     if pair is None or pair.correspondences is None:
-        reason = analysis.task.without_picture(analysis.chosen.index)
+        reason = analysis.task.gallery[analysis.chosen.index].missing
         return render(
             "explain/evidence",
             evidence=None,

@@ -420,9 +420,7 @@ def _column(
 
 def _lead(analysis: StateAnalysis) -> float | None:
     truth, wrong = analysis.positive, next((match for match in analysis.matches if match.true is False), None)
-    return (
-        None if truth is None or wrong is None or truth.beyond else shown_difference(wrong.distance2, truth.distance2)
-    )
+    return None if truth is None or wrong is None else shown_difference(wrong.distance2, truth.distance2)
 
 
 def changes(first: RankingJob, second: RankingJob, graded: BoolArray) -> Changes | None:

@@ -95,10 +95,6 @@ def _sentences(profile: SweepResult, analysis: StateAnalysis, followed: str) -> 
         f"Best for {followed}: {_place(over, best)}, {_figures(best.score)}, {ordinal(best.rank)}"
         f"{_before(profile, best)}."
     ]
-    if (depth := analysis.task.depth) is not None:
-        sentences.append(
-            f"The index returns the {depth} nearest {say('tile', 2)}; one beyond them is plotted at {say('rank')} {depth + 1}."
-        )
     if ranked.rank < best.rank:
         sentences.append(f"Its best {say('rank')} is elsewhere: {ordinal(ranked.rank)} at {_place(over, ranked)}.")
     if best.true is not None and over not in ("rotation", "weather"):

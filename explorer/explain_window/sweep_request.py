@@ -43,7 +43,7 @@ class SweepRequest:
         progress = SweepProgress(self, total=len(changes))
         yield progress
         follow = None if analysis.positive else analysis.chosen.index
-        rank = task.ranks_under(known, analysis.ranking.weights, follow)
+        rank = task.ranks_under(known, analysis.ranking.weights)
         for point in sweeps.sweep_points(
             workspace.scored_model(model, task).for_task(*task.views),
             analysis.source,

@@ -11,8 +11,8 @@ from explorer.compute.turned_jobs import TurnedJobs
 from explorer.compute.worker import Worker
 from explorer.session_state import SessionState
 from lpn.drawing.charts import TaskRecall
+from lpn.tasks.changes import PAPER_TURNS, why_not
 from lpn.tasks.task import Task
-from lpn.tasks.turned import PAPER_TURNS, why_not
 
 TurnChoice = Literal["this", "paper", "circle"]
 # Seconds between two looks at a computation.
@@ -80,10 +80,7 @@ class WholeTask:
     def section(self, task: Task) -> WholeTaskSection:
         """Return what the tab says about a task."""
         job = self.job if self.task == task.key else None
-        figures = self._jobs.known(task.key)
-        return WholeTaskSection(
-            why_not(task), [TaskRecall(one.degrees, one.recall, one.ap) for one in figures], job, len(task.queries)
-        )
+        return WholeTaskSection(why_not(task), self._jobs.known(task.key), job, len(task.queries))
 
     def _follow(self) -> float | None:
         self._draw()

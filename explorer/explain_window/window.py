@@ -35,7 +35,7 @@ from lpn.drawing.words import speaking
 from lpn.explain.counterfactual import Effect
 from lpn.explain.sweeps import SweptProperty
 from lpn.retrieval import Ranking
-from lpn.tasks.turned import why_not
+from lpn.tasks.changes import why_not
 
 _EVIDENCE, _HEATMAPS, _COMPARISON, _SWEEP = "Why", "Heatmaps", "True or wrong", "Turn, shift, zoom"
 _REGION, _MODELS = "Search by a region", "Two models"
@@ -471,7 +471,7 @@ class ExplainWindow:
         task, weights = content.analysis.task, pair.comparison.change.weights
         effect = None
         try:
-            effect = effect_on(task, pair.ranking.weights, weights)
+            effect = effect_on(replace(task, weights=pair.ranking.weights), weights)
         finally:
             self._replace_pair(pair, replace(pair, effect=effect, computing=False))
 

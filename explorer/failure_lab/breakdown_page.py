@@ -154,7 +154,7 @@ def _hub_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Card:
             hub.tile,
             state.hub_label(findings, hub.tile) == chosen,
             f"The answer to {len(hub.queries)} {say('query', len(hub.queries))} of {hub.places} other places",
-            (task.tile_name(hub.tile), _tile_picture(findings, workspace, hub.tile), hub.places, len(hub.queries)),
+            (task.gallery[hub.tile].name, _tile_picture(findings, workspace, hub.tile), hub.places, len(hub.queries)),
         )
         for hub in hubs[:_MAX_TILES]
     ]
@@ -167,7 +167,7 @@ def _alike_card(findings: Findings, lab: LabState, workspace: Workspace) -> _Car
     task, chosen, lines = findings.task, _label(lab, "alike"), []
     for pair in _near_duplicates(task):
         apart = _apart(task, pair)
-        names = [task.tile_name(tile) for tile in pair.tiles]
+        names = [task.gallery[tile].name for tile in pair.tiles]
         pictures = [_tile_picture(findings, workspace, tile) for tile in pair.tiles]
         lines.append(
             _Line(

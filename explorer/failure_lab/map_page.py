@@ -23,7 +23,6 @@ from lpn.core import images
 from lpn.core.arrays import Int64Array
 from lpn.drawing import words
 
-NO_EMBEDDING = "The tiles of an index are not in memory, so their descriptors are not drawn as a map."
 _LABELS = {"pca": "the PCA", "umap": "the UMAP", "ground": "the ground"}
 _NOTHING = np.zeros((0, 2))
 
@@ -78,11 +77,9 @@ class MapPage:
             beside: which of the models beside the workspace's own is the second one.
             offered: there is a second model.
         """
-        embedded, ground = findings.task.depth is None, findings.task.geometry is not None
-        kinds = {"ground": "On the ground"} if ground else {}
-        if embedded:
-            kinds["pca"] = "By likeness" if words.plain() else "Descriptors, PCA"
-        if embedded and self._service.has_umap:
+        kinds = {} if findings.task.geometry is None else {"ground": "On the ground"}
+        kinds["pca"] = "By likeness" if words.plain() else "Descriptors, PCA"
+        if self._service.has_umap:
             kinds["umap"] = "By likeness (UMAP)" if words.plain() else "Descriptors, UMAP"
         controls = partial(
             render,
@@ -90,11 +87,8 @@ class MapPage:
             lab=lab,
             kinds=kinds,
             columns=list(findings.table.columns),
-            both=offered and embedded and lab.map != "ground",
+            both=offered and lab.map != "ground",
         )
-        if not embedded and (lab.map != "ground" or not ground):
-            self._points = self._second = None
-            return MapView(controls(drawn=False), _none(NO_EMBEDDING))
         paused = lab.map in lab.paused
         job = None if paused else self._service.points(lab.map, lab.task, self._client)
         if paused:
@@ -103,13 +97,15 @@ class MapPage:
             self._points = self._second = None
             waiting = table.waiting(job, "The map", paused, lab.map)
             final = job is None or job.error is not None
-            return MapView(controls(drawn=False), _none() + waiting, final=final)
+            return MapView(
+                controls(drawn=False), render("failure_lab/map", room=None, names=(), maps=0) + waiting, final=final
+            )
         second, pending = self._second_points(lab, beside)
         self._points, self._second = points, second
         both = [points] if second is None else [points, second]
         room = map_room(window, max(map(map_data.proportion, both)), len(both))
         names = () if second is None or findings.second is None else findings.second.names
-        html = render("failure_lab/map", reason="", lab=lab, room=room, names=names, maps=len(both))
+        html = render("failure_lab/map", lab=lab, room=room, names=names, maps=len(both))
         above = controls(drawn=True)
         data = self._data(findings, lab, query, rows, both)
         # Elements that were drawn anew are to be filled by the script.
@@ -207,11 +203,6 @@ class MapPage:
     def leave(self) -> None:
         """Serve nothing more to a browser that left."""
         self._feeds.leave(self)
-
-
-def _none(reason: str = "") -> str:
-    """Return the room of the maps without one."""
-    return render("failure_lab/map", reason=reason, room=None, names=(), maps=0)
 
 
 def _value(job: BackgroundJob[MapPoints]) -> MapPoints | None:

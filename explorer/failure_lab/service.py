@@ -293,7 +293,7 @@ class FailureLab:
         if not _same_queries(findings.task, ranking.task):
             return findings
         ranked = ranking.result.ranking
-        columns = query_outcomes.compared_ranks(findings.table, ranked.first, ranked.depth)
+        columns = query_outcomes.compared_ranks(findings.table, ranked.first)
         names = self._workspace.model_name, second.model_name
         scorings = findings.task.scoring, ranking.task.scoring
         hits = findings.outcomes.known & (ranked.first == 0)
@@ -390,7 +390,6 @@ class FailureLab:
     def _build(self, task: Task, progress: ReportProgress) -> None:
         progress(0, len(task.queries))
         ranking = self._workspace.rankings[task.key].wait(self, progress).ranking
-        task = task.current()
         outcomes = task.outcomes_of(ranking)
         progress(len(task.queries), len(task.queries))
         part_names = self._workspace.part_names
@@ -408,7 +407,6 @@ class FailureLab:
 
     def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> MapPoints:
         if kind == "ground":
-            task = task.current()
             assert task.geometry is not None
             places = task.geometry
             ground = self._workspace.mosaic(task), places.bounds()

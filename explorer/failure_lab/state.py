@@ -332,7 +332,7 @@ def select_hub(findings: Findings, lab: LabState, tile: int) -> Selection | None
 
 def hub_label(findings: Findings, tile: int) -> str:
     """Return what a selection of a hub's queries is called."""
-    return f"wrongly answered with {findings.task.tile_name(tile)}"
+    return f"wrongly answered with {findings.task.gallery[tile].name}"
 
 
 def hubs(findings: Findings, lab: LabState) -> list[breakdown.Hub]:
@@ -350,7 +350,7 @@ def select_alike(findings: Findings, tiles: tuple[int, int]) -> Selection:
 
 def alike_label(findings: Findings, tiles: tuple[int, int]) -> str:
     """Return what a selection of the queries of two tiles is called."""
-    return " and ".join(findings.task.tile_name(tile) for tile in tiles)
+    return " and ".join(findings.task.gallery[tile].name for tile in tiles)
 
 
 def select_part(findings: Findings, part: int) -> Selection:

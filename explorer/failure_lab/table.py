@@ -310,10 +310,9 @@ def tip(findings: Findings, workspace: Workspace, rows: Int64Array, revision: in
 
 
 def _answer(findings: Findings, row: int) -> str:
-    """Return what people call the tile that was answered; of a task over an index, its name."""
+    """Return what people call the tile that was answered."""
     tile, task = int(findings.outcomes.answer[row]), findings.task
-    listed = task.lists_gallery and 0 <= tile < len(task.gallery)
-    return task.gallery[tile].title if listed else findings.table.columns["answer"].text(row)
+    return task.gallery[tile].title if 0 <= tile < len(task.gallery) else ""
 
 
 def _cell(findings: Findings, feeds: Feeds, column: Column, row: int, limit: float) -> _Cell:

@@ -112,7 +112,7 @@ def answer_lines(
     state, task, registered = analysis.state, analysis.task, workspace.details(analysis)
     right, headline, sentence = concluded or looked
     own, job = state.upload is not None, analysis.own_photo
-    answer = "The model’s answer" if analysis.chosen.rank == 1 else f"Rank {analysis.chosen.rank_text}"
+    answer = "The model’s answer" if analysis.chosen.rank == 1 else f"Rank {analysis.chosen.rank}"
     if own and workspace.own_photos and analysis.chosen.rank == 1:
         answer = "Most similar by its look"
     altered = session_state.alterations(state, math.prod(workspace.map_sizes[task.query_view]))

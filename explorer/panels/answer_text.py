@@ -26,7 +26,6 @@ from lpn.locate.own_photo import OwnPhoto
 from lpn.locate.summary import doubted_clause, is_unchecked, other_map, unchecked_frames
 from lpn.maps import Window
 from lpn.maps.tag_placed import placing_sentence
-from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
 # A GPS tag at least this far from the nearest tile is in another region.
@@ -76,11 +75,6 @@ class Lead:
     sure: bool = True
 
     @property
-    def total(self) -> float:
-        """The lead in d²; below 0 for a wrong answer, which is nearer than the right picture."""
-        return float(self.terms.sum())
-
-    @property
     def figures(self) -> list[float]:
         """The terms as they are shown: rounded, they add up to the lead that is shown."""
         return rounded_to_sum(self.terms.tolist(), total=self.shown)
@@ -103,49 +97,15 @@ class Lead:
 
 def verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
     """Return whether the top match is right (None: unknown), a headline, and the reason; see `lpn.drawing.verdicts`."""
-    first, depth = analysis.matches[0], analysis.ranking.depth
     if analysis.ranking.relevant is None:
-        gap = _next_tile(first)
-        if analysis.state.upload is None:
-            known = "Its true place is not known here"
-            if workspace.flight is not None and workspace.flight.elsewhere:
-                known = workspace.flight.elsewhere
-            return None, "Best match" if words.plain() else "Nearest tile", f"{known}; {gap}."
-        if (of_map := _on_map(analysis, workspace)) is not None:
-            right, headline, sentence = of_map
-            beside = "" if analysis.registered is None else f" {gap[:1].upper()}{gap[1:]}."
-            return right, headline, f"{sentence}{beside}"
-        elsewhere, far = _elsewhere(analysis, workspace), _far(analysis, workspace)
-        place = (
-            f"{elsewhere}, so no answer can be right" if elsewhere else _beside_tag(analysis, workspace, "this tile")
-        )
-        place = place or "Its true place is not known here"
-        headline = "best match" if words.plain() else "nearest tile"
-        if elsewhere or (far is not None and far[0]):
-            headline = "not one of these" if elsewhere else "probably none of these"
-        elif _off_tag(analysis, workspace):
-            headline = "elsewhere by its GPS tag"
-        return (
-            None,
-            f"Your picture: {headline}",
-            " ".join((f"{place}; {gap}.", *(() if far is None or elsewhere else far[1:]))),
-        )
+        right, headline, sentence = plain_verdict(analysis, workspace)
+        waits = _compared(analysis) and analysis.registered is None
+        return right, headline, sentence if waits else f"{sentence} {analysis.verdict.sentence}"
     if not judge.is_sure(analysis, workspace):
         _, headline, sentence = flight_verdict(analysis, workspace, plain_verdict(analysis, workspace))[0]
         return None, headline, sentence
-    if analysis.positive is None and depth is not None:
-        return False, f"No {words.say('positive')} among the {depth} found", "The search returned no tiles after them."
     said = analysis.verdict
     return said.sign, said.headline, said.sentence
-
-
-def _next_tile(first: Match) -> str:
-    """Say how far behind the top match the next tile is, as a clause."""
-    if first.gap is None:
-        return "there is no other tile"
-    if words.plain():
-        return f"the next best is {first.shown_gap:.3f} behind it"
-    return f"the next tile is {first.shown_gap:.3f} further away (d²)"
 
 
 def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool | None, str, str]:
@@ -163,7 +123,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
                 f"{elsewhere}, so no answer can be right. The one beside it is merely the most similar.",
             )
         far = _far(analysis, workspace)
-        place = _beside_tag(analysis, workspace, "this one")
+        place = _beside_tag(analysis, workspace)
         if not place and not analysis.state.upload and workspace.flight is not None and workspace.flight.elsewhere:
             place = "The GPS tags are left out, so it is not graded"
         place = place or "The true place is not known here, so it is not graded"
@@ -195,7 +155,7 @@ def plain_verdict(analysis: StateAnalysis, workspace: Workspace) -> tuple[bool |
             f"The model compared {pictures} and found {judged or 'the right one'}{off}.",
         )
     away = "another place" if error_m is None else f"a place {distance(error_m)} away"
-    rank = "is not near the top" if positive is None or positive.beyond else f"came {ordinal(positive.rank)}"
+    rank = "is not near the top" if positive is None else f"came {ordinal(positive.rank)}"
     return (
         False,
         "Wrong",
@@ -294,11 +254,11 @@ def checked(headline: str, located: LocatedFrame, sign: bool | None) -> str:
 
 
 def _no_right_answer(analysis: StateAnalysis, workspace: Workspace) -> str:
-    """Say why no tile can be the right answer; "" if one is, or if the search returned only some of all tiles.
+    """Say why no tile can be the right answer; "" if one is.
 
     A photo of a flight is graded by a place, which its registration may contradict.
     """
-    if analysis.positive is not None or analysis.ranking.depth is not None:
+    if analysis.positive is not None:
         return ""
     pictures = f"{analysis.task.tiles:,} {pictures_of(analysis.task)}"
     if workspace.flight is None:
@@ -490,11 +450,11 @@ def own_shape(analysis: StateAnalysis, workspace: Workspace) -> str:
     return f"Your picture is {width} × {height} pixels; the model sees it pressed into {shape}."
 
 
-def _beside_tag(analysis: StateAnalysis, workspace: Workspace, tile: str) -> str:
-    """Say how far the answer, called `tile`, lies from the picture's GPS tag; "" without a tag."""
+def _beside_tag(analysis: StateAnalysis, workspace: Workspace) -> str:
+    """Say how far the answer lies from the picture's GPS tag; "" without a tag."""
     if (error := analysis.error_m(analysis.matches[0])) is None:
         return ""
-    sentence = f"Its GPS tag lies {distance(error)} from the middle of {tile}"
+    sentence = f"Its GPS tag lies {distance(error)} from the middle of this one"
     if (reach := _off_tag(analysis, workspace)) is None:
         return sentence
     return f"{sentence}; the size of the piece and the errors of tags allow {distance(reach)}"
@@ -679,20 +639,15 @@ def trials(workspace: Workspace) -> tuple[str, str]:
 
 
 def context(analysis: StateAnalysis, workspace: Workspace, total: float) -> str:
-    """Say how the answer to a query as it is compares with those to all queries of the task; empty where that is not known.
+    """Say how the lead of a right answer to a query as it is compares with all such leads; empty where that is not known.
 
     Args:
-        total: the answer's lead over the best wrong picture, if it is right.
+        total: the answer's lead over the best wrong picture.
     """
-    state, first = analysis.state, analysis.matches[0]
+    state = analysis.state
     as_it_is = not state.upload and not state.change and not state.region and not state.altered_weights
-    known = workspace.outcomes(analysis.task) if as_it_is and first.true is not None else None
-    if known is None:
-        return ""
-    outcomes, table = known
-    if first.true:
-        return answer_context.describe_lead(outcomes, total)
-    return "" if workspace.has_flight else answer_context.describe_failure(outcomes, table, state.query)
+    known = workspace.outcomes(analysis.task) if as_it_is and analysis.matches[0].true else None
+    return "" if known is None else answer_context.describe_lead(known[0], total)
 
 
 def overall(right: int, graded: int, altered: bool = False) -> str:

@@ -19,55 +19,12 @@ from lpn.locate.located import LocatedFrame, StageRecord
 from lpn.locate.matched_details import MatchedDetails
 from lpn.locate.matched_pictures import MatchedPictures, matched_pictures
 from lpn.maps import Map
+from lpn.report import DetailPin, DetailsPair
 
 # The longer side of the pictures in pixels, and the quality of their JPEG.
 _SIDE, _QUALITY = 800, 82
 # A scale's metres begin with one of these digits, and it takes at most this share of the map's width.
 _DIGITS, _SCALE = (1, 2, 5), 0.3
-
-
-@dataclass(frozen=True)
-class Pin:
-    """A detail that photo and map show, by its number in both.
-
-    Attributes:
-        in_photo, on_map: per cent of the width and height of the pictures.
-        metres: from where the photo's place has it to where the map has it, two digits.
-    """
-
-    number: int
-    in_photo: tuple[float, float]
-    on_map: tuple[float, float]
-    metres: str
-
-
-@dataclass(frozen=True)
-class DetailsPair:
-    """A photo beside the map about it.
-
-    Attributes:
-        sentence: how many details agree, and how well.
-        photo, ground, laid: the pictures of `matched_pictures` as data URIs.
-        size: their width and height in pixels.
-        frame: the photo's corners on the map, per cent of its width and height.
-        colour: of the frame, in CSS.
-        pins: the numbered details.
-        limit: metres within which a detail counts, as a number.
-        heading: what points up on the map, degrees clockwise from north, -180 up to 180.
-        scale: metres of the scale, and per cent of the map's width that it takes.
-    """
-
-    sentence: str
-    photo: str
-    ground: str
-    laid: str
-    size: tuple[int, int]
-    frame: list[tuple[float, float]]
-    colour: str
-    pins: list[Pin]
-    limit: str
-    heading: float
-    scale: tuple[float, float]
 
 
 _Drawn = tuple[MatchedPictures, tuple[str, str, str]]
@@ -111,7 +68,7 @@ def details_pair(analysis: StateAnalysis, workspace: Workspace) -> DetailsPair |
             (width, height),
             _per_cent(shown.frame),
             theme.css(theme.placed_colour(belief(located).sign)),
-            [Pin(i, here, there, f"{metres:.2f}") for i, (here, there, metres) in enumerate(places, 1)],
+            [DetailPin(i, here, there, f"{metres:.2f}") for i, (here, there, metres) in enumerate(places, 1)],
             _bound(answer.details.limit),
             wrap_degrees(shown.heading),
             _scale(shown.width),

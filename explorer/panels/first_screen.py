@@ -53,7 +53,7 @@ from lpn.locate.retrieval import heading_is_certain
 from lpn.maps import Map
 from lpn.maps.named_window import describe_offset
 from lpn.maps.tag_placed import placing_sentence
-from lpn.report import Said, SaidDetails, SaidPicture
+from lpn.report import Said, SaidPicture
 from lpn.retrieval import DescribedPicture
 
 # Map files, and bytes of them, up to which a saved answer has their SHA-256.
@@ -70,7 +70,7 @@ _DISPUTED = {
 _BRING = """\
 pip install "lpn-explorer[maps]"
 lpn map ortho.tif --out maps/here
-lpn explore flight --map maps/here --flight photos/ --model city-lpn"""
+lpn explore photos/ --map maps/here --model city-lpn"""
 # Height of the pictures in pixels, and the largest width of a panorama.
 _SIZE = 420, 1100
 # The grey of a map's places without data.
@@ -235,12 +235,11 @@ def page(
     disputed = found.disputed
     wrong = None if state.why else wrong_answer.wrong_answer(analysis, workspace)
     errs = found.look[0] is False and not state.upload
-    explained = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why or errs else None
-    cells_of_parts = None if explained is None else _lead_cells(analysis, explained)
-    why_wrong = _wrong_because(analysis, workspace, explained, cells_of_parts) if errs else ""
+    lead = answer_text.lead(analysis, judge.judged_piece(analysis, workspace)) if state.why else None
+    cells_of_parts = None if lead is None else _lead_cells(analysis, lead)
+    why_wrong = f"{analysis.verdict.headline}." if errs and analysis.positive is not None else ""
     # The page of wrong answers and the explanation of the look have this sentence, too.
     off_map = "" if wrong or state.why else place_text.off_map(task.gallery[analysis.chosen.index], "this answer")
-    lead = explained if state.why else None
     cells = None if lead is None or cells_of_parts is None else cells_of_parts.sum(axis=0)
     # What speaks for a picture has the colour of its frame.
     sure = lead is not None and lead.sure and found.look[0] is not None
@@ -251,12 +250,10 @@ def page(
     laid = None if state.why or wrong else _laid(located, workspace, own is not None)
     lines = _lines(analysis, workspace, found, laid)
     headline = found.concluded[1] if found.concluded else found.look[1]
-    if third is None and laid is None and (found.look_errs or wrong) and positive is not None and not positive.beyond:
+    if third is None and laid is None and (found.look_errs or wrong) and positive is not None:
         third = positive.index
     turn, matched = _turn(analysis, workspace), details_pair(analysis, workspace) if state.why else None
     because = _because(analysis, workspace, lead, cells_of_parts, matched is not None)
-    if wrong and why_wrong:
-        wrong = replace(wrong, reasons=[why_wrong, *(one for one in wrong.reasons if one != wrong_answer.UNEXPLAINED)])
     return render(
         "wrong_answer" if wrong else "first_screen",
         wrong=wrong,
@@ -388,7 +385,7 @@ def said(analysis: StateAnalysis, workspace: Workspace, on_read: CountProgress =
         doubt = "" if laid.sign else ": in doubt"
         offset = f"{laid.offset}, north up"
         pictures.append(SaidPicture(f"{_ON_MAP}{doubt}", offset, laid.picture, laid.sign, doubted=laid.sign is None))
-    elif found.look_errs and chosen.rank == 1 and positive is not None and not positive.beyond:
+    elif found.look_errs and chosen.rank == 1 and positive is not None:
         picture, caption, right = _third_tile(
             analysis, workspace, positive.index, found.disputed, found.look[0] is None
         )
@@ -406,17 +403,7 @@ def said(analysis: StateAnalysis, workspace: Workspace, on_read: CountProgress =
         _map_facts(workspace, on_read),
         tuple((method, tuple(sentences)) for method, sentences in reasons),
         tuple(filter(None, [lines.criterion, checked])),
-        _said_details(analysis, workspace),
-    )
-
-
-def _said_details(analysis: StateAnalysis, workspace: Workspace) -> SaidDetails | None:
-    pair = details_pair(analysis, workspace)
-    if pair is None:
-        return None
-    pins = tuple((pin.in_photo, pin.on_map, pin.metres) for pin in pair.pins)
-    return SaidDetails(
-        pair.sentence, pair.photo, pair.ground, pair.size, tuple(pair.frame), pair.colour, pins, pair.limit
+        details_pair(analysis, workspace),
     )
 
 
@@ -591,26 +578,6 @@ def _speaking_place(
         (workspace.ground_of(task, ahead), workspace.ground_of(task, behind)),
         None if turn is None else turn.degrees,
     )
-
-
-def _wrong_because(
-    analysis: StateAnalysis, workspace: Workspace, lead: answer_text.Lead | None, cells: Float64Array | None
-) -> str:
-    """Say which parts put a wrong answer before the right one, where, and by how much; "" if no part did.
-
-    Args:
-        cells: each cell's share of the lead, part by part.
-    """
-    if lead is None or cells is None or lead.of_answer:
-        return ""
-    place = _speaking_place(analysis, workspace, lead, cells, -1)
-    if place is None:
-        return ""
-    names = lead.answer, lead.other
-    text = verdicts.describe_lead_place(place, workspace.part_names, analysis.task.query_view, names, "the picture")
-    if text.startswith(only := "Only "):
-        return f"Wrong because {text[len(only) :]} No other {words.say('part')} speaks for it."
-    return f"Wrong because {text[:1].lower()}{text[1:]}"
 
 
 def _details(registered: StageRecord | None, photo: str) -> str:

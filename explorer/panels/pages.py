@@ -94,7 +94,6 @@ def header(workspace: Workspace, task: Task, preparing: BackgroundJob[None] | No
         task=task,
         pictures=verdicts.pictures_of(task),
         results=workspace.results(ranking),
-        automatic=ranking.automatic,
         done=ranking.n_ranked,
         error=ranking.error,
         scorings=scorings.choices(workspace.rankings, task.name),

@@ -81,9 +81,11 @@ def off_map(tile: Picture, answer: str) -> str:
 def criterion(workspace: Workspace, task: Task) -> str:
     """Say within what an answer counts as right, and who is the judge."""
     flight = workspace.flight
+    if flight is None and task.of_map:
+        return "Right is a piece on which the photo's GPS tag lies."
     if flight is None or flight.retrieval is None:
         judges = f"the plan of the {say('rendered')} city" if shows_rendered(workspace.root) else "the data set"
-        return f"Right is an answer that shows the same place; {judges} is the judge." if task.lists_gallery else ""
+        return f"Right is an answer that shows the same place; {judges} is the judge."
     low, high = float(flight.retrieval.sizes.min()), float(flight.retrieval.sizes.max())
     width = f"{low:.0f} to {high:.0f} m wide" if round(low) < round(high) else f"{high:.0f} m wide"
     right = f"Right is a piece, {width}, on which the photo's middle lies"

@@ -14,7 +14,6 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.analysis import answer_context, wrong_answers
 from lpn.analysis.answer_context import FailingKind
-from lpn.analysis.near_duplicates import shows_places
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.numbers import distance
 from lpn.core.texts import ordinal
@@ -29,9 +28,6 @@ _MOST_KINDS = 5
 _NEAR = 0.25
 # Widths on the ground by this factor apart are of different scales; the windows of a pyramid are often this factor apart.
 _SCALE = math.sqrt(2)
-# A wrong answer is close if at least this share of the right ones lead by more than its positive lacks.
-_CLOSE = 0.9
-UNEXPLAINED = "Nothing that was measured tells why. “Why?” shows the places that speak for either picture."
 
 
 @dataclass(frozen=True)
@@ -44,7 +40,7 @@ class WrongAnswer:
         kinds: of picture, that fail more often than by chance, the least likely first.
         chance: a sentence that there are none; "" if there are, or if no kinds can be told apart.
         sentence: how far and in which direction the answer lies, and at which place in the list the right one came.
-        reasons: what was measured that may be why.
+        reasons: the verdict's headline, and what was measured that may be why.
     """
 
     number: int
@@ -83,7 +79,7 @@ def wrong_answer(analysis: StateAnalysis, workspace: Workspace) -> WrongAnswer |
         [f"{words.capitalised(_name(kind))}: {kind.numbers}." for kind in kinds or ()][:_MOST_KINDS],
         "" if kinds or kinds is None else f"{words.capitalised(by_chance)}.",
         _sentence(analysis, right),
-        _reasons(analysis, workspace, right, kinds or ()) or [UNEXPLAINED],
+        [f"{analysis.verdict.headline}.", *_reasons(analysis, workspace, right, kinds or ())],
     )
 
 
@@ -109,10 +105,7 @@ def _overall(listed: Int64Array, known: BoolArray, workspace: Workspace) -> str:
 def _sentence(analysis: StateAnalysis, right: str) -> str:
     compared = f"The model compared {analysis.task.tiles:,} {verdicts.pictures_of(analysis.task)} and chose"
     positive = analysis.positive
-    if positive is None:
-        came = "none of them shows the place"
-    else:
-        came = f"{right} is not near the top" if positive.beyond else f"{right} came {ordinal(positive.rank)}"
+    came = "none of them shows the place" if positive is None else f"{right} came {ordinal(positive.rank)}"
     return f"{compared} {_away(analysis)}; {came}."
 
 
@@ -151,20 +144,20 @@ def _reasons(analysis: StateAnalysis, workspace: Workspace, right: str, kinds: S
         beyond = max(map(abs, offset)) - window.size / 2
         if 0 <= beyond < _NEAR * window.size:
             reasons.append(f"A near miss: the photo's middle lies {distance(beyond)} beyond the edge of this answer.")
-    reasons += _scale(analysis, workspace, right) + _look_alike(analysis, right)
+    reasons += _scale(analysis, workspace, right)
     reasons += [
         f"It is of a kind that fails more often: {_name(kind)}."
         for kind in kinds[:_MOST_KINDS]
         if kind.rate.holds(kind.column)[analysis.state.query]
     ]
-    return reasons + _close(analysis, workspace, right)
+    return reasons
 
 
 def _scale(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[str]:
     """Say if a photo that is laid over the map shows ground of another width than the answer, and that than the right one."""
     task, registered, positive = analysis.task, workspace.details(analysis), analysis.positive
     query, tile = task.queries[analysis.state.query].cut, task.gallery[analysis.matches[0].index].cut
-    true = None if positive is None or positive.beyond else task.gallery[positive.index].cut
+    true = None if positive is None else task.gallery[positive.index].cut
     if registered is None or not registered.accepted or registered.width is None:
         return []
     if not isinstance(query, TurnedFrame) or not isinstance(tile, WindowCut) or not isinstance(true, WindowCut):
@@ -174,26 +167,3 @@ def _scale(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[st
         return []
     others = f"this answer {size:.0f} m and {right} {true.window.size:.0f} m"
     return [f"The scales differ: the photo's square shows {side:.0f} m of ground from side to side, {others}."]
-
-
-def _look_alike(analysis: StateAnalysis, right: str) -> list[str]:
-    """Say if no other place looks more like the right one to the model than the answer's."""
-    task, positive = analysis.task, analysis.positive
-    if positive is None or positive.beyond or not shows_places(task):
-        return []
-    alike = wrong_answers.most_alike(task.sides()[1], task.gallery_labels, positive.index, task.weights)
-    if alike != task.gallery_labels[analysis.matches[0].index]:
-        return []
-    return [f"To the model, no other place looks more like {right} than this answer does."]
-
-
-def _close(analysis: StateAnalysis, workspace: Workspace, right: str) -> list[str]:
-    """Say if the answer was a close one: by how much the right one is behind, among the leads of right answers."""
-    known, positive = workspace.outcomes(analysis.task), analysis.positive
-    if known is None or positive is None or positive.beyond:
-        return []
-    behind = -float(known[0].margin[analysis.state.query])
-    larger = wrong_answers.share_of_larger_leads(known[0], behind)
-    if larger is None or larger < _CLOSE:
-        return []
-    return [f"It was close: {right} is {behind:.3f} behind, and {100 * larger:.0f} % of right answers lead by more."]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol
+from typing import Any, Literal, Protocol
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer.parameters import LONGEST_TEXT, UnusableError, format_number, is_line, parse_number
 from explorer.session_state import MAX_WEIGHT
-from explorer.workspace import Workspace
+from explorer.workspace import Picture, Workspace
 from lpn.core.files import printable
 from lpn.tasks.task import SCORINGS, scored_key
 
@@ -91,38 +92,42 @@ class Line:
 
 
 @dataclass(frozen=True)
-class QueryOf:
-    """A position among the task's queries, or a query's name."""
+class PictureOf:
+    """A position among the task's queries or tiles: a number, a name, or "~" and a number where the name is ambiguous.
 
-    def read(self, value: object, state: ScreenState, workspace: Workspace) -> int:
-        names = workspace.tasks[state.task].query_names
-        if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < len(names):
-            return value
-        if isinstance(value, str) and value in names:
-            return names.index(value)
-        raise UnusableError(f"expected a query such as {printable(names[0])}.")
+    Attributes:
+        side: of the task.
+        optional: None, written as an empty text, is a value, too.
+    """
 
-    def write(self, value: int, state: ScreenState, workspace: Workspace) -> str:
-        return workspace.tasks[state.task].query_names[value]
-
-
-@dataclass(frozen=True)
-class TileOf:
-    """A gallery position, or a tile's name; None or an empty text for none."""
+    side: Literal["queries", "gallery"]
+    optional: bool = False
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> int | None:
-        task = workspace.tasks[state.task]
-        if value is None or value == "":
+        pictures = self._pictures(state, workspace)
+        if self.optional and value in (None, ""):
             return None
-        if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < len(task.current().gallery):
-            return value
-        found = task.find_tile(value) if isinstance(value, str) else None
-        if found is None:
-            raise UnusableError("expected the name of a tile.")
-        return found
+        position: object = value
+        if isinstance(value, str):
+            number = re.fullmatch(r"~(\d{1,9})", value)
+            position = int(number[1]) if number else _first(pictures, value)
+        if isinstance(position, int) and not isinstance(position, bool) and 0 <= position < len(pictures):
+            return position
+        raise UnusableError(f"there is no such picture; names are such as {printable(pictures[0].name)}.")
 
     def write(self, value: int, state: ScreenState, workspace: Workspace) -> str:
-        return workspace.tasks[state.task].tile_name(value)
+        pictures = self._pictures(state, workspace)
+        name = pictures[value].name
+        plain = name == printable(name) and name[:1] != "~"
+        return name if plain and _first(pictures, name) == value else f"~{value}"
+
+    def _pictures(self, state: ScreenState, workspace: Workspace) -> Sequence[Picture]:
+        task = workspace.tasks[state.task]
+        return task.queries if self.side == "queries" else task.gallery
+
+
+def _first(pictures: Sequence[Picture], name: str) -> int | None:
+    return next((position for position, picture in enumerate(pictures) if picture.name == name), None)
 
 
 @dataclass(frozen=True)
@@ -174,10 +179,10 @@ class ScreenState:
     task: str = _row(OneOf("tasks"), "", "task")
     model: str = _row(OneOf("models"), "0", "model")
     scoring: str = _row(OneOf("scorings"), "plain", "scoring")
-    query: int = _row(QueryOf(), 0, "query")
+    query: int = _row(PictureOf("queries"), 0, "query")
     own: str = _row(Line(), "")
     angle: float = _row(NumberIn(-180.0, 180.0), 0.0, "angle", of_query=True)
-    compare: int | None = _row(TileOf(), None, "with", of_query=True)
+    compare: int | None = _row(PictureOf("gallery", optional=True), None, "with", of_query=True)
     weights: tuple[float, ...] = _row(Weights(), (), "weights")
     filter: str = _row(OneOf(("all", "missed")), "all", "only")
     find: str = _row(Line(), "", "find")

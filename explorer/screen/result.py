@@ -103,7 +103,7 @@ class ScreenResult:
             "rows": self._rows(compared, pinned),
             "strip": [match.index for match in strip],
             "tiles": tiles,
-            "rank": None if truth is None or truth.beyond else truth.rank,
+            "rank": None if truth is None else truth.rank,
             "nearest": round(self.first.distance2, 3),
             "scale": {"part": self.scale.part * float(weights.max() / weights.mean()), "total": self.scale.total},
             "weights": list(state.weights),
@@ -119,7 +119,7 @@ class ScreenResult:
             return f"first of {total}"
         if truth is None:
             return "no tile of the place"
-        return f"truth is {truth.rank_text if truth.beyond else ordinal(truth.rank)} of {total}"
+        return f"truth is {ordinal(truth.rank)} of {total}"
 
     def _strip(self, pinned: Match | None) -> list[Match]:
         """Return the nearest tiles, and last the truth or the chosen tile that lies behind them."""
@@ -174,7 +174,7 @@ class ScreenResult:
         tile = {
             "name": self.task.gallery[match.index].title,
             "src": f"{self.feeds.pictures(self.task, 'tile')}{match.index}",
-            "rank": match.rank_text,
+            "rank": str(match.rank),
             "true": match.true,
             "distance": f"{match.distance2:.3f}",
             "shares": shares,

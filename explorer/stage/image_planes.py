@@ -71,10 +71,8 @@ def rank_title(match: Match, own: bool = False) -> str:
     Args:
         own: of the user's own picture, whose place may be on none of the tiles.
     """
-    if match.missed:
-        return match.rank_text.upper()
     plainly = "MOST SIMILAR" if own else "MATCH"
-    return f"{plainly if words.plain() else 'RANK'} {match.rank_text}"
+    return f"{plainly if words.plain() else 'RANK'} {match.rank}"
 
 
 def query_title() -> str:

@@ -63,7 +63,7 @@ def lead_cells(analysis: StateAnalysis, leader: int, follower: int) -> Float64Ar
         return None
     trace = analysis.query.trace
     ahead, behind = (
-        explain.spread_constants(explain.side_evidence(trace, analysis.task.stored_descriptor(index)), trace)
+        explain.spread_constants(explain.side_evidence(trace, analysis.task.gallery_descriptors[index]), trace)
         for index in (leader, follower)
     )
     return 2 * analysis.ranking.weights.astype(np.float64)[:, None, None] * (ahead - behind)

@@ -171,9 +171,8 @@ class StoryTeller:
             chosen = self._found(self._last)
         if chosen is None:
             return
-        workspace, dark = self._workspace, self._analysis is None or self._analysis.state.dark
         self._reporter.make(
-            lambda progress, model: exported.export(workspace, self._url_state, chosen, dark, progress, model),
+            lambda progress, model: exported.export(self._workspace, self._url_state, chosen, progress, model),
             "story",
             _EXPORT,
         )

@@ -27,11 +27,6 @@ def verdict_ink(true: bool | None, doubted: bool = False) -> str:
     return f"var(--lpn-{'contradicted' if doubted else 'unknown' if true is None else 'right' if true else 'wrong'})"
 
 
-def variables(dark: bool) -> str:
-    """Return a rule with the theme's colours as CSS variables, for a page of one theme."""
-    return f":root{{{theme.variables(theme.DARK if dark else theme.LIGHT)}}}"
-
-
 def _read_sheets() -> str:
     folder = Path(__file__).parent / "css"
     return "".join((folder / f"{name}.css").read_text("utf-8") for name in _SHEETS)

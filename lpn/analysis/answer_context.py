@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,11 +70,6 @@ class AlikeAnswers:
 
     queries: int
     right: int
-
-    @property
-    def share(self) -> float:
-        """The share of right ones, 0 .. 1."""
-        return self.right / self.queries
 
 
 def answers_alike(
@@ -169,29 +164,6 @@ def describe_lead(outcomes: Outcomes, lead: float) -> str:
     return f"A lead of {lead:.3f} is {comparison} than that of {share} of the model's {len(leads):,} right answers."
 
 
-def describe_failure(outcomes: Outcomes, table: Table, query: int) -> str:
-    """Say what kind of picture a query is that fails more often than all do; empty where nothing of that is known.
-
-    Several kinds may fail more often; the sentence names the worst of them.
-    """
-    known = np.flatnonzero(outcomes.known)
-    overall = float(outcomes.failed[known].mean()) if len(known) else 1.0
-    kinds = [
-        (rate, column)
-        for column in picture_columns(table)
-        if column.name not in _NOT_OF_A_KIND and (rate := _rate_of(outcomes, column, query)) is not None
-    ]
-    kinds = [kind for kind in kinds if kind[0].interval[0] > overall]
-    if not kinds:
-        return ""
-    rate, column = max(kinds, key=lambda kind: kind[0].share)
-    share, of_all = f"{100 * rate.share:.0f} %", f"({100 * overall:.0f} % of all do)"
-    if (column.name, rate.name) == ("twins", "yes"):
-        return f"Among pictures of buildings with a twin elsewhere, like this one, {share} fail {of_all}."
-    within = "in the range " if rate.low != rate.high and column.kind == "number" and rate.known else ""
-    return f"This picture's {column.name} is {within}{rate.name}; {share} of such pictures fail {of_all}."
-
-
 @dataclass(frozen=True)
 class FailingKind:
     """A kind of picture that fails more often than chance explains.
@@ -274,16 +246,6 @@ def failing_kinds(
             kinds.append((breakdown.chance(*counts), FailingKind(column, rate, failures, queries)))
     likely = sorted((kind for kind in kinds if kind[0] * len(kinds) < _BY_CHANCE), key=lambda kind: kind[0])
     return [kind for _, kind in likely] if kinds else None
-
-
-def _rate_of(outcomes: Outcomes, column: Column, query: int) -> Rate | None:
-    """Return the failure rate of a query's bin; None where its value is unknown, or the column tells no kinds apart."""
-    if not column.known[query]:
-        return None
-    rates: Sequence[Rate] = breakdown.rates(outcomes.failed, column, rows=np.flatnonzero(outcomes.known))
-    if not 1 < len(rates) <= max(len(outcomes) // 2, 2):
-        return None
-    return next((one for one in rates if one.holds(column)[query]), None)
 
 
 def _in_words(share: float) -> str:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import Int64Array
-from lpn.core.errors import InputError
 from lpn.explain import counterfactual
 from lpn.explain.counterfactual import Effect, RanksWithoutParts, Reweighting
 from lpn.retrieval import Match, Ranking
@@ -50,18 +49,9 @@ class Comparison:
         )
 
 
-def effect_on(
-    task: Task, before: npt.ArrayLike | None, after: npt.ArrayLike, first: Int64Array | None = None
-) -> Effect:
-    """Compare two sets of part weights over all queries of a task, see `counterfactual.effect`.
-
-    Raises:
-        InputError: when the task searches its gallery, as that takes a search for each query.
-    """
-    if not task.lists_gallery:
-        raise InputError(
-            "The effect of weights on all queries takes a search for each of them, so it is computed in memory only."
-        )
-    return counterfactual.effect(
-        *task.compared, before, after, task.query_labels, task.gallery_labels, task.truth, first
-    )
+def effect_on(task: Task, weights: npt.ArrayLike) -> Effect:
+    """Compare other part weights with a task's own over all its queries; InputError if they are not its parts'."""
+    old, new = (one.retrieved.first == 0 for one in (task, task.with_fields(weights=weights)))
+    counted = np.ones(len(old), bool) if task.known is None else task.known
+    before, after = (100.0 * float(hits[counted].mean()) for hits in (old, new))
+    return Effect(before, after, np.flatnonzero(new & ~old), np.flatnonzero(old & ~new), int(counted.sum()))

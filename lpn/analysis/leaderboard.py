@@ -4,40 +4,31 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from types import MappingProxyType
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from lpn.analysis.model_table import (
-    RESAMPLES,
-    GalleryChoice,
     ModelTable,
     compare,
-    has_distractors,
-    rank_model,
-    rank_task,
+    comparisons_csv,
 )
-from lpn.analysis.text_tables import TableSection, TextTable, markdown_text
+from lpn.analysis.statistics import RESAMPLES
 from lpn.core.errors import InputError
-from lpn.core.progress import Progress
+from lpn.core.progress import report_progress
+from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
-from lpn.descriptors import descriptor_reader
-from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
-from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.sides import TaskPictures
-from lpn.retrieval.weathers import WeatherResult, evaluate_weathers
+from lpn.tasks.changes import turned, with_parts
+from lpn.tasks.measure import GalleryChoice
 from lpn.tasks.task import Task
+from lpn.tasks.weathers import WeatherResult, measure_weathers
 
 # Passes of one picture that are timed, after others that are not.
 _TIMED, _WARM = 15, 3
-_UNITS = "R@1 / AP in percent."
 
 
 @dataclass(frozen=True)
@@ -116,11 +107,6 @@ class Leaderboard:
         """The page's title."""
         return f"Models on {self.data_name}"
 
-    def to_markdown(self) -> str:
-        """Return the page in Markdown."""
-        lines = [f"# {markdown_text(self.title)}", ""]
-        return "\n".join([*lines, *(line for section in self.sections() for line in section.markdown_lines())])
-
     def to_dict(self) -> dict[str, Any]:
         """The page as JSON values."""
         return {
@@ -132,93 +118,91 @@ class Leaderboard:
             "weathers": {name: result.to_dict() for name, result in self.weathers.items()},
         }
 
-    def sections(self) -> Iterator[TableSection]:
-        """Yield the page's sections: the models, each task and gallery, parts, turns, and weathers."""
+    def to_csv(self) -> bytes:
+        """Return the figures and tests of all tasks and galleries, see `comparisons_csv`."""
+        return comparisons_csv(self.tables)
+
+    @property
+    def printed(self) -> list[TextTable]:
+        """The page's tables: the models, each task and gallery, parts, turns, and weathers."""
         facts = [
             (
-                name,
-                of.method,
-                of.level,
-                "{} x {}".format(*of.input_size),
-                f"{of.numbers:,}",
+                *(name, of.method, of.level, "{} x {}".format(*of.input_size), f"{of.numbers:,}"),
                 "" if of.megabytes is None else f"{of.megabytes:.1f}",
-                f"{of.milliseconds:.1f}",
-                f"{of.processor_milliseconds:.1f}",
+                *(f"{of.milliseconds:.1f}", f"{of.processor_milliseconds:.1f}"),
             )
             for name, of in self.facts.items()
         ]
         head = ("model", "method", "account", "input", "numbers", "MB", "ms a picture", "ms of processor")
-        yield TableSection(
-            "",
-            [TextTable(head, facts, texts=3)],
-            after=f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the "
-            "processor is the sum over its threads, and hardly changes where other programs compute, too.",
+        after = (
+            f"Times are medians of {_TIMED} forward passes of one picture on the machine that made this page; that of the "
+            "processor is the sum over its threads, and hardly changes where other programs compute, too."
         )
-        yield from (table.section for table in self.tables)
+        tables = [TextTable(head, facts, after=after, align="lllr"), *(one for of in self.tables for one in of.printed)]
         for title, of_tasks in (("Each part alone", self.parts), ("Turned queries, degrees", self.turns)):
-            yield from (_changed(f"{title}: {task}", of_models) for task, of_models in of_tasks.items())
+            tables += [_changed(f"{title}: {task}", "model", of_models) for task, of_models in of_tasks.items()]
+        for task in next(iter(self.weathers.values())).tasks if self.weathers else ():
+            # Rows are the weathers, as in University-WX's table; eleven columns would be too wide for a page.
+            rows: dict[str, dict[Any, RecallAndAP]] = {}
+            for model, result in self.weathers.items():
+                for weather, figures in result.figures.items():
+                    rows.setdefault(weather, {})[model] = figures[task]
+            tables.append(_changed(f"Weathers: {task}", "weather", rows))
         if self.weathers:
-            first = next(iter(self.weathers.values()))
-            for position, task in enumerate(first.tasks):
-                # Rows are the weathers, as in University-WX's table; eleven columns would be too wide for a page.
-                of_models = {name: dict(result.rows()) for name, result in self.weathers.items()}
-                rows = [
-                    (weather, *(_recall_and_ap(of[weather][position]) for of in of_models.values()))
-                    for weather, _ in first.rows()
-                ]
-                table = TextTable(("weather", *of_models), rows)
-                last = position + 1 == len(first.tasks)
-                yield TableSection(f"Weathers: {task}", [table], _UNITS, first.sentence if last else "")
+            tables[-1] = replace(tables[-1], after=next(iter(self.weathers.values())).sentence)
+        return tables
 
 
-def leaderboard(
-    models: Mapping[str, Model],
-    sizes: Mapping[str, int],
-    dataset: Dataset,
-    turns: Sequence[float] = (),
-    weathers: bool = False,
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-    on_progress: Progress | None = None,
-    calibrations: Mapping[str, Calibration | None] = MappingProxyType({}),
-    csls: int = 0,
-) -> Leaderboard:
-    """Measure models on all tasks of a data set that all of them know, on the full gallery and without distractors.
-
-    Args:
-        models: by their names.
-        sizes: bytes of the files of those that were read from one.
-        turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
-        weathers: measure the ten weathers of University-WX as well.
-        seed, resamples: of the bootstrap, see `model_table`.
-        calibrations: of the calibrated models.
-        csls: K of CSLS; 0 ranks without it.
-
-    Raises:
-        InputError: when no task is known to all models, or a measure is not possible on one of them.
-        DataError: when the test split is incomplete.
-    """
+def common_tasks(models: Mapping[str, Model], dataset: Dataset) -> list[str]:
+    """Return the tasks of a data set that all models know, whose names are given; DataError or InputError without any."""
+    if not dataset.tasks():
+        raise dataset.no_task()
     tasks = [
         task for task in dataset.tasks() if all(set(views_of(task)) <= set(model.views) for model in models.values())
     ]
-    if not dataset.tasks():
-        raise dataset.no_task()
     if not tasks:
         raise InputError(
             f"No task of {dataset.root.name} is known to all of {', '.join(models)}; compare fewer models."
         )
-    read, done = descriptor_reader(dataset.root), 0
-    stages = len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
+    return tasks
+
+
+def leaderboard(
+    data_name: str,
+    models: Mapping[str, Model],
+    sizes: Mapping[str, int],
+    tasks: Sequence[str],
+    opened: Callable[[str, str], Task],
+    turns: Sequence[float] = (),
+    weathers: bool = False,
+    seed: int = 0,
+    resamples: int = RESAMPLES,
+    groups: Sequence[str] = (),
+) -> Leaderboard:
+    """Measure models on tasks, on the full gallery and without distractors.
+
+    Args:
+        models: by their names.
+        sizes: bytes of the files of those that were read from one.
+        tasks: their names.
+        opened: opens a task by a model, given both names; all models have the same queries and gallery.
+        turns: degrees counter-clockwise by which all queries are turned as well (Table IV).
+        weathers: measure the ten weathers of University-WX as well.
+        seed, resamples: of the bootstrap, see `model_table`.
+        groups: of the models in the tables of tasks, see `model_table.compare`.
+
+    Raises:
+        InputError: when a measure is not possible on a model, no query's truth is known, or queries or galleries differ.
+    """
+    done, stages = 0, len(models) * (1 + len(tasks) * (1 + len(turns)) + (1 if weathers else 0))
 
     def report() -> None:
         nonlocal done
         done += 1
-        if on_progress is not None:
-            on_progress("measures", done, stages)
+        report_progress("Taking measures", done, stages)
 
-    def figures(name: str, task: str, change: Change = UNCHANGED, parts: tuple[int, ...] | None = None) -> RecallAndAP:
-        protocol = Protocol(change, parts, csls=csls)
-        result = evaluate(models[name], dataset, task, protocol, read, calibrations.get(name))
+    def measured(task: Task) -> RecallAndAP:
+        result = task.evaluate()
         return result.recall["1"], result.ap
 
     facts = {}
@@ -227,79 +211,37 @@ def leaderboard(
         report()
     tables: list[ModelTable] = []
     parts: dict[str, dict[str, dict[str, RecallAndAP]]] = {}
-    turned: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
-    for task in tasks:
-        galleries: list[GalleryChoice] = ["full"]
-        if has_distractors(TaskPictures.of(dataset, task)):
-            galleries.append("without-distractors")
-        for gallery in galleries:
-            ranked = [
-                rank_model(model, name, dataset, task, gallery, read, calibrations.get(name), csls)
-                for name, model in models.items()
-            ]
-            tables.append(compare(ranked, seed, resamples))
-        for name, model in models.items():
+    of_turns: dict[str, dict[str, dict[float, RecallAndAP]]] = {}
+    for name in tasks:
+        results = []
+        for model_name in models:
+            task = opened(model_name, name)
+            results.append(task.with_fields(model_name=model_name).evaluate())
             report()
-            if model.n_parts > 1:
-                alone = {str(part): figures(name, task, parts=(part,)) for part in range(1, model.n_parts + 1)}
-                parts.setdefault(task, {})[name] = {**alone, "all": figures(name, task)}
+            if (count := task.contract.n_parts) > 1:
+                alone = {str(part): measured(with_parts(task, [part])) for part in range(1, count + 1)}
+                parts.setdefault(name, {})[model_name] = {**alone, "all": (results[-1].recall["1"], results[-1].ap)}
             for degrees in turns:
-                turned.setdefault(task, {}).setdefault(name, {})[degrees] = figures(
-                    name, task, Change(rotate=float(degrees))
-                )
+                of_turns.setdefault(name, {}).setdefault(model_name, {})[degrees] = measured(turned(task, degrees))
                 report()
+        galleries: tuple[GalleryChoice, ...] = ("full", "without-distractors")
+        tables += [
+            compare([result.ranked(gallery) for result in results], seed, resamples, groups)
+            for gallery in galleries[: len(results[0].galleries)]
+        ]
     of_weathers, flown = {}, [task for task in tasks if set(views_of(task)) != {"satellite"}]
-    for name, model in models.items() if weathers else ():
-        of_weathers[name] = evaluate_weathers(model, dataset, flown, Protocol(csls=csls), calibrations.get(name))
+    for name in models if weathers else ():
+        of_weathers[name] = measure_weathers([opened(name, task) for task in flown])
         report()
-    return Leaderboard(dataset.root.resolve().name, facts, tables, parts, turned, of_weathers)
+    return Leaderboard(data_name, facts, tables, parts, of_turns, of_weathers)
 
 
-def task_leaderboard(
-    name: str,
-    models: Mapping[str, Model],
-    sizes: Mapping[str, int],
-    tasks: Mapping[str, Task],
-    seed: int = 0,
-    resamples: int = RESAMPLES,
-) -> Leaderboard:
-    """Measure models on one task that each of them has opened, such as a flight over a map.
-
-    Args:
-        name: of the data.
-        models: by their names.
-        sizes: bytes of the files of those that were read from one.
-        tasks: of each model, by its name, with the same queries and gallery.
-        seed, resamples: of the bootstrap, see `model_table`.
-
-    Raises:
-        InputError: when the tasks differ in their queries or gallery, or no query's truth is known.
-    """
-    table = compare([rank_task(task, model) for model, task in tasks.items()], seed, resamples)
-    parts: dict[str, dict[str, RecallAndAP]] = {}
-    for model, task in tasks.items():
-        if (count := task.contract.n_parts) > 1:
-            weights = {str(part + 1): [float(part == one) for one in range(count)] for part in range(count)}
-            ranked = {part: rank_task(task, model, alone) for part, alone in weights.items()}
-            ranked["all"] = rank_task(task, model)
-            parts[model] = {
-                part: (100 * float(one.within(1).mean()), 100 * float(one.precision.mean()))
-                for part, one in ranked.items()
-            }
-    facts = {model: ModelFacts.of(network, sizes.get(model)) for model, network in models.items()}
-    return Leaderboard(name, facts, [table], {table.task: parts} if parts else {}, {}, {})
-
-
-def _changed(title: str, of_models: Mapping[str, Mapping[Any, RecallAndAP]]) -> TableSection:
-    """Return a section with Recall@1 and AP, a row for each model and a column for each change."""
-    names = list(dict.fromkeys(change for of in of_models.values() for change in of))
-    rows = [
-        (model, *(_recall_and_ap(figures[name]) if name in figures else "" for name in names))
-        for model, figures in of_models.items()
+def _changed(title: str, rows: str, figures: Mapping[str, Mapping[Any, RecallAndAP]]) -> TextTable:
+    """Return a table of Recall@1 and AP by row and column; `rows` names the rows."""
+    names = list(dict.fromkeys(column for of in figures.values() for column in of))
+    cells = [
+        (row, *("{:.2f} / {:.2f}".format(*of[name]) if name in of else "" for name in names))
+        for row, of in figures.items()
     ]
-    head = ("model", *(f"{name:g}" if isinstance(name, float) else str(name) for name in names))
-    return TableSection(title, [TextTable(head, rows)], _UNITS)
-
-
-def _recall_and_ap(figures: RecallAndAP) -> str:
-    return "{:.2f} / {:.2f}".format(*figures)
+    head = (rows, *(f"{name:g}" if isinstance(name, float) else str(name) for name in names))
+    return TextTable(head, cells, f"{title}, R@1 / AP in percent")

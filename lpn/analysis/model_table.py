@@ -1,121 +1,53 @@
-"""Two or more models on the same queries and the same gallery: figures with intervals, and paired tests.
-
-Intervals are percentiles of a bootstrap: places are drawn with replacement, each with all its queries, the same draws for all
-models.
-A paired test (McNemar 1947) asks whether two models that each find b and c queries the other misses could be equally good.
-"""
+"""Models on the same queries and the same gallery: figures with intervals, groups of runs, and paired tests."""
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 
-from lpn.analysis.text_tables import TableSection, TextTable
-from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
-from lpn.core.csv_cells import csv_bytes
+from lpn.analysis.statistics import LEVEL, RESAMPLES, Estimate, holm, intervals, randomization_test, welch_test
+from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
-from lpn.datasets import Dataset, geo
-from lpn.descriptors import Reader, cached_descriptors
-from lpn.models.base import Model
-from lpn.retrieval import csls, metrics
-from lpn.retrieval.calibration import Calibration
-from lpn.retrieval.evaluate import FULL, WITHOUT
-from lpn.retrieval.saved import PublishedResult, published_pictures
-from lpn.retrieval.sides import TaskPictures
-from lpn.tasks.task import Task
+from lpn.core.text_tables import TextTable
+from lpn.tasks.measure import RankedModel
 
-GalleryChoice = Literal["full", "without-distractors"]
 DEPTHS = (1, 5, 10)
-RESAMPLES = 1000
-# Share of the bootstrap's means within an interval.
-LEVEL = 0.95
-# Up to so many queries that only one of two models finds, the test is the exact binomial one.
-_MAX_EXACT = 1000
-
-
-@dataclass(frozen=True, eq=False)
-class RankedModel:
-    """One model's ranking of a task.
-
-    Attributes:
-        name: to display.
-        task: such as "drone-to-satellite".
-        gallery_name: with its size, such as "full gallery, 951".
-        queries, gallery: paths of the ranked queries and gallery pictures below the data set's folder; of an index the names of
-            the true tiles, as it does not list the others.
-        labels: the place of each query, (Q,).
-        first: 0-based rank of each query's first true match, -1 without one, (Q,); the depth of a search beyond it.
-        precision: average precision of each query, 0 .. 1, (Q,); NaN if a search does not return all ranks.
-    """
-
-    name: str
-    task: str
-    gallery_name: str
-    queries: tuple[str, ...]
-    gallery: frozenset[str]
-    labels: Int64Array
-    first: Int64Array
-    precision: Float64Array
-
-    def within(self, depth: int) -> BoolArray:
-        """Return the queries whose first true match is among the nearest `depth`, (Q,)."""
-        return np.asarray((self.first >= 0) & (self.first < depth))
-
-    def in_order(self, queries: Sequence[str]) -> RankedModel:
-        """Return the ranking with its queries in another order; they must be the same, and each of them once."""
-        if self.queries == tuple(queries):
-            return self
-        at = {query: row for row, query in enumerate(self.queries)}
-        rows = np.array([at[query] for query in queries], np.int64)
-        sides = self.labels[rows], self.first[rows], self.precision[rows]
-        return RankedModel(self.name, self.task, self.gallery_name, tuple(queries), self.gallery, *sides)
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A percentage with its bootstrap interval."""
-
-    value: float
-    low: float
-    high: float
-
-    def __str__(self) -> str:
-        return f"{self.value:.2f} ({self.low:.2f} to {self.high:.2f})"
-
-    def difference(self) -> dict[str, Any]:
-        """Return a paired difference as JSON values."""
-        return {"difference": self.value, "interval": [self.low, self.high]}
+# Values of queries that differ by no more are equal: sums of runs round differently.
+_EQUAL = 1e-9
+_P_VALUES = ("p", "Holm's p", "seeds' p", "Holm's seeds' p")
 
 
 @dataclass(frozen=True)
 class PairedTest:
-    """Two models at Recall@1.
+    """Two groups under one figure.
 
     Attributes:
         first, second: their names.
-        only_first, only_second: numbers of queries that only one of them finds.
-        both, neither: numbers of the other queries.
-        p: the two-sided p-value of McNemar's test.
-        exact: True for the binomial test; False for chi-square with continuity correction.
+        figure: such as "R@1".
+        difference: first minus second in percentage points.
+        first_better, second_better: numbers of queries on which the first is better, and the second.
+        p: of the paired randomization test over places.
+        holm: p adjusted for all pairs under this figure.
+        seeds_p, seeds_holm: the same of Welch's t-test over runs; None unless both groups have several.
     """
 
     first: str
     second: str
-    only_first: int
-    only_second: int
-    both: int
-    neither: int
+    figure: str
+    difference: Estimate
+    first_better: int
+    second_better: int
     p: float
-    exact: bool
+    holm: float | None
+    seeds_p: float | None
+    seeds_holm: float | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +57,16 @@ class ModelTable:
     Attributes:
         task, gallery_name: common to all.
         models: rankings, their queries in one order.
+        group_of: the group of each model: runs of one method, which differ in their seed; or its own name.
         seed, resamples: of the bootstrap.
     """
+
+    title: ClassVar[str] = "Models compared"
 
     task: str
     gallery_name: str
     models: tuple[RankedModel, ...]
+    group_of: tuple[str, ...]
     seed: int
     resamples: int
 
@@ -140,184 +76,141 @@ class ModelTable:
         return len(self.models[0].queries)
 
     @property
-    def places(self) -> int:
-        """Number of places that the queries show."""
-        return len(np.unique(self.models[0].labels))
+    def groups(self) -> dict[str, list[int]]:
+        """The rows of the models of each group."""
+        names = dict.fromkeys(self.group_of)
+        return {name: [row for row, of in enumerate(self.group_of) if of == name] for name in names}
+
+    @cached_property
+    def _values(self) -> dict[str, Float64Array]:
+        """The value of each model and query, 0 .. 1, by figure, (M, Q); without AP if a ranking is incomplete."""
+        precision = np.stack([one.precision for one in self.models])
+        hits = {
+            f"R@{depth}": np.stack([one.within(depth) for one in self.models]).astype(np.float64) for depth in DEPTHS
+        }
+        return hits if np.isnan(precision).any() else hits | {"AP": precision}
+
+    @cached_property
+    def _means(self) -> dict[str, Float64Array]:
+        """The mean of each group's runs, as `_values`."""
+        rows = self.groups.values()
+        return {name: np.array([values[of].mean(axis=0) for of in rows]) for name, values in self._values.items()}
+
+    def _intervals(self, values: Float64Array) -> list[Estimate]:
+        return intervals(values, self.models[0].labels, self.seed, self.resamples)
+
+    def _of_runs(self, figure: str, rows: list[int]) -> Float64Array:
+        """Return a figure of some runs in percent."""
+        return np.asarray(100 * self._values[figure][rows].mean(axis=1))
 
     @cached_property
     def figures(self) -> list[dict[str, Estimate]]:
-        """For each model its `R@1`, `R@5`, `R@10`, and `AP`, in percent; without `AP` if a ranking is incomplete."""
-        ranked_all = not any(np.isnan(one.precision).any() for one in self.models)
-        names = [*(f"R@{depth}" for depth in DEPTHS), *(["AP"] if ranked_all else [])]
-        values = np.stack(
-            [
-                [*(one.within(depth) for depth in DEPTHS), *([one.precision] if ranked_all else [])]
-                for one in self.models
-            ]
-        )
-        estimates = intervals(
-            values.reshape(-1, self.queries).astype(np.float64), self.models[0].labels, self.seed, self.resamples
-        )
-        rows = iter(estimates)
-        return [{name: next(rows) for name in names} for _ in self.models]
+        """For each group its `R@1`, `R@5`, `R@10`, and `AP`, in percent; without `AP` if a ranking is incomplete."""
+        estimates = {figure: self._intervals(values) for figure, values in self._means.items()}
+        return [
+            {
+                figure: replace(of[group], sd=float(self._of_runs(figure, rows).std(ddof=1)) if rows[1:] else None)
+                for figure, of in estimates.items()
+            }
+            for group, rows in enumerate(self.groups.values())
+        ]
 
     @cached_property
     def tests(self) -> list[PairedTest]:
-        """A paired test for each two models."""
-        return [paired_test(a, b) for a, b in combinations(self.models, 2)]
+        """Paired tests of each two groups, on R@1 and, if rankings are complete, on AP."""
+        names, rows = [*self.groups], [*self.groups.values()]
+        pairs, found = list(combinations(range(len(names)), 2)), list[PairedTest]()
+        for figure in [name for name in ("R@1", "AP") if pairs and name in self._means]:
+            differences = np.stack([self._means[figure][a] - self._means[figure][b] for a, b in pairs])
+            p = randomization_test(differences, self.models[0].labels, self.seed)
+            seeds_p = [welch_test(*(self._of_runs(figure, rows[group]) for group in pair)) for pair in pairs]
+            better = ((sign * differences > _EQUAL).sum(axis=1).tolist() for sign in (1, -1))
+            columns = (pairs, self._intervals(differences), *better, p, holm(p), seeds_p, holm(seeds_p))
+            found += [PairedTest(names[a], names[b], figure, *of) for (a, b), *of in zip(*columns, strict=True)]
+        return found
 
     @property
     def sentence(self) -> str:
         """How the figures were made, in words."""
-        return (
-            f"{self.task}, {self.gallery_name} pictures ranked for {self.queries} queries of {self.places} places. Intervals "
-            f"hold {100 * LEVEL:.0f} % of {self.resamples} bootstrap means over places, seed {self.seed}. p is of McNemar's "
-            "two-sided test on Recall@1, which takes queries as independent; several queries of one place are not, so it is then "
-            "too small."
-        )
+        places, groups = len(np.unique(self.models[0].labels)), len(self.groups)
+        pairs, grouped = groups * (groups - 1) // 2, groups < len(self.models)
+        sentences = [
+            f"{self.task}, {self.gallery_name} pictures ranked for {self.queries} queries of {places} places. Intervals hold "
+            f"{100 * LEVEL:.0f} % of {self.resamples} bootstrap means over places, seed {self.seed}; they cover the choice of "
+            "places, not that of training seeds."
+        ]
+        if grouped:
+            sentences.append(
+                "A group shows the mean of its runs ± their standard deviation (n - 1); its interval is that of this mean."
+            )
+        if pairs:
+            sentences.append(
+                "p is of a two-sided paired randomization test that swaps two models on whole places, as queries of one place "
+                f"are not independent; Holm's p allows for {pairs} pair{'s' * (pairs > 1)} under each figure."
+            )
+        if grouped and pairs:
+            sentences.append(
+                "For groups, p holds for these runs on other places, and the seeds' p, of Welch's t-test over runs, for other "
+                "runs on these places: a difference of two methods should hold in both."
+            )
+        return " ".join(sentences)
 
     def to_dict(self) -> dict[str, Any]:
         """The comparison as JSON values."""
-        models = [
-            {"name": one.name, **{key: {"value": e.value, "low": e.low, "high": e.high} for key, e in of.items()}}
-            for one, of in zip(self.models, self.figures, strict=True)
-        ]
-        facts = {"task": self.task, "gallery": self.gallery_name, "queries": self.queries, "places": self.places}
-        bootstrap = {"seed": self.seed, "resamples": self.resamples, "level": LEVEL}
+        models = []
+        for (name, rows), figures in zip(self.groups.items(), self.figures, strict=True):
+            runs = {figure: self._of_runs(figure, rows).tolist() for figure in figures}
+            names = {"runs": {"names": [self.models[row].name for row in rows], **runs}} if rows[1:] else {}
+            models.append({"name": name, **{figure: vars(of) for figure, of in figures.items()}, **names})
         return {
-            **facts,
-            "bootstrap": bootstrap,
+            **{"task": self.task, "gallery": self.gallery_name, "queries": self.queries},
+            "places": len(np.unique(self.models[0].labels)),
+            "bootstrap": {"seed": self.seed, "resamples": self.resamples, "level": LEVEL},
             "models": models,
-            "tests": [vars(test) for test in self.tests],
+            "tests": [asdict(test) for test in self.tests],
             "protocol": self.sentence,
         }
 
     @property
-    def section(self) -> TableSection:
-        """A table of figures, a table of paired tests, and the sentence."""
-        names = list(self.figures[0])
-        figures = TextTable(
-            ("model", *names),
-            [(one.name, *map(str, of.values())) for one, of in zip(self.models, self.figures, strict=True)],
-        )
+    def printed(self) -> list[TextTable]:
+        """A table of figures, one of paired tests, and the sentence."""
+        rows = [(name, *map(str, of.values())) for name, of in zip(self.groups, self.figures, strict=True)]
+        title = f"{self.task}, {self.gallery_name}"
+        figures = TextTable(("model", *self.figures[0]), rows, title)
+        if not self.tests:
+            return [replace(figures, after=self.sentence)]
+        names = _P_VALUES if any(test.seeds_p is not None for test in self.tests) else _P_VALUES[:2]
         tests = []
         for test in self.tests:
-            counts = (test.only_first, test.only_second, test.both, test.neither)
-            p = f"{test.p:.3g}{'' if test.exact else ' (chi-square)'}"
-            tests.append((test.first, test.second, *map(str, counts), p))
-        head = ("A", "B", "only A", "only B", "both", "neither", "p")
-        return TableSection(
-            f"{self.task}, {self.gallery_name}",
-            (figures, TextTable(head, tests, texts=2, title="Paired tests")),
-            after=self.sentence,
-        )
-
-    def to_markdown(self) -> str:
-        """Return the tables and the sentence, without a title."""
-        return "\n".join(replace(self.section, title="").markdown_lines())
+            p = (test.p, test.holm, test.seeds_p, test.seeds_holm)[: len(names)]
+            counts = map(str, (test.difference, test.first_better, test.second_better))
+            row = (test.first, test.second, test.figure, *counts)
+            tests.append((*row, *("-" if value is None else f"{value:.3g}" for value in p)))
+        head = ("A", "B", "figure", "A minus B", "A better", "B better", *names)
+        return [figures, TextTable(head, tests, f"{title}. Paired tests", self.sentence, "lllr")]
 
     def to_csv(self) -> bytes:
-        """Return one line a model: its figures with intervals, and its test against each other model."""
-        against = [f"{what} {one.name}" for one in self.models for what in ("only this, not", "only", "p against")]
-        columns = [f"{name}{bound}" for name in self.figures[0] for bound in ("", " low", " high")]
-        rows: list[list[object]] = [["model", "task", "gallery", "queries", *columns, *against]]
-        for one, of in zip(self.models, self.figures, strict=True):
-            figures = [f"{number:.4f}" for e in of.values() for number in (e.value, e.low, e.high)]
-            tests = [cell for other in self.models for cell in self._against(one.name, other.name)]
-            rows.append([one.name, self.task, self.gallery_name, self.queries, *figures, *tests])
-        return csv_bytes(rows)
+        """Return the table as `comparisons_csv` does."""
+        return comparisons_csv([self])
 
-    def _against(self, name: str, other: str) -> tuple[str, str, str]:
-        for test in self.tests:
-            if (test.first, test.second) == (name, other):
-                return str(test.only_first), str(test.only_second), f"{test.p:.6g}"
-            if (test.second, test.first) == (name, other):
-                return str(test.only_second), str(test.only_first), f"{test.p:.6g}"
-        return "", "", ""
+    def _csv_rows(self) -> Iterator[tuple[str, ...]]:
+        lines: list[tuple[str, str, str, Estimate, tuple[float | None, ...]]] = [
+            (name, "", figure, estimate, (None,) * 4)
+            for name, of in zip(self.groups, self.figures, strict=True)
+            for figure, estimate in of.items()
+        ]
+        lines += [
+            (t.first, t.second, t.figure, t.difference, (t.p, t.holm, t.seeds_p, t.seeds_holm)) for t in self.tests
+        ]
+        for first, second, figure, of, p in lines:
+            values = ("" if value is None else f"{value:.6g}" for value in (*vars(of).values(), *p))
+            yield (first, second, self.task, self.gallery_name, str(self.queries), figure, *values)
 
 
-def rank_model(
-    model: Model,
-    name: str,
-    dataset: Dataset,
-    task: str,
-    gallery: GalleryChoice = "full",
-    read: Reader = cached_descriptors,
-    calibration: Calibration | None = None,
-    neighbours: int = 0,
-) -> RankedModel:
-    """Rank a task by a model; queries whose truth is not known are left out.
-
-    Args:
-        calibration: the model's, see `lpn.tasks.opening.task_calibration`; None ranks plain.
-        neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks by inner product alone.
-
-    Raises:
-        InputError: when the data set lacks the task, the model a view, the gallery distractors to leave out, or CSLS queries.
-        DataError: when the test split is incomplete.
-    """
-    pictures = TaskPictures.of(dataset, task)
-    for view in pictures.views:
-        model.check_view(view)
-    if neighbours:
-        csls.check_neighbours(neighbours, len(pictures.queries))
-    sides = pictures.described(model.for_task(*pictures.views), read, calibration=calibration)
-    compared = csls.scaled(*sides, neighbours) if neighbours else sides
-    return _ranked(name, dataset.root, pictures, gallery, compared, pictures.labels)
-
-
-def has_distractors(pictures: TaskPictures) -> bool:
-    """Return True if the gallery of a task has places that no query shows, and lists name no true matches."""
-    if pictures.truth is not None:
-        return False
-    queries, gallery = pictures.labels
-    return bool((metrics.without_distractors(gallery, queries) == metrics.JUNK).any())
-
-
-def rank_published(saved: PublishedResult, name: str, dataset: Dataset, gallery: GalleryChoice = "full") -> RankedModel:
-    """Rank the descriptors of a published result, whatever their norms.
-
-    Raises:
-        InputError: when a picture occurs twice, or the gallery has no distractors to leave out.
-        DataError: when its pictures are not in the data set.
-    """
-    pictures, labels = published_pictures(saved, dataset)
-    for side in (pictures.queries, pictures.gallery):  # rows of one picture are not told apart in another result
-        if repeated := _repeated(geo.names_below(dataset.root, side)):
-            raise InputError(f"{name} holds {printable(repeated)} twice; expected one descriptor of each picture.")
-    return _ranked(name, dataset.root, pictures, gallery, (saved.query, saved.gallery), labels)
-
-
-def rank_task(task: Task, name: str, weights: Sequence[float] | None = None) -> RankedModel:
-    """Rank an opened task, whatever it was opened from, under part weights, equal ones by default.
-
-    Indexes count as one gallery if they hold the same number of tiles and the same true ones.
-
-    Raises:
-        InputError: when no query's truth is known.
-        StoreError: when an index cannot be read.
-    """
-    task = replace(task, weights=weights)
-    task.check_truth()
-    if task.lists_gallery:
-        pictures = TaskPictures(task.name, task.queries, task.gallery, task.truth)
-        query, gallery = task.compared
-        if weights is not None:
-            query = query * task.part_weights[:, None]
-        return _ranked(name, task.root, pictures, "full", (query, gallery), (task.query_labels, task.gallery_labels))
-    retrieval, known = task.retrieved, task.known
-    kept = np.ones(len(task.queries), bool) if known is None else known
-    queries = np.array(geo.names_below(task.root, task.queries), object)
-    return RankedModel(
-        name,
-        task.name,
-        f"index, {task.tiles:,}",
-        tuple(queries[kept].tolist()),
-        frozenset(task.tile_name(i) for lists in task.truth or () for i in lists.good.tolist()),
-        task.query_labels[kept],
-        retrieval.first[kept],
-        retrieval.precision[kept],
-    )
+def comparisons_csv(tables: Sequence[ModelTable]) -> bytes:
+    """Return one line a group and figure, and one a pair and tested figure, whose value is the difference."""
+    head = ("model", "against", "task", "gallery", "queries", "figure", "value", "low", "high", "sd", *_P_VALUES)
+    return TextTable(head, [row for table in tables for row in table._csv_rows()]).csv()
 
 
 def _repeated(names: Sequence[str]) -> str:
@@ -325,52 +218,18 @@ def _repeated(names: Sequence[str]) -> str:
     return next((name for name, count in Counter(names).items() if count > 1), "")
 
 
-def _ranked(
-    name: str,
-    root: Path,
-    pictures: TaskPictures,
-    gallery: GalleryChoice,
-    sides: tuple[Float32Array, Float32Array],
-    labels: tuple[Int64Array, Int64Array],
-) -> RankedModel:
-    truth, of_gallery = pictures.truth, labels[1]
-    kept = np.ones(len(of_gallery), bool)
-    if gallery != "full":
-        if truth is not None:
-            raise InputError(
-                f"True matches of {root.name} are listed, so no gallery picture is a distractor; leave --gallery out."
-            )
-        of_gallery = metrics.without_distractors(of_gallery, labels[0])
-        kept = of_gallery != metrics.JUNK
-        if kept.all():
-            raise InputError(
-                f"Each place of the gallery of {root.name} has a query, so it has no distractors; leave --gallery out."
-            )
-    retrieval = metrics.retrieve(sides[0], labels[0], sides[1], of_gallery, truth)
-    query_names, tiles = (
-        np.array(geo.names_below(root, side), object) for side in (pictures.queries, pictures.gallery)
-    )
-    known = metrics.known_queries(truth)
-    known = np.ones(len(query_names), bool) if known is None else known
-    size = int(kept.sum())
-    return RankedModel(
-        name,
-        pictures.name,
-        f"{FULL if gallery == 'full' else WITHOUT}, {size:,}",
-        tuple(query_names[known].tolist()),
-        frozenset(tiles[kept].tolist()),
-        labels[0][known],
-        retrieval.first[known],
-        retrieval.precision[known],
-    )
-
-
-def compare(models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAMPLES) -> ModelTable:
+def compare(
+    models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAMPLES, groups: Sequence[str] = ()
+) -> ModelTable:
     """Compare two or more models.
 
+    Args:
+        seed, resamples: of the bootstrap.
+        groups: the group of each model, such as the method of several runs; each model by itself by default.
+
     Raises:
-        InputError: when there are fewer than two, names repeat, tasks, galleries, or queries differ, or a repeated query has
-            another place in the order of one of them.
+        InputError: when there are fewer than two, names repeat, tasks, galleries, or queries differ, a repeated query has
+            another place in the order of one of them, or there are more or fewer groups than models.
     """
     if len(models) < 2:
         raise InputError(f"A comparison takes two models or more; found {len(models)}.")
@@ -380,6 +239,11 @@ def compare(models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAM
         )
     if len({one.name for one in models}) < len(models):
         raise InputError(f"The models are called {', '.join(one.name for one in models)}; expected different names.")
+    if groups and len(groups) != len(models):
+        raise InputError(
+            f"Found {len(groups)} group{'s' * (len(groups) > 1)} for {len(models)} models; name the group of each model in their "
+            "order, the same for runs of one method."
+        )
     first = models[0]
     for other in models[1:]:
         if other.task != first.task:
@@ -403,47 +267,5 @@ def compare(models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAM
                 "more than once; save both in one order."
             )
     ordered = tuple(one.in_order(first.queries) for one in models)
-    return ModelTable(first.task, first.gallery_name, ordered, seed, resamples)
-
-
-def intervals(values: Float64Array, labels: Int64Array, seed: int, resamples: int) -> list[Estimate]:
-    """Return the mean of each row in percent with its bootstrap interval; the draws are common to all rows.
-
-    Args:
-        values: of the queries, 0 .. 1, (M, Q).
-        labels: the place of each query, (Q,); places are drawn, each with all its queries.
-    """
-    places, of_query = np.unique(labels, return_inverse=True)
-    counts = np.bincount(of_query, minlength=len(places)).astype(np.float64)
-    sums = np.stack([np.bincount(of_query, row, minlength=len(places)) for row in values])
-    rng = np.random.default_rng(seed)
-    means = np.empty((resamples, len(values)))
-    for draw in range(resamples):
-        times = np.bincount(rng.integers(len(places), size=len(places)), minlength=len(places)).astype(np.float64)
-        means[draw] = sums @ times / (counts @ times)
-    low, high = np.quantile(means, [(1 - LEVEL) / 2, (1 + LEVEL) / 2], axis=0)
-    mean = values.mean(axis=1)
-    return [Estimate(*(100 * float(number) for number in row)) for row in zip(mean, low, high, strict=True)]
-
-
-def paired_test(first: RankedModel, second: RankedModel) -> PairedTest:
-    """Compare two models at Recall@1; their queries must be in one order."""
-    a, b = first.within(1), second.within(1)
-    only_first, only_second = int((a & ~b).sum()), int((b & ~a).sum())
-    p, exact = mcnemar(only_first, only_second)
-    return PairedTest(
-        first.name, second.name, only_first, only_second, int((a & b).sum()), int((~a & ~b).sum()), p, exact
-    )
-
-
-def mcnemar(only_first: int, only_second: int) -> tuple[float, bool]:
-    """Return the two-sided p-value of McNemar's test, and whether it is exact.
-
-    Up to 1000 discordant queries it is the binomial test with probability 1/2, above it chi-square with continuity correction.
-    """
-    total = only_first + only_second
-    if total <= _MAX_EXACT:
-        tail = sum(math.comb(total, k) for k in range(min(only_first, only_second) + 1))
-        return min(1.0, 2 * tail / 2**total), True
-    statistic = max(abs(only_first - only_second) - 1, 0) ** 2 / total
-    return math.erfc(math.sqrt(statistic / 2)), False
+    group_of = tuple(map(printable, groups)) or tuple(one.name for one in models)
+    return ModelTable(first.task, first.gallery_name, ordered, group_of, seed, resamples)

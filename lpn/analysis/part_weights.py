@@ -9,7 +9,7 @@ from itertools import combinations
 import numpy as np
 import numpy.typing as npt
 
-from lpn.analysis.model_table import RESAMPLES, Estimate, intervals
+from lpn.analysis.statistics import RESAMPLES, Estimate, intervals
 from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.csv_cells import csv_bytes
 from lpn.core.errors import InputError
@@ -32,7 +32,7 @@ class WeightEffect:
         equal_recall, equal_ap: those under equal weights.
         gained, lost: numbers of queries that only these weights find, and that only equal weights find.
         recall_difference, ap_difference: these weights minus equal ones, in percentage points, with an interval from a bootstrap
-            over places, see `model_table.intervals`.
+            over places, see `statistics.intervals`.
         queries: number of queries whose truth is known.
     """
 
@@ -51,11 +51,7 @@ def why_not(task: Task) -> str:
     """Say why a task has no figures under other part weights, as a sentence; empty if it has."""
     if task.contract.n_parts == 1:
         return "The model has one part, so there are no weights to compare."
-    if not task.lists_gallery:
-        return "These figures need the gallery in memory; in an index, other weights take a search for each query."
-    if task.known is not None and not task.known.any():
-        return task.no_truth
-    return ""
+    return task.no_truth
 
 
 class WeightedTask:

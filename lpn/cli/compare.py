@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 
@@ -15,251 +14,83 @@ from lpn.core.files import distinct_names
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
-    Arrays,
+    Advanced,
     CalibrateOption,
     CslsOption,
-    Flown,
-    Indexed,
     ModelOptions,
     ProviderOption,
-    Published,
+    SourceOptions,
     TaskSource,
+    kind_of,
     model_names,
     of_each,
+    source_of,
 )
+from lpn.sources.kinds.data import DataSource
+from lpn.sources.kinds.saved import ResultSource
 
 if TYPE_CHECKING:
     from lpn.analysis.leaderboard import Leaderboard
-    from lpn.analysis.model_table import ModelTable, RankedModel
-    from lpn.core.consoles import Console
-    from lpn.models.base import Model
+    from lpn.analysis.model_table import ModelTable
     from lpn.retrieval.calibration import Calibration
+    from lpn.tasks.measure import RankedModel
+    from lpn.tasks.task import Task
+
+# Endings of the files that tables are written to.
+_ENDINGS = (".md", ".tex", ".csv", ".html", ".htm")
 
 
 @dataclass(kw_only=True)
-class ComparisonOptions:
-    """The comparison."""
+class CompareCommand:
+    """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests.
 
-    seed: int = 0
-    """Seed of the bootstrap."""
-    resamples: int = 1000
-    """Number of bootstrap resamples."""
-    table: Path | None = None
-    """File to write the printed figures and paired tests to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its
-    package booktabs), or one line a model (.csv)."""
-    json: Path | None = None
-    """File to write everything to, as JSON."""
+    lpn compare ROOT --model A B compares models on a data set, and on a flight with --map MAP. Saved results, arrays, and indexes
+    are compared as several sources, also beside models: lpn compare ROOT result.mat --model A. One model with --calibrate or
+    --csls is compared with itself, ranked plain.
+    """
 
-
-@dataclass(kw_only=True)
-class ComparisonOfSources(ABC):
-    """Compare the rankings of two or more models on the same queries and gallery."""
-
-    comparison: ComparisonOptions = field(default_factory=ComparisonOptions)
-
-    def run(self) -> None:
-        from lpn.analysis.model_table import compare
-        from lpn.analysis.text_tables import latex_page
-        from lpn.core.consoles import wide_console
-        from lpn.core.files import check_outputs, write_atomic, write_json
-
-        options = self.comparison
-        check_outputs((options.table, ".md", ".tex", ".csv"), (options.json, ".json"))
-        table = compare(list(self._ranked()), options.seed, options.resamples)
-        _print(table, wide_console())
-        if options.table is not None:
-            match options.table.suffix.lower():
-                case ".md":
-                    write_atomic(options.table, table.to_markdown().encode())
-                case ".tex":
-                    write_atomic(options.table, latex_page([table.section]).encode())
-                case _:
-                    write_atomic(options.table, table.to_csv())
-        if options.json is not None:
-            write_json(options.json, table.to_dict())
-
-    @abstractmethod
-    def _ranked(self) -> Iterator[RankedModel]:
-        """Rank the task by each model."""
-
-    def _ranked_sources(self, sources: Sequence[tuple[str, TaskSource]]) -> Iterator[RankedModel]:
-        """Rank the first task of each source, under a name that tells it from the others."""
-        from lpn.analysis.model_table import rank_task
-        from lpn.sources.opened import open_first_task
-
-        _check_several(len(sources))
-        for name, source in sources:
-            yield rank_task(open_first_task(source), name)
-
-
-@dataclass(frozen=True, kw_only=True)
-class ComparedModels:
-    """The compared models."""
-
-    models: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Models (.onnx, .safetensors, .pth, or a name of lpn models)."""
-    kind: Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")] = ()
+    source: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = ()
+    """Sources, each as lpn evaluate takes it; each is opened with each model, if it takes one."""
+    model: tuple[Path, ...] = ()
+    """Models (.onnx, .safetensors, .pth, or a name of lpn models); by default city-lpn, which ships."""
+    kind: Advanced[Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")]] = ()
     """Method of each model in their order: auto, or, for a published .pth that its entries do not identify, such as dac;
     by default auto for all (docs/models.md)."""
-    pooling: tuple[str, ...] = ()
+    pooling: Advanced[tuple[str, ...]] = ()
     """Pooling of the tokens of each model in their order, such as rings:4, or auto for a model that has parts of its own; by
     default auto for all (docs/models.md)."""
     provider: ProviderOption = "auto"
-
-    def options(self) -> dict[str, ModelOptions]:
-        """The options of each model by a name that tells it from the others.
-
-        Raises:
-            InputError: if there are more or fewer kinds or poolings than models.
-        """
-        count = len(self.models)
-        kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))
-        poolings = of_each("--pooling", self.pooling, count, "models")
-        names = model_names(self.models, poolings, kinds)
-        if twice := next((name for name in names if names.count(name) > 1), None):
-            raise InputError(
-                f"{twice} is compared with itself; give each model once, or by another --kind or --pooling."
-            )
-        return {
-            name: ModelOptions(model=file, kind=kind, pooling=pooling, provider=self.provider)
-            for name, file, kind, pooling in zip(names, self.models, kinds, poolings, strict=True)
-        }
-
-
-@dataclass(kw_only=True)
-class ComparisonOfPublished(ComparisonOfSources):
-    """Compare results of the published test code on the same data set."""
-
-    results: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Results, pytorch_result.mat."""
-    data: Path
-    """Data set that they were computed on."""
-
-    def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_published
-        from lpn.datasets import open_dataset
-        from lpn.retrieval.saved import load_saved
-
-        _check_several(len(self.results))
-        dataset = open_dataset(self.data)
-        for name, file in zip(distinct_names(self.results), self.results, strict=True):
-            yield rank_published(load_saved(file), name, dataset)
-
-
-@dataclass(kw_only=True)
-class ComparisonOfArrays(ComparisonOfSources):
-    """Compare the descriptors of several models, as plain arrays, on one list of pictures."""
-
-    queries: tuple[Path, ...]
-    """Descriptors of the queries by each model, as .npy, .npz, or .mat."""
-    gallery: tuple[Path, ...]
-    """Descriptors of the gallery by each model, in the same order."""
-    paths: Path
-    """List of the pictures, a .csv with file, side, label (docs/data.md)."""
-    order: Literal["parts-first", "parts-last"] = "parts-first"
-    """Order of the axes: parts-first for arrays (N, n, D), parts-last for (N, D, n)."""
-    n_parts: int | None = None
-    """Number of parts of two-dimensional arrays; 1 by default."""
     data: Path | None = None
-    """Folder that the list's paths are relative to; by default the list's."""
-
-    def _ranked(self) -> Iterator[RankedModel]:
-        if len(self.queries) != len(self.gallery):
-            raise InputError(
-                f"--queries and --gallery name {len(self.queries)} and {len(self.gallery)} files; give both for each model."
-            )
-        sources = [
-            Arrays(
-                queries=queries,
-                gallery=gallery,
-                paths=self.paths,
-                order=self.order,
-                n_parts=self.n_parts,
-                data=self.data,
-            )
-            for queries, gallery in zip(self.queries, self.gallery, strict=True)
-        ]
-        return self._ranked_sources(list(zip(distinct_names(self.queries), sources, strict=True)))
-
-
-@dataclass(kw_only=True)
-class ComparisonOfIndexes(ComparisonOfSources):
-    """Compare several indexes of the same tiles, such as an exact one and an approximate one, by the searches of one model."""
-
-    indexes: Annotated[tuple[str, ...], tyro.conf.Positional]
-    """Indexes, made by lpn index: folders, or milvus://host:port/collection."""
-    data: Path
-    """Data set of the queries."""
-    model: ModelOptions
-    depth: int = 100
-    """Number of tiles that a search returns."""
-
-    def _ranked(self) -> Iterator[RankedModel]:
-        sources = [Indexed(index=index, model=self.model, data=self.data, depth=self.depth) for index in self.indexes]
-        return self._ranked_sources(list(zip(self.indexes, sources, strict=True)))
-
-
-@dataclass(kw_only=True)
-class ComparisonOfFlights(ComparisonOfSources):
-    """Compare how several models find the windows of a map that the frames of a flight show."""
-
-    models: Annotated[ComparedModels, tyro.conf.arg(name="")]
-    map: Path
-    """Map under the flight: a folder of lpn map, or a georeferenced picture."""
-    flight: Path
-    """Flight over the map: a folder of lpn flight, or one of photos."""
-    page: Path | None = None
-    """Page to write in place of one table: parts, speed, and size of each model, too. It is HTML, Markdown,
-    or LaTeX, as the name ends in .html, .md, or .tex."""
-
-    def run(self) -> None:
-        if self.page is None:
-            super().run()
-            return
-        from lpn.analysis.leaderboard import task_leaderboard
-        from lpn.core.consoles import stage_bars
-
-        models, sizes = _networks(self.page, self.comparison, self.models)
-        tasks = {}
-        with stage_bars() as on_progress:
-            for name, options in self.models.options().items():
-                source = Flown(map=self.map, flight=self.flight, model=options)
-                tasks[name] = source.locate(on_progress=on_progress, loaded=models[name]).task
-        title = f"{self.flight.resolve().name} over {self.map.resolve().stem}"
-        board = task_leaderboard(title, models, sizes, tasks, self.comparison.seed, self.comparison.resamples)
-        _write_page(board, self.page, self.comparison.json)
-
-    def _ranked(self) -> Iterator[RankedModel]:
-        models = self.models.options()
-        return self._ranked_sources(
-            [(name, Flown(map=self.map, flight=self.flight, model=model)) for name, model in models.items()]
-        )
-
-
-@dataclass(kw_only=True)
-class CompareCommand(ComparisonOfSources):
-    """Compare two or more models on the same queries and gallery: figures with intervals, and paired tests.
-
-    Results of the published test code (pytorch_result.mat) may stand among the models. One model with --calibrate or --csls is
-    compared with itself, ranked plain.
-    """
-
-    SOURCES: ClassVar[dict[str, type[ComparisonOfSources]]] = {
-        Published.WORD: ComparisonOfPublished,
-        Arrays.WORD: ComparisonOfArrays,
-        Indexed.WORD: ComparisonOfIndexes,
-        Flown.WORD: ComparisonOfFlights,
-    }
-
-    models: Annotated[ComparedModels, tyro.conf.arg(name="")]
-    data: Path
-    """Data set in any layout of docs/data.md."""
+    """Data set that the queries of indexes are of, or that a .mat was computed on, by default the first source; folder that the
+    paths of --paths are relative to."""
+    map: Path | None = None
+    """Map under a flight, or whose windows indexes hold: a folder of lpn map, or a georeferenced picture."""
     task: Annotated[TaskName | None, tyro.conf.arg(metavar="TASK")] = None
     """Views of query and gallery; by default the first task of the data set."""
-    gallery: Literal["full", "without-distractors"] = "full"
-    """The gallery that all of them rank: full (as LPN and FSRA do), or without-distractors (as Sample4Geo and DAC do)."""
     calibrate: CalibrateOption = None
     csls: CslsOption = 0
+    gallery: Advanced[tuple[Path, ...]] = ()
+    """Of arrays: descriptors of the gallery for each source in their order."""
+    paths: Advanced[Path | None] = None
+    """Of arrays: list of the pictures, a .csv with file, side, label (docs/data.md)."""
+    order: Advanced[Literal["parts-first", "parts-last"]] = "parts-first"
+    """Of arrays: order of the axes, parts-first for (N, n, D), parts-last for (N, D, n)."""
+    n_parts: Advanced[int | None] = None
+    """Number of parts of two-dimensional arrays; 1 by default."""
+    without_distractors: bool = False
+    """Leave the gallery's distractors out, as Sample4Geo and DAC do; by default all rank the full gallery, as LPN and FSRA do."""
+    group: tuple[str, ...] = ()
+    """Group of each model in their order, such as LPN LPN LPN SAFA SAFA SAFA for three runs (seeds) of either: they are one row
+    with mean and standard deviation, and groups are compared; by default each model by itself."""
+    seed: Advanced[int] = 0
+    """Seed of the bootstrap."""
+    resamples: Advanced[int] = 1000
+    """Number of bootstrap resamples."""
+    table: Path | None = None
+    """File to write the printed figures and paired tests to, as its name ends: Markdown (.md), LaTeX (.tex, which needs its
+    package booktabs), HTML (.html), or one line a model or group (.csv)."""
+    json: Path | None = None
+    """File to write everything to, as JSON."""
     page: Path | None = None
     """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
     Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
@@ -269,88 +100,169 @@ class CompareCommand(ComparisonOfSources):
     """Measure the ten weathers of University-WX on the page as well (docs/weather.md)."""
 
     def run(self) -> None:
-        if self.page is None:
-            if self.turns or self.weathers:
-                raise InputError("--turns and --weathers belong to a page; give its file with --page.")
-            super().run()
-        else:
+        from lpn.analysis.model_table import compare
+        from lpn.core.consoles import wide_console
+        from lpn.core.files import check_outputs
+
+        if self.page is not None:
             self._measure_page(self.page)
+            return
+        if self.turns or self.weathers:
+            raise InputError("--turns and --weathers belong to a page; give its file with --page.")
+        check_outputs((self.table, *_ENDINGS), (self.json, ".json"))
+        table = compare(list(self._ranked()), self.seed, self.resamples, self.group)
+        for one in table.printed:
+            one.print(wide_console())
+        _write(table, self.table, self.json)
 
-    def _measure_page(self, page: Path) -> None:
-        from lpn.analysis.leaderboard import leaderboard
-        from lpn.core.consoles import stage_bars
-        from lpn.datasets import open_dataset
-        from lpn.tasks.opening import alike_calibrations
+    def _sources(self) -> dict[str, TaskSource]:
+        """Return each source with each model by a name that tells it from the others.
 
-        if self.task or self.gallery != "full":
-            raise InputError("A page has all tasks and galleries; leave --task and --gallery out.")
-        models, sizes = _networks(page, self.comparison, self.models)
-        dataset = open_dataset(self.data)
-        calibrations = alike_calibrations(list(models.values()), dataset, self.calibrate)
-        titles = {
-            name: _scored_name(name, calibration, self.csls)
-            for name, calibration in zip(models, calibrations, strict=True)
-        }
-        models = {titles[name]: model for name, model in models.items()}
-        sizes = {titles[name]: size for name, size in sizes.items()}
-        with stage_bars("Taking {}") as on_progress:
-            board = leaderboard(
-                models,
-                sizes,
-                dataset,
-                self.turns,
-                self.weathers,
-                self.comparison.seed,
-                self.comparison.resamples,
-                on_progress,
-                dict(zip(models, calibrations, strict=True)),
-                self.csls,
+        Raises:
+            InputError: if an option fits none of the sources, or a model is given twice.
+        """
+        if not self.source:
+            raise InputError("There is no SOURCE; give its path first, as lpn evaluate takes it.")
+        if self.gallery and len(self.gallery) != len(self.source):
+            raise InputError(
+                f"{len(self.source)} sources and --gallery with {len(self.gallery)} files are given; give a gallery for each."
             )
-        _write_page(board, page, self.comparison.json)
+        shared = ("provider", "data", "map", "task", "calibrate", "csls", "paths", "order", "n_parts")
+        given = [
+            SourceOptions(source=source, gallery=gallery, **{name: getattr(self, name) for name in shared})
+            for source, gallery in zip(self.source, self.gallery or [None] * len(self.source), strict=True)
+        ]
+        kinds = [kind_of(options) for options in given]
+        taken = frozenset[str]().union(*(kind.takes for kind in kinds))
+        if self.model and "model" not in taken:
+            source_of(replace(given[0], model=self.model[0]))  # names the kinds that take one
+        models = self._models()
+        names = distinct_names([Path(source) for source in self.source])
+        several = sum("model" in kind.takes for kind in kinds) > 1
+        found: dict[str, TaskSource] = {}
+        for options, kind, name in zip(given, kinds, names, strict=True):
+            unfit: dict[str, Any] = {
+                one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes
+            }
+            options = replace(options, **unfit)
+            if kind is ResultSource and self.data is None and kinds[0] is DataSource:
+                options.data = given[0].path
+            if "model" not in kind.takes:
+                found[name] = source_of(options)
+                continue
+            for model_name, model in models.items():
+                own = {one.name: getattr(model, one.name) for one in fields(ModelOptions)}
+                title = (name if len(models) == 1 else f"{model_name}, {name}") if several else model_name
+                found[title] = source_of(replace(options, **own))
+        return found
+
+    def _models(self) -> dict[str, ModelOptions]:
+        """Return the options of each model by a name that tells it from the others."""
+        if not self.model:
+            return {ModelOptions().name: ModelOptions(provider=self.provider)}
+        count = len(self.model)
+        kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))
+        poolings = of_each("--pooling", self.pooling, count, "models")
+        names = model_names(self.model, poolings, kinds)
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise InputError(
+                f"{twice} is compared with itself; give each model once, or by another --kind or --pooling."
+            )
+        return {
+            name: ModelOptions(model=file, kind=kind, pooling=pooling, provider=self.provider)
+            for name, file, kind, pooling in zip(names, self.model, kinds, poolings, strict=True)
+        }
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.analysis.model_table import rank_model, rank_published
+        from lpn.tasks.measure import measure
+
+        sources = list(self._sources().items())
+        if len(sources) == 1 and (self.calibrate or self.csls):  # one model is compared with itself, ranked plain
+            ((name, source),) = sources
+            plain = source_of(replace(source.options, csls=0))
+            off = source_of(replace(source.options, calibrate=False, csls=0)) if "calibrate" in source.takes else plain
+            sources = [(name, off), (name, plain), (name, source)]
+        elif len(sources) < 2:
+            raise InputError(
+                f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(sources)}."
+            )
+        tasks = [(name, source.to_measure()[0]) for name, source in sources]
+        if len(dict(sources)) > 1 and not all(task.calibration for _, task in tasks):  # models are ranked alike
+            for place, (name, task) in enumerate(tasks):
+                if task.calibration is not None:
+                    alike = source_of(replace(sources[place][1].options, calibrate=False))
+                    tasks[place] = name, alike.to_measure()[0]
+        scored = {_scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
+        for title, task in scored.items():
+            result = measure(task.with_fields(model_name=title))
+            yield result.ranked("without-distractors" if self.without_distractors else "full")
+
+    def _measure_page(self, page: Path) -> None:
+        from lpn.analysis.leaderboard import common_tasks, leaderboard
+        from lpn.core.files import check_outputs
         from lpn.datasets import open_dataset
         from lpn.descriptors import descriptor_reader
-        from lpn.retrieval.saved import load_saved
-        from lpn.tasks.opening import alike_calibrations
+        from lpn.models.shipped import model_file
+        from lpn.tasks.changes import by_csls, calibrated
+        from lpn.tasks.opening import alike_calibrations, lazy_task
 
-        files = self.models.models
-        if not files or (len(files) < 2 and not self.calibrate and not self.csls):
+        if self.table is not None:
             raise InputError(
-                f"A comparison takes two models or more, or one with --calibrate or --csls; found {len(files)}."
+                "--table and --page are both given, and a page has tables of its own; leave one of them out."
             )
-        models = self.models.options()
-        saved = [name for name, model in models.items() if model.file.suffix.lower() == ".mat"]
-        if saved and (self.calibrate or self.csls):
-            raise InputError(
-                f"{saved[0]} holds descriptors, not pictures, so it can be neither calibrated nor ranked anew; leave it, or "
-                "--calibrate and --csls, out."
+        if self.task or self.without_distractors:
+            raise InputError("A page has all tasks and galleries; leave --task and --without-distractors out.")
+        sources = self._sources()
+        if saved := next((name for name, source in sources.items() if "model" not in source.takes), None):
+            raise InputError(f"{saved} holds descriptors, and a page needs networks; leave it out.")
+        if len(sources) < 2:
+            raise InputError(f"A comparison takes two models or more; found {len(sources)}.")
+        check_outputs((page, *_ENDINGS), (self.json, ".json"))
+        files = {name: model_file(source.options.file) for name, source in sources.items()}
+        sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
+        if all(isinstance(source, DataSource) for source in sources.values()):
+            networks = {name: source.options.load() for name, source in sources.items()}
+            dataset = open_dataset(Path(self.source[0]))
+            chosen = alike_calibrations(list(networks.values()), dataset, self.calibrate)
+            calibrations = {_scored_name(name, one, self.csls): one for name, one in zip(networks, chosen, strict=True)}
+            sizes = {title: sizes[name] for title, name in zip(calibrations, networks, strict=True) if name in sizes}
+            models = dict(zip(calibrations, networks.values(), strict=True))
+            read, names, title = (
+                descriptor_reader(dataset.root),
+                common_tasks(models, dataset),
+                dataset.root.resolve().name,
             )
-        dataset = open_dataset(self.data)
-        tasks = dataset.tasks()
-        task = self.task or (tasks[0] if tasks else "drone-to-satellite")
-        networks = {name: options.load() for name, options in models.items() if name not in saved}
-        calibrated = alike_calibrations(list(networks.values()), dataset, False if saved else self.calibrate)
-        calibrations = dict(zip(networks, calibrated, strict=True))
-        read = descriptor_reader(dataset.root)
-        for name, options in models.items():
-            if name in saved:
-                if options.kind is not None:
-                    raise InputError(
-                        f"{name} holds descriptors and needs no kind; give auto in place of {options.kind}."
-                    )
-                result = rank_published(load_saved(options.file), name, dataset, self.gallery)
-                if result.task != task:
-                    raise InputError(f"{name} is a result of {result.task}; expected {task}, so choose it with --task.")
-                yield result
-            else:
-                scored = (calibrations[name], self.csls)
-                # One model is compared with itself, ranked plain.
-                rows = [scored] if len(models) > 1 else dict.fromkeys([(None, 0), (scored[0], 0), scored])
-                for calibration, csls in rows:
-                    title = _scored_name(name, calibration, csls)
-                    yield rank_model(networks[name], title, dataset, task, self.gallery, read, calibration, csls)
+
+            def opened(name: str, task: str) -> Task:
+                listed = lazy_task(models[name], dataset, task, read)
+                return by_csls(calibrated(listed, calibrations[name]), self.csls)
+        else:
+            if self.turns or self.weathers:
+                raise InputError("--turns and --weathers are of a data set's queries; leave them out.")
+            located = {name: source.open() for name, source in sources.items()}
+            models = {name: one.network for name, one in located.items() if one.network is not None}
+            first = next(iter(located.values())).task
+            names, title = [first.name], first.data_name
+
+            def opened(name: str, task: str) -> Task:
+                del task
+                return located[name].task
+
+        board = leaderboard(
+            title,
+            models,
+            sizes,
+            names,
+            opened,
+            self.turns,
+            self.weathers,
+            self.seed,
+            self.resamples,
+            self.group,
+        )
+        _write(board, page, self.json)
+        tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
+        print(f"{page}: {len(board.facts)} models, {tables}")
 
 
 def _scored_name(name: str, calibration: Calibration | None, csls: int) -> str:
@@ -358,66 +270,22 @@ def _scored_name(name: str, calibration: Calibration | None, csls: int) -> str:
     return name + (", calibrated" if calibration else "") + (", CSLS" if csls else "")
 
 
-def _networks(
-    page: Path, options: ComparisonOptions, compared: ComparedModels
-) -> tuple[dict[str, Model], dict[str, int]]:
-    """Return the networks of a page by their names, and the bytes of their files."""
-    from lpn.core.files import check_outputs
-    from lpn.models.shipped import model_file
-
-    if options.table is not None:
-        raise InputError("--table and --page are both given, and a page has tables of its own; leave one of them out.")
-    models = compared.options()
-    saved = [name for name, model in models.items() if model.file.suffix.lower() == ".mat"]
-    if saved:
-        raise InputError(f"{saved[0]} holds descriptors, and a page needs networks; leave it out.")
-    _check_several(len(models))
-    check_outputs((page, ".html", ".htm", ".md", ".tex"), (options.json, ".json"))
-    files = {name: model_file(model.file) for name, model in models.items()}
-    sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
-    return {name: model.load() for name, model in models.items()}, sizes
-
-
-def _write_page(board: Leaderboard, page: Path, json: Path | None) -> None:
-    """Write a page as HTML, LaTeX, or Markdown, and its figures as JSON."""
-    from lpn.analysis.text_tables import latex_page
+def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:
+    """Write tables as HTML, LaTeX, CSV, or Markdown, and their figures as JSON."""
     from lpn.core.files import write_atomic, write_json
-    from lpn.report import build_leaderboard
+    from lpn.core.text_tables import latex_page, markdown_page
+    from lpn.report import table_page
 
-    match page.suffix.lower():
-        case ".html" | ".htm":
-            written = build_leaderboard(board)
-        case ".tex":
-            written = latex_page(board.sections()).encode()
-        case _:
-            written = board.to_markdown().encode()
-    write_atomic(page, written)
+    if page is not None:
+        match page.suffix.lower():
+            case ".html" | ".htm":
+                written = table_page(result.title, result.printed)
+            case ".tex":
+                written = latex_page(result.printed).encode()
+            case ".csv":
+                written = result.to_csv()
+            case _:
+                written = markdown_page(result.printed, result.title).encode()
+        write_atomic(page, written)
     if json is not None:
-        write_json(json, board.to_dict())
-    tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
-    print(f"{page}: {len(board.facts)} models, {tables}")
-
-
-def _check_several(models: int) -> None:
-    if models < 2:
-        raise InputError(f"A comparison takes two models or more; found {models}.")
-
-
-def _print(comparison: ModelTable, console: Console) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(title=f"{comparison.task}, {comparison.gallery_name}")
-    names = list(comparison.figures[0])
-    for name in ("model", *names):
-        table.add_column(name, justify="left" if name == "model" else "right")
-    for one, figures in zip(comparison.models, comparison.figures, strict=True):
-        table.add_row(Text(one.name), *map(str, figures.values()))
-    tests = Table(title="Queries that only one of two models finds first")
-    for name in ("A", "B", "only A", "only B", "both", "neither", "p"):
-        tests.add_column(name, justify="left" if name in "AB" else "right")
-    for test in comparison.tests:
-        counts = (test.only_first, test.only_second, test.both, test.neither)
-        tests.add_row(Text(test.first), Text(test.second), *map(str, counts), f"{test.p:.3g}")
-    console.print(table, tests)
-    console.print(comparison.sentence, markup=False, highlight=False)
+        write_json(json, result.to_dict())

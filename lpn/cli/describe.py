@@ -1,16 +1,15 @@
-"""The commands describe and gather."""
+"""The command describe."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
-import lpn
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import View
-from lpn.sources import KindOption, PoolingOption, ProviderOption
+from lpn.sources import Advanced, ModelOptions
 
 if TYPE_CHECKING:
     from lpn.descriptors import Store
@@ -19,46 +18,72 @@ if TYPE_CHECKING:
 _FOR_RAY = ("address", "workers", "threads", "shard", "positions")
 
 
-@dataclass
-class DescribeCommand:
-    """Describe pictures, or windows of a map, into descriptors on disk; resumable. With --engine ray on many machines, into
-    shards."""
+@dataclass(kw_only=True)
+class GatherShards:
+    """Make a store of descriptors on this machine from the shards that --engine ray wrote."""
 
-    model: Path
+    shards: str
+    """Folder or address of the shards."""
+    out: Path
+    """Folder of the store; its rows are in order of the pictures' names."""
+
+    def run(self) -> None:
+        from lpn.cluster.gather import open_shards, to_store
+        from lpn.cluster.shards import BROKEN
+
+        shards = open_shards(self.shards)
+        store = to_store(shards, self.out)
+        shape = " x ".join(map(str, store.descriptors.shape))
+        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
+        if shards.broken:
+            print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")
+
+    def resume_hint(self) -> str:
+        """Return how to resume after a stop."""
+        return f"What {self.out} has by now is kept; the same command goes on."
+
+
+@dataclass(kw_only=True)
+class DescribeCommand(ModelOptions):
+    """Describe pictures, or windows of a map, into descriptors on disk; resumable.
+
+    With --engine ray it describes on many machines, into shards, of which lpn describe --shards SHARDS --out STORE makes a store.
+    """
+
+    MODES: ClassVar[dict[str, type[GatherShards]]] = {"--shards": GatherShards}
+
+    model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     out: str
     """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
-    kind: KindOption = None
-    pooling: PoolingOption = None
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
     """Map whose windows are described in place of pictures: a folder of lpn map, or a georeferenced picture."""
     view: View | None = None
     """The view the pictures show; of a map satellite by default."""
-    role: Literal["query", "gallery"] | None = None
+    role: Advanced[Literal["query", "gallery"] | None] = None
     """Role of the pictures, for a model with one branch for queries and one for the gallery; by default the satellite is the
     gallery. An index holds a gallery."""
-    size: tuple[float, ...] = ()
+    size: Advanced[tuple[float, ...]] = ()
     """With --map: sides of the windows in metres, such as 70 100 140; by default five, of up to 300 m or 0.6 of the map."""
-    overlap: float | None = None
+    overlap: Advanced[float | None] = None
     """With --map: share of a window's side that its neighbour covers, too; 0.5 by default."""
     precision: Literal["float32", "float16", "int8"] = "float32"
     """Numbers on disk; float16 halves the store, int8 quarters it (not with --engine ray)."""
-    provider: ProviderOption = "auto"
     engine: Literal["local", "ray"] = "local"
     """local describes on this machine, and refuses broken pictures before anything is computed. ray describes with many workers,
     lists broken pictures in broken.csv, and ends with status 1 if there are any."""
-    address: str | None = None
+    address: Advanced[str | None] = None
     """With --engine ray: address of the cluster, auto on one of its machines; by default workers run on this machine."""
-    workers: int | None = None
+    workers: Advanced[int | None] = None
     """With --engine ray: number of workers; by default as many as the cores allow."""
-    threads: int | None = None
+    threads: Advanced[int | None] = None
     """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more cores save memory."""
-    shard: int | None = None
+    shard: Advanced[int | None] = None
     """With --engine ray: pictures of one shard, on average at most, which a killed worker loses; by default that of the last run,
     else 256. If there are more pictures now, shards are split without computing any picture again."""
-    positions: str | None = None
+    positions: Advanced[str | None] = None
     """With --engine ray: file of positions in the format of geo.csv, with paths relative to --images or a folder above it; by
     default geo.csv among the pictures, if any."""
 
@@ -100,13 +125,13 @@ class DescribeCommand:
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
         named = NamedWindow.all_of(windows, basemap.frame)
-        rounded, names = [window.on(basemap.frame) for window in named], [window.name for window in named]
+        rounded, names = NamedWindow.all_on(named, basemap.frame), [window.name for window in named]
         store = describe_windows(model, basemap, rounded, self.out, view, self.precision, names)
         self._report(store, model, "windows")
         return 0
 
     def _model(self, view: View) -> Model:
-        return lpn.load(self.model, self.provider, self.kind, self.pooling).in_role(view, self.role)
+        return self.load().in_role(view, self.role)
 
     def _report(self, store: Store, model: Model, rows: str = "pictures") -> None:
         shape = " x ".join(map(str, store.descriptors.shape))
@@ -155,28 +180,3 @@ class DescribeCommand:
         if broken:
             print(f"{broken:,} pictures could not be described; {BROKEN} there names them, each with the reason.")
         return 1 if broken else 0
-
-
-@dataclass
-class GatherCommand:
-    """Make a store of descriptors on this machine from the shards that describe --engine ray wrote."""
-
-    shards: str
-    """Folder or address of the shards."""
-    out: Path
-    """Folder of the store; its rows are in order of the pictures' names."""
-
-    def run(self) -> None:
-        from lpn.cluster.gather import open_shards, to_store
-        from lpn.cluster.shards import BROKEN
-
-        shards = open_shards(self.shards)
-        store = to_store(shards, self.out)
-        shape = " x ".join(map(str, store.descriptors.shape))
-        print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
-        if shards.broken:
-            print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")
-
-    def resume_hint(self) -> str:
-        """Return how to resume after a stop."""
-        return f"What {self.out} has by now is kept; the same command goes on."

@@ -56,13 +56,12 @@ class DoctorCommand:
         if self.data is None:
             return self._check_environment()  # works without any package
 
-        from lpn.core.consoles import counting_bar, wide_console
+        from lpn.core.consoles import wide_console
         from lpn.datasets import open_dataset
         from lpn.doctor.dataset_check import check_dataset, print_report
 
         console = wide_console()
-        with counting_bar("Reading pictures", transient=True) as progress:
-            report = check_dataset(open_dataset(self.data), not self.quick, progress)
+        report = check_dataset(open_dataset(self.data), not self.quick)
         print_report(report, console)
         if self.json is not None:
             write_json(self.json, report.to_dict())

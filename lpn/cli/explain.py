@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
-import lpn
+from lpn.cli.parsing import part_values
+from lpn.cli.sweep import Sweep
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import signed
 from lpn.core.views import View
-from lpn.sources import CalibrateOption, CslsOption, KindOption, PoolingOption
+from lpn.sources import Advanced, SourceOptions, source_of
 
 if TYPE_CHECKING:
     from lpn.core.consoles import Console
+    from lpn.datasets import Picture
     from lpn.explain import Evidence
     from lpn.models.base import Model
     from lpn.retrieval import DescribedPicture
@@ -24,28 +26,26 @@ if TYPE_CHECKING:
     from lpn.tasks.task import Task
 
 
-@dataclass
-class ExplainCommand:
-    """Split the score of a pair of pictures exactly into its cells; works from the .onnx alone."""
+@dataclass(kw_only=True)
+class ExplainCommand(SourceOptions):
+    """Split the score of a query and a tile exactly into its cells; works from the .onnx alone.
 
-    model: Path
-    """Trained LPN: .onnx (needs no torch), .safetensors, or .pth."""
-    query: Path
-    """Picture file of the query."""
-    match: Path
-    """Picture file of the tile to compare with."""
-    kind: KindOption = None
-    pooling: PoolingOption = None
-    view_query: View = "drone"
-    """View of the query: the branch that describes it."""
-    view_match: View = "satellite"
-    """View of the tile."""
+    With a SOURCE, queries and tiles are named as the explorer names them; without one they are picture files, as they may be with
+    one. With --over, one query is changed step by step, see lpn explain --over --help.
+    """
+
+    MODES: ClassVar[dict[str, type[Sweep]]] = {"--over": Sweep}
+
+    query: str
+    """Name of the query, such as 0005/01, or a picture file."""
+    match: str | None = None
+    """Name of the tile to compare with, or a picture file; by default the source's top match."""
+    view_query: Advanced[View] = "drone"
+    """View of a query without a source: the branch that describes it."""
+    view_match: Advanced[View] = "satellite"
+    """View of the tile, likewise."""
     rotate: float = 0.0
     """Degrees counter-clockwise by which the query is rotated first."""
-    data: Path | None = None
-    """Data set of the pair, for --calibrate and --csls."""
-    calibrate: CalibrateOption = None
-    csls: CslsOption = 0
     weights: str | None = None
     """Weight of each part, such as 1,1,0,1; equal by default."""
     covering: bool = False
@@ -58,10 +58,9 @@ class ExplainCommand:
 
     def run(self) -> None:
         from lpn import explain, retrieval
-        from lpn.core import images
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic, write_json
-        from lpn.datasets import Picture, open_dataset
+        from lpn.datasets import Picture
         from lpn.descriptors.transforms import Change
         from lpn.drawing import pair_figure, verdicts
         from lpn.drawing.part_areas import PartAreas
@@ -70,61 +69,46 @@ class ExplainCommand:
         from lpn.library.gallery import answer_of
         from lpn.retrieval import scoring
         from lpn.retrieval.csls import CslsTerms
-        from lpn.sources import open_data
-        from lpn.tasks.opening import task_calibration
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
-        if self.data is None and (self.calibrate or self.csls):
+        task = None if self.source is None else source_of(self).open().task
+        if task is None and (of_source := self.of_source()):
+            raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explain SOURCE.")
+        model = self.load() if task is None else task.model
+        if model is None:
             raise InputError(
-                "--calibrate and --csls take all pictures of the pair's data set; give its folder with --data."
+                f"{printable(str(self.source))} holds descriptors and no network, so no score can be split into cells."
             )
-        model, views = lpn.load(self.model, kind=self.kind, pooling=self.pooling), (self.view_query, self.view_match)
+        views = (self.view_query, self.view_match) if task is None else task.views
         for view in views:
             model.check_view(view)
-        task = calibration = None
-        if self.data is not None:
-            dataset = open_dataset(self.data)
-            calibration = task_calibration(model, dataset, self.calibrate)
-            if self.csls:
-                name = f"{self.view_query}-to-{self.view_match}"
-                task = open_data(model, self.model.name, dataset, name, calibration is not None, self.csls).task
-            if calibration is not None:
-                model = calibration.applied(model)
+        calibration = None if task is None else task.calibration
         model = model.for_task(*views)
         if not model.contract.has_cells and (self.png is not None or not self.covering):
             raise InputError(
                 f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure places instead."
             )
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
-        pictures = images.load_picture(self.query), images.load_picture(self.match)
+        files, pictures = zip(*self._pair(task), strict=True)
         query, tile = (
             retrieval.describe_picture(
                 model, picture, view, Change(turn, zoom=_zoom(calibration, model, file, picture, view))
             )
-            for picture, file, view, turn in zip(
-                pictures, (self.query, self.match), views, (self.rotate, 0), strict=True
-            )
+            for picture, file, view, turn in zip(pictures, files, views, (self.rotate, 0), strict=True)
         )
-        csls = None if task is None else _csls(task, query, tile)
+        csls = _csls(task, query, tile) if task is not None and task.neighbours else None
         traces = None if query.trace is None or tile.trace is None else (query.trace, tile.trace)
         evidence = None if traces is None else explain.evidence(*traces, weights, csls)
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
-        names = model.contract.names(self.view_query)
+        names = model.contract.names(views[0])
         console = wide_console(100)
-        losses = _losses(model, query, self.view_query, tile, console) if self.covering else None
+        losses = _losses(model, query, views[0], tile) if self.covering else None
         terms = None if csls is None else CslsTerms(csls[0], csls[1][None])
         ranking = retrieval.rank(cosines[None], weights, csls=terms)
-        answer = answer_of(
-            model,
-            views,
-            query,
-            [Picture(self.match, 0, str(self.match))],
-            tile.descriptor[None],
-            ranking,
-            str(self.query),
-        )
-        of: dict[str, Any] = {"model": model.fingerprint, "match": str(self.match), "rotate": self.rotate}
-        of |= {"view_query": self.view_query, "view_match": self.view_match}
+        gallery = [Picture(files[1], 0, str(files[1]))]
+        answer = answer_of(model, views, query, gallery, tile.descriptor[None], ranking, str(files[0]))
+        of: dict[str, Any] = {"model": model.fingerprint, "match": str(files[1]), "rotate": self.rotate}
+        of |= {"view_query": views[0], "view_match": views[1]}
         if losses is not None:
             of |= answer.to_dict() | occlusion.to_dict(cosines, weights, losses, names)
         elif evidence is not None:
@@ -137,7 +121,7 @@ class ExplainCommand:
             write_json(self.json, of)
         if self.png is not None and evidence is not None and traces is not None:
             cut = [model.as_partitioned(one.picture, view) for one, view in zip((query, tile), views, strict=True)]
-            titles = (f"{self.view_query} {_short(self.query)}", f"{self.view_match} {_short(self.match)}")
+            titles = (f"{views[0]} {_short(files[0])}", f"{views[1]} {_short(files[1])}")
             areas = [
                 PartAreas.of(model.contract, view, trace.size, trace) for view, trace in zip(views, traces, strict=True)
             ]
@@ -146,15 +130,27 @@ class ExplainCommand:
             )
             write_atomic(self.png, pair_figure.encode(figure))
 
+    def _pair(self, task: Task | None) -> list[tuple[Path, UInt8Array]]:
+        """Return the paths and the pixels of query and tile."""
+        from lpn.core import images
+        from lpn.sources.opened import query_positions
 
-def part_values(text: str | None) -> list[float] | None:
-    """Parse part weights such as "1,1,0,1"; InputError if they are not numbers."""
-    if text is None:
-        return None
-    try:
-        return [float(item) for item in text.split(",")]
-    except ValueError as error:
-        raise InputError(f"The weights are {text!r}; expected a number for each part, such as 1,1,0,1.") from error
+        def found(given: str, pictures: Sequence[Picture]) -> Picture | None:
+            if task is None or Path(given).is_file():
+                return None
+            return pictures[query_positions([given], pictures, task.data_name)[0]]
+
+        query = None if task is None else found(self.query, task.queries)
+        if self.match is not None:
+            match = None if task is None else found(self.match, task.gallery)
+        elif task is None or query is None:
+            raise InputError("Nothing says which tile to compare with; give it as --match.")
+        else:
+            match = task.gallery[int(task.search(task.queries.index(query)).order[0])]
+        return [
+            (Path(given or ""), images.load_picture(given or "")) if one is None else (one.path, one.load_cropped())
+            for given, one in ((self.query, query), (self.match, match))
+        ]
 
 
 def _zoom(calibration: Calibration | None, model: Model, file: Path, picture: UInt8Array, view: View) -> float:
@@ -176,19 +172,13 @@ def _csls(task: Task, query: DescribedPicture, tile: DescribedPicture) -> tuple[
     return CslsTerms.of_query(cosines, of_tile, task.neighbours).query, of_tile[0]
 
 
-def _losses(
-    model: Model, query: DescribedPicture, view: View, tile: DescribedPicture, console: Console
-) -> Float32Array:
+def _losses(model: Model, query: DescribedPicture, view: View, tile: DescribedPicture) -> Float32Array:
     """Return the loss of each part's cosine for each covered square."""
-    from rich.progress import Progress
-
+    from lpn.core.progress import tracked
     from lpn.explain import occlusion
 
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task("Covering", total=occlusion.SQUARES**2)
-        for progress in occlusion.occlude(model, query.picture, view, tile.descriptor):
-            bar.update(task, completed=progress[0])
-    return progress[1]
+    steps = occlusion.occlude(model, query.picture, view, tile.descriptor)
+    return list(tracked("Covering squares", steps, occlusion.SQUARES**2))[-1][1]
 
 
 def _show(
@@ -200,20 +190,20 @@ def _show(
     names: Sequence[str],
     claim: str,
 ) -> None:
-    from rich.table import Table
+    from lpn.core.text_tables import TextTable
 
     score = float(cosines @ weights) - csls
     taken = f"CSLS takes {csls:.4f}, " if csls else ""
-    table = Table(title=f"score {score:.4f}, {taken}squared distance {2 - 2 * score:.4f} ({claim})")
     sums = () if evidence is None else evidence.part_sums
     several = len(names) > 1
     of_part = ("part", "cosine", "weight", "adds to the score") if several else ("score",)
-    for name in (*of_part, *("cells for", "cells against", "constant")[: len(sums)]):
-        table.add_column(name, justify="left" if name == "part" else "right")
+    rows = []
     for part, name in enumerate(names):
         numbers = [signed(number, 4) for number in (cosines[part] * weights[part], *(values[part] for values in sums))]
-        table.add_row(*((name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %") if several else ()), *numbers)
-    console.print(table)
+        rows.append([*((name, signed(cosines[part], 4), f"{100 * weights[part]:.0f} %") if several else ()), *numbers])
+    title = f"score {score:.4f}, {taken}squared distance {2 - 2 * score:.4f} ({claim})"
+    head = (*of_part, *("cells for", "cells against", "constant")[: len(sums)])
+    TextTable(head, rows, title, align="lr" if several else "r").print(console)
 
 
 def _short(path: Path) -> str:

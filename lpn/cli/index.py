@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import lpn
-from lpn.cli.explain import part_values
+from lpn.cli.parsing import part_values
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.progress import report_progress
 from lpn.core.resources import ProviderName
 from lpn.core.views import View
-from lpn.sources import KindOption, PoolingOption, ProviderOption
+from lpn.sources import ModelOptions
 
 if TYPE_CHECKING:
     from lpn.index import SearchResult
@@ -56,7 +57,6 @@ class IndexCommand:
     def run(self) -> None:
         import numpy as np
 
-        from lpn.core.consoles import counting_bar
         from lpn.index import create_index
         from lpn.index.tiles import open_tiles
 
@@ -69,11 +69,7 @@ class IndexCommand:
             )
         tiles = open_tiles(self.descriptors, self.data)
         added = read = 0
-        with (
-            create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index,
-            counting_bar("Indexing") as progress,
-        ):
-            progress(0, tiles.count)
+        with create_index(self.out, tiles.kind, self.engine, structure=self.structure) as index:
             for chunk in tiles.chunks:
                 some = np.arange(len(chunk.names))
                 if not self.replace:
@@ -83,7 +79,7 @@ class IndexCommand:
                     index.add(chosen, chunk.rows(some), None if chunk.positions is None else chunk.positions[some])
                     added += len(some)
                 read += len(chunk.names)
-                progress(read, tiles.count)
+                report_progress("Indexing", read, tiles.count)
             print(f"{printable(_displayed(self.out))} holds {index.count()} tiles, {added} of them added now.")
         if there := tiles.count - added:
             print(
@@ -93,7 +89,6 @@ class IndexCommand:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
     def _index_map(self, where: Path) -> None:
-        from lpn.core.consoles import counting_bar
         from lpn.index import create_index
         from lpn.index.base import DescriptorKind, check_box
         from lpn.index.from_map import index_windows, window_describer
@@ -115,12 +110,9 @@ class IndexCommand:
                 f"No window of {min(sizes):.0f} m or more fits on the map {printable(basemap.name)}; give smaller ones as --size."
             )
         kind = DescriptorKind(model.fingerprint, model.n_parts, model.embedding)
-        with (
-            create_index(self.out, kind, self.engine, structure=self.structure) as index,
-            counting_bar("Describing windows") as progress,
-        ):
+        with create_index(self.out, kind, self.engine, structure=self.structure) as index:
             added = index_windows(
-                index, basemap, describe, sizes, self.overlap, progress, replace=self.replace, turns=self.turns, box=box
+                index, basemap, describe, sizes, self.overlap, replace=self.replace, turns=self.turns, box=box
             )
             print(f"{printable(_displayed(self.out))} holds {index.count()} windows, {added} of them added now.")
 
@@ -129,18 +121,16 @@ class IndexCommand:
         return f"The tiles that {printable(_displayed(self.out))} has by now are kept; the same command goes on."
 
 
-@dataclass
-class SearchCommand:
+@dataclass(kw_only=True)
+class SearchCommand(ModelOptions):
     """Find the tiles of an index that a picture matches best, and each part's share of the distance."""
 
     index: str
     """Folder of the index, or milvus://host:port/collection."""
-    model: Path
+    model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN whose descriptors the index holds: .onnx (needs no torch), .safetensors, or .pth."""
     picture: Path
     """Picture file to find."""
-    kind: KindOption = None
-    pooling: PoolingOption = None
     view: View = "drone"
     """View of the picture: the branch that describes it."""
     rotate: float = 0.0
@@ -149,7 +139,6 @@ class SearchCommand:
     """Weight of each part, such as 1,1,0,1; equal by default."""
     top: int = 10
     """Number of listed tiles."""
-    provider: ProviderOption = "auto"
     box: tuple[float, float, float, float] | None = None
     """South, west, north, and east bounds in degrees; west > east crosses the antimeridian."""
     json: Path | None = None
@@ -165,7 +154,7 @@ class SearchCommand:
 
         check_count(self.top)
         check_outputs((self.json, ".json"))
-        model = lpn.load(self.model, self.provider, kind=self.kind, pooling=self.pooling)
+        model = self.load()
         # An index holds a gallery (`lpn.index.tiles`).
         model = model.in_role(self.view, "query" if model.contract.roles == "role" else None)
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
@@ -215,20 +204,19 @@ def _matches(
 
 
 def _show(matches: list[dict[str, Any]], names: list[str]) -> None:
-    from rich.table import Table
-    from rich.text import Text
-
     from lpn.core.consoles import wide_console
+    from lpn.core.text_tables import TextTable
 
-    table = Table(title="part: its contribution to the squared distance", title_justify="right")
-    for name in ("rank", "tile", "score", "gap", *names):
-        table.add_column(name, justify="left" if name == "tile" else "right")
+    if not matches:
+        print("There is no tile to compare with.")
+        return
+    rows = []
     for match in matches:
         gap = "" if match["gap"] is None else f"{match['gap']:.4f}"
         contributions = (f"{part['contribution']:.4f}" for part in match["parts"])
-        table.add_row(str(match["rank"]), Text(printable(match["tile"])), f"{match['score']:.4f}", gap, *contributions)
-    console = wide_console(100)
-    console.print(table if matches else "There is no tile to compare with.")
+        rows.append((str(match["rank"]), printable(match["tile"]), f"{match['score']:.4f}", gap, *contributions))
+    title = "part: its contribution to the squared distance"
+    TextTable(("rank", "tile", "score", "gap", *names), rows, title, align="rlr").print(wide_console(100))
 
 
 def _displayed(where: str) -> str:

@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Literal
+from typing import IO, TYPE_CHECKING, Annotated, Literal
 
-import lpn
-from lpn.cli.locate import MapError
+import tyro
+
 from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, printable
-from lpn.sources import KindOption, ProviderOption
+from lpn.sources import Advanced, ModelOptions
+from lpn.sources.options import ADVANCED
 
 if TYPE_CHECKING:
-    from lpn.core.progress import CountProgress, Progress
+    from lpn.core.progress import CountProgress, Listener
     from lpn.live.frames import Say
     from lpn.live.locator import LiveOptions
     from lpn.live.run import FixOutput, LiveRun
@@ -25,34 +26,43 @@ if TYPE_CHECKING:
 _SAID = 5.0
 
 
+MapError = Annotated[
+    float | None,
+    ADVANCED,
+    tyro.conf.arg(
+        help="Error of the map's places in metres, 1 sigma along each axis, which is part of each registration's radius in this "
+        "run. By default it is what lpn map --error keeps in the map. A map without that has the root of the sum of two squares: "
+        "3 pixels, at least 1 m, and the error that the map tells of itself."
+    ),
+]
+
+
 @dataclass(kw_only=True)
-class LiveInput:
+class LiveInput(ModelOptions):
     """The map, the model, and what arrives."""
 
     live: str
     """Pictures: a folder that fills, a video, or the address of a stream (rtsp://, udp://, http://)."""
     map: Path
     """Map: a folder of lpn map, or a georeferenced picture."""
-    model: Path
+    model: Path | None = None
     """Trained LPN (.onnx, .safetensors, .pth); an .onnx of lpn export --compute int8 is the quickest on a CPU."""
-    kind: KindOption = None
-    provider: ProviderOption = "auto"
     telemetry: str | None = None
     """Heading and height: a MAVLink address such as udp:127.0.0.1:14550, or a log or track; by default the photos' own."""
-    system: int | None = None
+    system: Advanced[int | None] = None
     """MAVLink id of the vehicle; by default the first that sends a position."""
     register: bool = True
     """Lay each photo over the map near the prediction."""
-    matcher: Literal["auto", "xfeat", "sift"] = "auto"
+    matcher: Advanced[Literal["auto", "xfeat", "sift"]] = "auto"
     """Local features: xfeat (extra register), sift, or auto: xfeat where it is installed."""
-    size: tuple[float, ...] | None = None
+    size: Advanced[tuple[float, ...] | None] = None
     """Sides of the map's windows in metres; by default the ground that the first frame of known height shows."""
-    speed: float = 10.0
+    speed: Advanced[float] = 10.0
     """Metres a second that the flight moves, one standard deviation."""
     map_error: MapError = None
-    fov: float | None = None
+    fov: Advanced[float | None] = None
     """Horizontal field of view in degrees, for frames of videos and streams."""
-    idle: float | None = None
+    idle: Advanced[float | None] = None
     """Seconds without a frame after which the flight counts as ended; by default it is waited for."""
 
     def options(self) -> LiveOptions:
@@ -90,7 +100,7 @@ class LiveInput:
             if value is not None and not low <= value <= high:
                 raise InputError(f"--{name} is {value:g}; expected a number from {low:g} to {high:g}.")
         options = self.options()
-        network = lpn.load(self.model, self.provider, kind=self.kind)
+        network = self.load()
         basemap = stack.enter_context(closing(open_map(self.map)))
         telemetry = open_telemetry(self.telemetry, say, self.system)
         stack.callback(telemetry.close)
@@ -108,7 +118,7 @@ class LiveInput:
 
 
 @dataclass(kw_only=True)
-class LiveCommand(LiveInput):
+class LocateLive(LiveInput):
     """Find where the newest picture of a flight was taken, while it flies: answers as lines of GeoJSON.
 
     A frame that comes while another is located waits, and a newer one replaces it.
@@ -131,7 +141,7 @@ class LiveCommand(LiveInput):
         _say(f"{count} frames were located.")
 
 
-def _progress(receivers: Sequence[CountProgress]) -> Progress:
+def _progress(receivers: Sequence[CountProgress]) -> Listener:
     """Return what hands the number of described windows on."""
 
     def report(_stage: str, done: int, total: int) -> None:

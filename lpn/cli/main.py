@@ -8,63 +8,37 @@ import select
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
+from importlib import import_module
 from importlib.metadata import entry_points
+from pkgutil import iter_modules
 from typing import Any, TextIO
 
-import lpn
-from lpn.cli import by_source
-from lpn.cli.choices import IN_ORDER
-from lpn.cli.compare import CompareCommand
-from lpn.cli.describe import DescribeCommand, GatherCommand
-from lpn.cli.doctor import DoctorCommand
-from lpn.cli.evaluate import EvaluateCommand
-from lpn.cli.explain import ExplainCommand
-from lpn.cli.export import ExportCommand
-from lpn.cli.failures import FailuresCommand
-from lpn.cli.flight import FlightCommand
-from lpn.cli.index import IndexCommand, SearchCommand
-from lpn.cli.live import LiveCommand
-from lpn.cli.locate import LocateCommand
-from lpn.cli.map import MapCommand
-from lpn.cli.models import ModelsCommand
-from lpn.cli.report import ReportCommand
-from lpn.cli.reproduce import ReproduceCommand, parse_reproduce
-from lpn.cli.sweep import SweepCommand
-from lpn.cli.train import TrainCommand, parse_train
+import lpn.cli
+from lpn.cli.parsing import parse
 from lpn.core import log
-from lpn.core.consoles import plain_streams
+from lpn.core.consoles import plain_streams, progress_bars
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.core.requirements import broken_package, missing_package
 from lpn.core.shutdown import WRITE_SECONDS, StopSignals, exit_now, writes_finished
 
-COMMANDS: dict[str, type[Any]] = {
-    "train": TrainCommand,
-    "evaluate": EvaluateCommand,
-    "compare": CompareCommand,
-    "explain": ExplainCommand,
-    "sweep": SweepCommand,
-    "failures": FailuresCommand,
-    "report": ReportCommand,
-    "export": ExportCommand,
-    "describe": DescribeCommand,
-    "gather": GatherCommand,
-    "index": IndexCommand,
-    "search": SearchCommand,
-    "map": MapCommand,
-    "flight": FlightCommand,
-    "locate": LocateCommand,
-    "models": ModelsCommand,
-    "doctor": DoctorCommand,
-    "reproduce": ReproduceCommand,
-}
-
 
 @cache  # it looks through all installed packages
 def commands() -> dict[str, type[Any]]:
-    """Return each subcommand by its name: those of other packages (entry points `lpn.commands`), then our own."""
-    return {point.name: point.load() for point in entry_points(group="lpn.commands")} | COMMANDS
+    """Return each subcommand by its name: those of other packages (entry points `lpn.commands`), then our own.
+
+    Our own are the classes NameCommand in the modules of `lpn.cli`.
+    """
+    found = {point.name: point.load() for point in entry_points(group="lpn.commands")}
+    for module in iter_modules(lpn.cli.__path__):
+        if module.name != "main":
+            of = import_module(f"lpn.cli.{module.name}")
+            classes = [name for name, value in vars(of).items() if getattr(value, "__module__", "") == of.__name__]
+            found |= {
+                name.removesuffix("Command").lower(): getattr(of, name) for name in classes if name.endswith("Command")
+            }
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -155,9 +129,10 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
     """Parse a command, append it to `parsed`, and run it."""
     try:
         command = commands()[arguments[0]]
-        with IN_ORDER, plain_streams(colours=sys.stdout.isatty()):  # tyro prints colours
-            parsed.append(_parse(command, arguments[1:], f"lpn {arguments[0]}"))
-        return int(parsed[0].run() or 0)
+        with plain_streams(colours=sys.stdout.isatty()):  # tyro prints colours
+            parsed.append(reader(command)(arguments[1:], f"lpn {arguments[0]}"))
+        with progress_bars():
+            return int(parsed[0].run() or 0)
     except LPNError as error:
         print(f"lpn: {printable(str(error))}", file=sys.stderr)
         return 2
@@ -171,6 +146,11 @@ def _run(arguments: list[str], parsed: list[Any]) -> int:
         if _is_unread(error):
             raise
         return _refused(error)
+
+
+def reader(command: type[Any]) -> Callable[[list[str], str], Any]:
+    """Return what parses the arguments of a command, given its program's name: its own `parse`, if it has one."""
+    return getattr(command, "parse", partial(parse, command))
 
 
 def _refused(error: OSError) -> int:
@@ -195,17 +175,6 @@ def _stopped(parsed: list[Any], number: int) -> int:
 _AGAIN = "Nothing is half-written; give the same command again."
 
 
-def _parse(command: type[Any], arguments: list[str], program: str) -> Any:
-    if command is TrainCommand:
-        return parse_train(arguments, program)
-    if command is ReproduceCommand:
-        return parse_reproduce(arguments, program)
-    if command is LocateCommand and any(one.partition("=")[0] == "--live" for one in arguments):
-        command = LiveCommand
-        arguments = ["--help"] if {"-h", "--help"} & set(arguments) else arguments
-    return by_source.parse(command, arguments, program)
-
-
 def _help() -> str:
     lines = [
         f"  {name:10} {(command.__doc__ or '').strip().partition(chr(10))[0]}" for name, command in commands().items()
@@ -218,7 +187,7 @@ def _help() -> str:
             "",
             *lines,
             "",
-            "lpn COMMAND --help lists the options of a command; lpn --version prints the version.",
+            "lpn COMMAND --help lists the options of a command, --help-all all of them; lpn --version prints the version.",
             f"lpn {log.FLAG} debug COMMAND shows more messages ({', '.join(log.LEVELS)}; or set {log.VARIABLE}).",
         ]
     )

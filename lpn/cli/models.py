@@ -44,23 +44,20 @@ class ModelsCommand:
 
 
 def _list(cards: tuple[ModelCard, ...], console: Console) -> None:
-    from rich.table import Table
+    from lpn.core.text_tables import TextTable
 
-    table = Table(
-        title="Models that ship: --model NAME, or lpn.load(NAME); lpn models NAME shows the card", show_lines=True
-    )
-    for column in ("name", "network", "trained on", "R@1 with its 95 % interval", "MB", "licence"):
-        table.add_column(column, justify="right" if column == "MB" else "left", no_wrap=column == "name")
+    rows = []
     for card in cards:
         first = [one for one in card.figures if one.task == card.figures[0].task]
         figures = "\n".join(f"{one.data}: {_interval(one.percent['R@1'])}" for one in first)
-        row = (card.name, card.network, card.trained_on, figures, f"{card.size / 1e6:.1f}", card.licence)
-        table.add_row(*row)
-    console.print(table)
+        rows.append((card.name, card.network, card.trained_on, figures, f"{card.size / 1e6:.1f}", card.licence))
+    title = "Models that ship: --model NAME, or lpn.load(NAME); lpn models NAME shows the card"
+    head = ("name", "network", "trained on", "R@1 with its 95 % interval", "MB", "licence")
+    TextTable(head, rows, title, align="llllrl", ruled=range(1, len(rows))).print(console)
 
 
 def _show(card: ModelCard, console: Console) -> None:
-    from rich.table import Table
+    from lpn.core.text_tables import TextTable
 
     console.print(f"{card.name}: {card.summary}", markup=False, highlight=False)
     for what, lines in (
@@ -75,13 +72,12 @@ def _show(card: ModelCard, console: Console) -> None:
     ):
         for number, line in enumerate(lines):
             console.print(f"  {what if number == 0 else '':14}{line}", markup=False, highlight=False, soft_wrap=True)
-    table = Table(title="Figures in %, each with its 95 % interval")
-    for column in ("data and task", *card.figures[0].percent):
-        table.add_column(column, no_wrap=column in card.figures[0].percent)
+    rows = []
     for one in card.figures:
         where = f"{one.data}, {one.task}, {one.queries:,} queries in {one.gallery:,} pictures"
-        table.add_row(where, *map(_interval, one.percent.values()))
-    console.print(table)
+        rows.append((where, *map(_interval, one.percent.values())))
+    head = ("data and task", *card.figures[0].percent)
+    TextTable(head, rows, "Figures in %, each with its 95 % interval", align="l").print(console)
     for command, commit in dict.fromkeys((one.command, one.commit) for one in card.figures):
         console.print(f"  Measured by: {command} (commit {commit})", markup=False, highlight=False, soft_wrap=True)
 

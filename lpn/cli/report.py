@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from abc import ABC
-from collections.abc import Collection
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING
 
-from lpn.cli import by_source
+from lpn.cli.parsing import part_values
 from lpn.core.errors import InputError
-from lpn.sources import Arrays, Data, Flown, Indexed, Published, TaskSource
+from lpn.sources import Advanced, SourceOptions, source_of
 from lpn.sources.opened import open_with_notes, query_positions
 
 if TYPE_CHECKING:
-    from lpn.report import Options
-    from lpn.sources.opened import OpenedSource
     from lpn.tasks.task import Task
 
 
 @dataclass(kw_only=True)
-class ReportOptions:
-    """The report."""
+class ReportCommand(SourceOptions):
+    """Write a printable, self-contained HTML report about some queries: matches, parts, evidence, counterfactuals."""
 
     out: Path
     """File to write, ending in .html."""
@@ -35,123 +32,42 @@ class ReportOptions:
     """Number of listed tiles for each query."""
     weights: str | None = None
     """Weight of each part, such as 1,1,0,1; equal by default."""
-    notes: Path | None = None
+    notes: Advanced[Path | None] = None
     """File of tags and notes; by default notes.csv in the folder of the queries."""
-
-
-@dataclass(kw_only=True)
-class RotationOptions:
-    """Rotated queries, which a network describes again."""
-
     rotate: float = 0.0
     """Degrees counter-clockwise by which each query is rotated first."""
-
-
-@dataclass(kw_only=True)
-class ReportOfSource(ABC):
-    """Write a printable, self-contained HTML report about some queries."""
-
-    source: TaskSource
-    report: ReportOptions
+    register: bool = True
+    """Lay each photo of a flight over the map, as lpn locate does, so that GPS tags that it contradicts judge nothing;
+    --no-register leaves that out, and trusts all tags."""
 
     def run(self) -> None:
-        from rich.progress import Progress
-
         from lpn import report
-        from lpn.cli.explain import part_values
         from lpn.core.consoles import Console
         from lpn.core.files import check_outputs, write_atomic
-
-        options = self.report
-        if options.query and (options.failures is not None or options.where):
-            raise InputError("Queries are named, and --failures or --where chooses others; leave one of them out.")
-        if options.failures is not None and options.failures < 1:
-            raise InputError(f"The number of failures is {options.failures}; expected 1 or more.")
-        contents = self._contents()
-        check_outputs((options.out, ".html", ".htm"))
-        task, doubtful = self._graded(
-            open_with_notes(self.source, options.notes, options.query, part_values(options.weights))
-        )
-        if options.query:
-            chosen, selection = query_positions(options.query, task.queries, task.data_name), "chosen by name"
-        else:
-            chosen, selection = _chosen(task, options)
-        contents = replace(contents, selection=selection, doubtful=doubtful)
-        console = Console()
-        with Progress(console=console, transient=True) as bar:
-            line = bar.add_task("Reporting", total=None)
-            page = report.build(task, chosen, contents, lambda done, of: bar.update(line, completed=done, total=of))
-        write_atomic(options.out, page)
-        count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
-        console.print(
-            f"{options.out}: {count}, {len(page) / 1e6:.1f} MB", highlight=False, markup=False, soft_wrap=True
-        )
-
-    def _contents(self) -> Options:
-        from lpn.report import Options
-
-        return Options(self.report.matches)
-
-    def _graded(self, opened: OpenedSource) -> tuple[Task, Collection[int]]:
-        """Return the task as it is graded, and the queries that are not, as no tile is right for certain."""
-        return opened.task, ()
-
-
-@dataclass(kw_only=True)
-class ReportOfNetwork(ReportOfSource):
-    """Write a printable, self-contained HTML report about some queries that a network describes."""
-
-    rotation: RotationOptions = field(default_factory=RotationOptions)
-
-    def _contents(self) -> Options:
+        from lpn.core.progress import report_progress
         from lpn.descriptors.transforms import Change
-        from lpn.report import Options
 
-        return Options(self.report.matches, Change(rotate=self.rotation.rotate))
-
-
-@dataclass(kw_only=True)
-class ReportOfFlight(ReportOfNetwork):
-    """Write a printable, self-contained HTML report about some photos of a flight; those of a doubtful judge are not graded."""
-
-    register: bool = True
-    """Lay each photo over the map, as lpn locate does, so that GPS tags that it contradicts judge nothing; --no-register leaves
-    that out, and trusts all tags."""
-
-    def _graded(self, opened: OpenedSource) -> tuple[Task, Collection[int]]:
-        import numpy as np
-
-        from lpn.core.consoles import stage_bars
-        from lpn.locate.grades import doubtful_photos
-        from lpn.locate.pipeline import registered
-        from lpn.locate.task import stage_columns
-
-        task, located = opened.task, opened.located
-        assert located is not None
-        if not self.register:
-            return task, ()
-        with stage_bars("{}") as on_progress:
-            located = registered(located, opened.network, on_progress=on_progress)
-        best, first = task.retrieved.best, task.retrieved.first
-        doubtful = set(np.flatnonzero(doubtful_photos(located, task, best, first)).tolist())
-        task = replace(task, columns=[*task.columns, *stage_columns(located)])
-        return task.without_truth(doubtful), doubtful
+        if self.query and (self.failures is not None or self.where):
+            raise InputError("Queries are named, and --failures or --where chooses others; leave one of them out.")
+        if self.failures is not None and self.failures < 1:
+            raise InputError(f"The number of failures is {self.failures}; expected 1 or more.")
+        contents = report.Options(self.matches, Change(rotate=self.rotate))
+        check_outputs((self.out, ".html", ".htm"))
+        opened = open_with_notes(source_of(self), self.notes, self.query, part_values(self.weights))
+        task, doubtful = opened.graded() if self.register else (opened.task, ())
+        if self.query:
+            chosen, selection = query_positions(self.query, task.queries, task.data_name), "chosen by name"
+        else:
+            chosen, selection = _chosen(task, self)
+        contents = replace(contents, selection=selection, doubtful=doubtful)
+        page = report.build(task, chosen, contents, partial(report_progress, "Reporting"))
+        write_atomic(self.out, page)
+        count = f"{len(chosen)} {'query' if len(chosen) == 1 else 'queries'}"
+        said = f"{self.out}: {count}, {len(page) / 1e6:.1f} MB"
+        Console().print(said, highlight=False, markup=False, soft_wrap=True)
 
 
-@dataclass(kw_only=True)
-class ReportCommand(ReportOfNetwork):
-    """Write a printable, self-contained HTML report about some queries: matches, parts, evidence, counterfactuals."""
-
-    SOURCES: ClassVar[dict[str, type[ReportOfSource]]] = {
-        **by_source.of_sources(ReportOfSource, Published, Arrays),
-        **by_source.of_sources(ReportOfNetwork, Indexed),
-        **by_source.of_sources(ReportOfFlight, Flown),
-    }
-
-    source: Data
-
-
-def _chosen(task: Task, options: ReportOptions) -> tuple[list[int], str]:
+def _chosen(task: Task, options: ReportCommand) -> tuple[list[int], str]:
     """Return positions of the queries that --failures and --where choose, the worst first, and how they were chosen."""
     from lpn.report.page import MOST
 

@@ -10,8 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import tyro
 
+from lpn.cli.parsing import parse
 from lpn.cli.train import flag_value
 from lpn.core.errors import InputError
+from lpn.sources import Advanced
 from lpn.training.recipes import RECIPES, Recipe
 
 if TYPE_CHECKING:
@@ -56,7 +58,7 @@ class ReproduceCommand:
     """Train missing models; otherwise their rows are left out."""
     queries: tuple[str, ...] = ()
     """Queries shown in figures 7 (a) and 8, by name; Figure 1 shows the first."""
-    settings: tyro.conf.OmitArgPrefixes[RecipeChanges] = field(default_factory=RecipeChanges)
+    settings: Advanced[tyro.conf.OmitArgPrefixes[RecipeChanges]] = field(default_factory=RecipeChanges)
     changed: tyro.conf.Suppress[tuple[str, ...]] = ()
 
     def run(self) -> None:
@@ -97,27 +99,27 @@ class ReproduceCommand:
         ).run(keys)
         print(f"Wrote {', '.join(file.name for file in made)} to {self.out}.")
 
+    @classmethod
+    def parse(cls, arguments: list[str], program: str) -> ReproduceCommand:
+        """Parse the options of a reproduction; `changed` names the settings of the recipes that are among them.
+
+        Raises:
+            InputError: if the recipe is unknown.
+        """
+        name = flag_value(arguments, "--recipe") or "auto"
+        if name not in get_args(_Scale):
+            raise InputError(
+                f"There is no recipe {name!r} to reproduce with; choose one of {', '.join(get_args(_Scale))}."
+            )
+        settings = RecipeChanges(**asdict(RECIPES["released" if name == "released" else "paper"]))
+        command: ReproduceCommand = parse(cls, arguments, program, cls(tyro.MISSING, settings=settings))
+        flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
+        names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
+        return replace(command, changed=tuple(field.name for field in fields(Recipe) if field.name in names))
+
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
         return f"Whole epochs and measurements in {self.out} are kept; the same command goes on."
-
-
-def parse_reproduce(arguments: list[str], program: str) -> ReproduceCommand:
-    """Parse the options of a reproduction; `changed` names the settings of the recipes that are among them.
-
-    Raises:
-        InputError: if the recipe is unknown.
-    """
-    name = flag_value(arguments, "--recipe") or "auto"
-    if name not in get_args(_Scale):
-        raise InputError(f"There is no recipe {name!r} to reproduce with; choose one of {', '.join(get_args(_Scale))}.")
-    settings = RecipeChanges(**asdict(RECIPES["released" if name == "released" else "paper"]))
-    command = tyro.cli(
-        ReproduceCommand, args=arguments, prog=program, default=ReproduceCommand(tyro.MISSING, settings=settings)
-    )
-    flags = {argument.partition("=")[0] for argument in arguments if argument.startswith("--")}
-    names = {flag.removeprefix("--").replace("-", "_").removeprefix("no_") for flag in flags}
-    return replace(command, changed=tuple(field.name for field in fields(Recipe) if field.name in names))
 
 
 def _scale(recipe: _Scale, data: Sequence[str]) -> Scale:

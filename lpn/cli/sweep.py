@@ -1,17 +1,15 @@
-"""The command sweep: retrieval of one query over rotation, shift, zoom, or the ten weathers."""
+"""The command explain --over: retrieval of one query over rotation, shift, zoom, or the ten weathers."""
 
 from __future__ import annotations
 
-from abc import ABC
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import TYPE_CHECKING, Literal
 
-from lpn.cli import by_source
-from lpn.cli.explain import part_values
+from lpn.cli.parsing import part_values
 from lpn.core.errors import InputError
 from lpn.core.numbers import signed
-from lpn.sources import NAMED, Data, TaskSource
+from lpn.sources import SourceOptions, open_source
 from lpn.sources.opened import query_positions
 
 if TYPE_CHECKING:
@@ -25,14 +23,14 @@ _BAR = 24
 
 
 @dataclass(kw_only=True)
-class SweepOptions:
-    """The sweep."""
+class Sweep(SourceOptions):
+    """Rotate, shift, or zoom one query, or draw weathers on it: score and rank of its true match, and each part's cosine."""
 
-    query: str
-    """Name of the query, as the explorer's picker shows it, such as 0005/01."""
-    over: Literal["rotation", "shift", "shift-down", "zoom", "weather"] = "rotation"
+    over: Literal["rotation", "shift", "shift-down", "zoom", "weather"]
     """Varied parameter: degrees counter-clockwise, pixels of the network's input to the right or down, a zoom factor, or the
     weather (the ten of lpn evaluate --weather all)."""
+    query: str
+    """Name of the query, as the explorer's picker shows it, such as 0005/01."""
     step: float | None = None
     """Step: degrees (15), pixels (a 32nd of the input), or the factor between zooms (1.1); weathers have none."""
     reach: float | None = None
@@ -44,53 +42,33 @@ class SweepOptions:
     png: Path | None = None
     """File to draw the curves to, as PNG; needs matplotlib, of the extra train."""
 
-
-@dataclass(kw_only=True)
-class SweepOfSource(ABC):
-    """Rotate, shift, or zoom one query step by step, or draw ten weathers on it."""
-
-    source: TaskSource
-    sweep: SweepOptions
-
     def run(self) -> None:
-        from lpn.core.consoles import stage_bars, wide_console
+        from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_atomic
         from lpn.drawing.plots import pyplot
 
-        options = self.sweep
-        check_outputs((options.csv, ".csv"), (options.png, ".png"))
-        if options.png is not None:
+        check_outputs((self.csv, ".csv"), (self.png, ".png"))
+        if self.png is not None:
             pyplot()  # fail before the long computation
         console = wide_console()
-        with stage_bars() as on_progress:
-            opened = self.source.open([options.query], part_values(options.weights), on_progress)
+        opened = open_source(self, [self.query], part_values(self.weights))
         task, model = opened.task, opened.model
         if model is None:
             raise InputError(
                 f"No query of {task.model_name} can be changed, as it holds descriptors and no network; sweep a query of a data "
                 "set with a model."
             )
-        profile = _swept(task, model, options, console)
-        title = f"{options.query} ({task.name}, {model.describe()})"
+        profile = _swept(task, model, self)
+        title = f"{self.query} ({task.name}, {model.describe()})"
         _print(profile, title, task.views, console)
-        if options.csv is not None:
-            write_atomic(options.csv, profile.to_csv())
-        if options.png is not None:
-            write_atomic(options.png, _draw(profile, title))
+        if self.csv is not None:
+            write_atomic(self.csv, profile.to_csv())
+        if self.png is not None:
+            write_atomic(self.png, _draw(profile, title))
 
 
-@dataclass(kw_only=True)
-class SweepCommand(SweepOfSource):
-    """Rotate, shift, or zoom one query, or draw weathers on it: score and rank of its true match, and each part's cosine."""
-
-    SOURCES: ClassVar[dict[str, type[SweepOfSource]]] = by_source.of_sources(SweepOfSource, *NAMED)
-
-    source: Data
-
-
-def _swept(task: Task, model: Model, options: SweepOptions, console: Console) -> SweepResult:
-    from rich.progress import track
-
+def _swept(task: Task, model: Model, options: Sweep) -> SweepResult:
+    from lpn.core.progress import tracked
     from lpn.explain import sweeps
 
     if options.over == "weather" and task.query_view == "satellite":
@@ -104,8 +82,7 @@ def _swept(task: Task, model: Model, options: SweepOptions, console: Console) ->
     changes = [change.for_picture(query) for change in steps]
     ranks = task.ranks_under(position)
     points = sweeps.sweep_points(model, query.load_cropped(), task.query_view, changes, ranks)
-    done = track(points, f"Describing {options.query}", len(changes), console=console, transient=True)
-    return sweeps.SweepResult(options.over, tuple(done))
+    return sweeps.SweepResult(options.over, tuple(tracked("Describing the query changed", points, len(changes))))
 
 
 def _subject(profile: SweepResult) -> str:
@@ -115,30 +92,23 @@ def _subject(profile: SweepResult) -> str:
 
 def _print(profile: SweepResult, title: str, views: tuple[View, View], console: Console) -> None:
     """Print a row for each transform with its score as a bar, and the gain of the best one."""
-    from rich.table import Table
-
+    from lpn.core.text_tables import TextTable
     from lpn.explain.sweeps import swept_label, swept_value
 
     blocks = str(console.encoding).lower().startswith("utf")
     scores = [point.score for point in profile.points]
     low, span = min(scores), (max(scores) - min(scores)) or 1.0
-    table = Table(title=title, caption=f"Score and rank of {_subject(profile)}; * the highest score.")
-    for name in (profile.over, "", "rank", "score"):
-        table.add_column(name, justify="right")
-    table.add_column(f"from {low:.3f} to {max(scores):.3f}", min_width=_BAR)
-    parts = len(profile.points[0].cosines)
-    for part in range(1, parts + 1 if parts > 1 else 1):
-        table.add_column(f"cos {part}", justify="right")
-    table.add_column("top score", justify="right")
+    parts, rows = len(profile.points[0].cosines), []
+    of_parts = [f"cos {part}" for part in range(1, parts + 1 if parts > 1 else 1)]
     for point in profile.points:
         number = swept_label(profile.over, swept_value(profile.over, point.change), 4)
         bar = ("█" if blocks else "#") * (1 + round((point.score - low) / span * (_BAR - 1)))
         cosines = [f"{cosine:.3f}" for cosine in point.cosines if parts > 1]
         mark = "*" if point is profile.best else ""
-        table.add_row(number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}")
-    console.print(table)
-    for line in _sentences(profile, views):
-        console.print(line, highlight=False, soft_wrap=True)
+        rows.append((number, mark, str(point.rank), f"{point.score:.3f}", bar, *cosines, f"{point.top_score:.3f}"))
+    head = (profile.over, "", "rank", "score", f"from {low:.3f} to {max(scores):.3f}", *of_parts, "top score")
+    after = "\n".join([f"Score and rank of {_subject(profile)}; * the highest score.", *_sentences(profile, views)])
+    TextTable(head, rows, title, after, align="rrrrlr").print(console)
 
 
 def _sentences(profile: SweepResult, views: tuple[View, View]) -> list[str]:
@@ -170,7 +140,7 @@ def _sentence(begin: str, profile: SweepResult, point: SweepPoint) -> str:
 
 def _draw(profile: SweepResult, title: str) -> bytes:
     """Draw scores, part cosines, and rank over the transform as a PNG file."""
-    from lpn.drawing.plots import png, pyplot
+    from lpn.drawing.plots import encode, pyplot
     from lpn.explain.sweeps import UNITS, swept_label, swept_value
 
     figure, (above, below) = pyplot().subplots(2, 1, figsize=(8, 6), sharex=True, height_ratios=(2, 1))
@@ -194,4 +164,4 @@ def _draw(profile: SweepResult, title: str) -> bytes:
     below.set_yticks(ticks, [str(tick) for tick in ticks])
     below.set_ylim(last * 1.2, 0.8)
     figure.tight_layout()
-    return png(figure, dpi=120)
+    return encode(figure, dpi=120)

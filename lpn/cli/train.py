@@ -11,7 +11,9 @@ from typing import Any, Literal, cast
 import tyro
 
 import lpn
+from lpn.cli.parsing import parse
 from lpn.core.errors import InputError, LPNError
+from lpn.sources import Advanced
 from lpn.training import recipes
 from lpn.training.recipes import Recipe, RecipeName
 
@@ -40,17 +42,17 @@ class TrainCommand:
     """Data set with pictures to train on, in any layout of docs/data.md."""
     map: Path | None = None
     """Map to train on alone, in place of --data: a folder of lpn map, or a georeferenced picture."""
-    window_sizes: tuple[float, float] | None = None
+    window_sizes: Advanced[tuple[float, float] | None] = None
     """Smallest and largest side in metres of the windows of --map, about those that photos of the flight show; by default half to
     twice what the network's input shows at the map's resolution."""
     recipe: RecipeName = recipes.DEFAULT
     """Recipe: as the paper states (paper, cvusa-paper, safa-paper), as the released code does (released, cvusa-released,
     cvusa-released-resnet50, cvact-released, safa-released, and metric-released), for some hundred places (small), the same for
     all headings (world), or for a map alone (map, the default with --map); see docs/recipes.md."""
-    method: MethodName | None = None
+    method: Advanced[MethodName | None] = None
     """One of the methods that the paper compares, by default the recipe's: lpn, the instance-loss baseline, the baseline with
     another loss, strips, or SAFA."""
-    compare_recipes: tuple[str, str] | None = None
+    compare_recipes: Advanced[tuple[str, str] | None] = None
     """Print the settings in which two recipes differ, each with its source, and train nothing."""
     init: Path | None = None
     """Weights of the backbone trained on ImageNet (.safetensors or .pth, torchvision's names), or a model, such as a name of lpn
@@ -65,9 +67,9 @@ class TrainCommand:
     """Evaluate every so many epochs, and keep the best model; 0 for the end only."""
     validate: float = 0.0
     """Share of the training places held out to select the best epoch; at 0 the test split selects it."""
-    workers: int = 0
+    workers: Advanced[int] = 0
     """Threads that prepare pictures; 0 chooses by the machine. They do not affect the result."""
-    settings: tyro.conf.OmitArgPrefixes[Recipe] = field(default_factory=Recipe)
+    settings: Advanced[tyro.conf.OmitArgPrefixes[Recipe]] = field(default_factory=Recipe)
 
     def run(self) -> None:
         if self.compare_recipes is not None:
@@ -123,26 +125,26 @@ class TrainCommand:
             raise InputError("A data set has no windows; give --window-sizes with --map only.")
         return import_module("lpn.datasets").open_dataset(self.data)
 
+    @classmethod
+    def parse(cls, arguments: list[str], program: str) -> TrainCommand:
+        """Parse the options of a training; recipe and method set the defaults of the other flags.
+
+        Raises:
+            InputError: if the recipe or the method is unknown, or they do not fit each other.
+        """
+        default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
+        name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
+        settings = recipes.find(name, chosen)
+        # A comparison of recipes needs no folder.
+        folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
+        named = cls(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)
+        return cast(TrainCommand, parse(cls, arguments, program, named))
+
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
         if not (self.out / "state.pt").is_file():
             return "No epoch was whole yet, so nothing is kept; give the same command again."
         return f"The whole epochs in {self.out} are kept; go on with the same command{'' if self.resume else ' and --resume'}."
-
-
-def parse_train(arguments: list[str], program: str) -> TrainCommand:
-    """Parse the options of a training; recipe and method set the defaults of the other flags.
-
-    Raises:
-        InputError: if the recipe or the method is unknown, or they do not fit each other.
-    """
-    default = recipes.DEFAULT if flag_value(arguments, "--map") is None else "map"
-    name, chosen = flag_value(arguments, "--recipe") or default, flag_value(arguments, "--method")
-    settings = recipes.find(name, chosen)
-    # A comparison of recipes needs no folder.
-    folder = Path() if flag_value(arguments, "--compare-recipes") else tyro.MISSING
-    named = TrainCommand(folder, recipe=cast(Any, name), method=cast(Any, chosen), settings=settings)
-    return tyro.cli(TrainCommand, args=arguments, prog=program, default=named)
 
 
 def flag_value(arguments: Sequence[str], flag: str) -> str | None:

@@ -103,7 +103,7 @@ def describe_shards(
             is the value of the last run into `out`, else 256. If the folder of pictures grows, the number of shards is
             doubled as needed.
         positions: a file in the format of geo.csv; by default the `geo.csv` among the pictures. For how its paths are
-            matched to the pictures, see `lpn.datasets.geo.match`.
+            matched to the pictures, see `lpn.datasets.geo.Positions.match`.
         say: called with each line of progress.
         worker: the worker's class.
         role: of the branch, see `Model.in_role`.
@@ -147,10 +147,11 @@ def _items(source: Storage, positions: str | Path | None) -> list[ShardItem]:
     if listed is None:
         return [ShardItem(row) for row in rows]
     names, source_name = [row.file for row in rows], str(positions or geo.NAME)
+    folder = source.folder or Path()
     if positions is not None:
-        matched = zip(names, geo.match(listed, names, source_name), strict=True)
+        matched = zip(names, geo.Positions(folder, listed, source_name).match(names), strict=True)
         listed = {name: place for name, place in matched if place is not None}
-    places = geo.find_positions(listed, names, source_name)
+    places = geo.Positions(folder, listed, source_name).below(names)
     return [ShardItem(row, (at.latitude, at.longitude)) for row, at in zip(rows, places, strict=True)]
 
 

@@ -15,9 +15,10 @@ from rich.progress import Progress as Bars
 from rich.segment import Segment
 
 from lpn.core.files import printable
-from lpn.core.progress import CountProgress, Progress, at_intervals
+from lpn.core.progress import CountProgress, Listener, at_intervals, listening
 
 _LAYOUT = "\n\t"
+_COLUMNS = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
 _COLOUR = re.compile(r"(\x1b\[[0-9;]*m)")
 
 
@@ -87,52 +88,54 @@ def terminal() -> Console:
     return Console(stderr=True, force_jupyter=False, force_terminal=sys.stderr.isatty())
 
 
-@contextmanager
-def counting_bar(title: str, transient: bool = False) -> Iterator[CountProgress]:
-    """Show a bar with the number of things that are done and the remaining time; a `transient` one is deleted at its end."""
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Bars(*columns, console=Console(force_jupyter=False), transient=transient) as bar:
-        task = bar.add_task(title, total=None)
-        yield lambda done, total: bar.update(task, completed=done, total=total)
-
-
 # Seconds between two lines about a stage where there is no terminal to draw a bar on.
 _LINES = 30.0
 
 
 @contextmanager
-def stage_bars(title: str = "Describing {}") -> Iterator[Progress]:
-    """Show a bar for each stage on standard error, with the stage in the braces of `title`; all are deleted at the end.
+def progress_bars() -> Iterator[None]:
+    """Draw the progress of this thread's work on standard error: a bar of the stage, which is deleted at its end.
 
     Without a terminal, standard error gets a line about a stage every half minute.
     """
     console = terminal()
     if not console.is_terminal:
-        yield _stage_lines(title)
+        with listening(_stage_lines()):
+            yield
         return
-    bars = Bars(console=console, transient=True)
-    stages: dict[str, TaskID] = {}
+    bars = Bars(*_COLUMNS, console=console, transient=True)
+    shown: dict[str, TaskID] = {}
 
-    def report(stage: str, done: int, total: int) -> None:
-        bars.start()
-        if stage not in stages:
-            stages[stage] = bars.add_task(title.format(stage), total=total)
-        bars.update(stages[stage], completed=done)
-
-    try:
-        yield report
-    finally:
-        if stages:  # bars that never started would print an empty line
+    def clear() -> None:
+        for task in shown.values():
+            bars.remove_task(task)
+        shown.clear()
+        if bars.live.is_started:  # otherwise it would print an empty line
             bars.stop()
 
+    def draw(stage: str, done: int, total: int) -> None:
+        if done >= total or stage not in shown:
+            clear()
+        if done < total:
+            if not shown:
+                shown[stage] = bars.add_task(stage)
+            bars.update(shown[stage], completed=done, total=total)
+            bars.start()
 
-def _stage_lines(title: str) -> Progress:
+    try:
+        with listening(draw):
+            yield
+    finally:
+        clear()
+
+
+def _stage_lines() -> Listener:
     """Return what writes a line about a stage every half minute."""
     lines: dict[str, CountProgress] = {}
 
     def report(stage: str, done: int, total: int) -> None:
         if stage not in lines:
-            lines[stage] = at_intervals(_LINES, partial(_write_line, title.format(stage)))
+            lines[stage] = at_intervals(_LINES, partial(_write_line, stage))
         lines[stage](done, total)
 
     return report

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 import tomllib
-from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import NamedTuple
 
 from lpn.core.errors import MissingPackageError
 from lpn.core.files import printable
@@ -22,8 +22,7 @@ _PACKAGES = {
 _PYPROJECT = Path(__file__).parents[2] / "pyproject.toml"
 
 
-@dataclass(frozen=True)
-class Package:
+class Package(NamedTuple):
     """A required package.
 
     Attributes:
@@ -44,15 +43,8 @@ class Package:
         return self.name + self.wanted
 
 
-@dataclass(frozen=True)
-class Requirements:
-    """The requirements of this distribution.
-
-    Attributes:
-        python: the required Python versions.
-        base: the packages that are always required.
-        extras: the packages of each extra but `all`, which has those of the others.
-    """
+class Requirements(NamedTuple):
+    """The required Python versions, the packages that are always required, and those of each extra but `all`."""
 
     python: str
     base: tuple[Package, ...]
@@ -65,11 +57,8 @@ def read_requirements() -> Requirements | None:
     if declared is None:
         return None
     python, base, extras = declared
-    return Requirements(
-        python,
-        tuple(map(_package, base)),
-        {extra: tuple(map(_package, lines)) for extra, lines in extras.items() if extra != "all"},
-    )
+    of_extras = {extra: tuple(map(_package, lines)) for extra, lines in extras.items() if extra != "all"}
+    return Requirements(python, tuple(map(_package, base)), of_extras)
 
 
 def satisfies(version: str, wanted: str) -> bool:
@@ -106,43 +95,26 @@ def _package(line: str) -> Package:
     from packaging.version import InvalidVersion
 
     requirement = Requirement(line)
-    installed, fits = None, False
-    try:
-        installed = _version(requirement.name)
-        fits = requirement.specifier.contains(installed, prereleases=True)
-    except metadata.PackageNotFoundError:
-        pass
-    except (InvalidVersion, TypeError):  # remains of a broken installation
-        installed = "unknown"
-    return Package(requirement.name, str(requirement.specifier), installed, fits)
-
-
-def _version(name: str) -> str:
-    """Return the installed version of a package, or of its stand-in."""
-    try:
-        return metadata.version(name)
-    except metadata.PackageNotFoundError:
-        if name not in _STAND_INS:
-            raise
-        return metadata.version(_STAND_INS[name])
+    name, wanted = requirement.name, requirement.specifier
+    for one in filter(None, (name, _STAND_INS.get(name))):
+        try:
+            installed = metadata.version(one)
+            return Package(name, str(wanted), installed, wanted.contains(installed, prereleases=True))
+        except metadata.PackageNotFoundError:
+            continue
+        except (InvalidVersion, TypeError):  # remains of a broken installation
+            return Package(name, str(wanted), "unknown", False)
+    return Package(name, str(wanted), None, False)
 
 
 def _declared() -> tuple[str, list[str], dict[str, list[str]]] | None:
     """Return the required Python, and the lines of the base packages and of each extra."""
-    return _from_checkout() or _from_metadata()
-
-
-def _from_checkout() -> tuple[str, list[str], dict[str, list[str]]] | None:
     try:
         project = tomllib.loads(_PYPROJECT.read_text(encoding="utf-8"))["project"]
-        if project["name"] != NAME:
-            return None
-        return project["requires-python"], project["dependencies"], project["optional-dependencies"]
+        if project["name"] == NAME:
+            return project["requires-python"], project["dependencies"], project["optional-dependencies"]
     except (OSError, ValueError, KeyError):
-        return None
-
-
-def _from_metadata() -> tuple[str, list[str], dict[str, list[str]]] | None:
+        pass  # no checkout
     from packaging.requirements import Requirement
 
     try:

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import operator
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -53,8 +52,6 @@ class Column:
         kind: of its values.
         values: (N,) float64, NaN if unknown, or (N,) object of str, "" if unknown.
         unit: of numbers, such as "m"; may be empty.
-        limit: a number above it is only known to be above it; None for no limit.
-        texts: what is told in place of the numbers of some rows, which are sorted and compared by their numbers all the same.
         about: what the values mean, in words; may be empty.
         also: further names by which a filter may call it, unless another column has that name.
     """
@@ -63,20 +60,14 @@ class Column:
     kind: ColumnType
     values: AnyArray
     unit: str = ""
-    limit: float | None = None
-    texts: Mapping[int, str] = field(default_factory=dict)
     about: str = ""
     also: tuple[str, ...] = ()
 
     def text(self, row: int) -> str:
         """Return a value as text: numbers with up to four decimals, "" if unknown."""
-        if (stored := self.texts.get(int(row))) is not None:
-            return stored
         value = self.values[row]
         if self.kind == "text":
             return str(value)
-        if self.limit is not None and value > self.limit:
-            return f"> {self.limit:g}"
         return "" if np.isnan(value) else f"{value:.4f}".rstrip("0").rstrip(".").replace("-", "−")
 
     @cached_property
@@ -99,16 +90,9 @@ class Column:
         return np.where(self.known, order, np.nan)
 
 
-def number_column(
-    name: str,
-    values: npt.ArrayLike,
-    unit: str = "",
-    limit: float | None = None,
-    texts: Mapping[int, str] = MappingProxyType({}),
-    about: str = "",
-) -> Column:
+def number_column(name: str, values: npt.ArrayLike, unit: str = "", about: str = "") -> Column:
     """Return a column of numbers (N,), NaN if unknown; for the rest see `Column`."""
-    return Column(name, "number", np.asarray(values, np.float64), unit, limit, texts, about)
+    return Column(name, "number", np.asarray(values, np.float64), unit, about)
 
 
 def text_column(name: str, values: Iterable[str], about: str = "") -> Column:
@@ -194,25 +178,19 @@ class Table:
         return matching
 
     def to_csv(self, rows: Int64Array) -> bytes:
-        """Return rows as CSV in UTF-8: path and all columns, unknown values empty, numbers above a column's limit as "> limit".
+        """Return rows as CSV in UTF-8: path and all columns, unknown values empty.
 
         A text that a spreadsheet would read as a formula gets an apostrophe in front, see `lpn.core.csv_cells`.
         """
         columns = list(self.columns.values())
         cells = [
-            [column.texts.get(row) or _csv_number(column.values[row], column.limit) for row in rows.tolist()]
+            ["" if np.isnan(value) else f"{value:.9g}" for value in column.values[rows]]
             if column.kind == "number"
             else column.values[rows].tolist()
             for column in columns
         ]
         header = ["path", *(column.name for column in columns)]
         return csv_bytes([header, *zip((printable(self.paths[row]) for row in rows), *cells, strict=True)], keep=TYPED)
-
-
-def _csv_number(value: float, limit: float | None) -> str:
-    if np.isnan(value):
-        return ""
-    return f"{value:.9g}" if limit is None or value <= limit else f"> {limit:g}"
 
 
 def _unquoted(text: str) -> str:

@@ -71,7 +71,7 @@ def open_dataset(root: str | Path) -> Dataset:
     if not root.is_dir():
         shown, parent = printable(str(root)), printable(str(root.parent))
         if root.exists():
-            raise DataError(f"{shown} is a file; expected a data set's folder, so give --data {parent}.")
+            raise DataError(f"{shown} is a file; expected a data set's folder, so give {parent}.")
         raise DataError(f"There is no data set folder at {shown}; check the path.")
     layout = _marked(root)
     if split is not None and (layout is None or split not in layout.splits):
@@ -116,7 +116,7 @@ def _unmarked(root: Path) -> Dataset:
     pictures = any(not hidden_name(file.name) and file.name.lower().endswith(SUFFIXES) for file in root.iterdir())
     if whole is not None and not pictures:
         inside, shown = root.resolve().relative_to(whole.resolve()).as_posix(), printable(str(root))
-        raise DataError(f"{shown} is the part {printable(inside)} of a data set; give --data {printable(str(whole))}.")
+        raise DataError(f"{shown} is the part {printable(inside)} of a data set; give {printable(str(whole))}.")
     if (error := levels.below(root, _marked)) is not None:
         raise error
     for layout in known_layouts():

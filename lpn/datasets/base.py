@@ -43,6 +43,7 @@ class Picture:
         zoom: the factor by which it is zoomed when it is described, within its box; see `lpn.retrieval.calibration`.
         cut: returns the pixels, (H, W, 3) uint8 RGB; None reads the file.
         caption: what people read in place of `name`; "" for the name itself. Links and files keep the name.
+        missing: why the picture is not at hand, so that `cut` draws a placeholder, as a sentence; empty if it is.
     """
 
     path: Path
@@ -55,6 +56,7 @@ class Picture:
     zoom: float = 1.0
     cut: Callable[[], UInt8Array] | None = field(default=None, compare=False, repr=False)
     caption: str = field(default="", compare=False)
+    missing: str = field(default="", compare=False)
 
     @property
     def title(self) -> str:
@@ -300,19 +302,11 @@ class Dataset:
         return self.pictures(f"train/{folder}")
 
     def queries(self, view: str) -> list[Picture]:
-        """Return the test split's queries of a view.
-
-        Raises:
-            DataError: if there are none.
-        """
+        """Return the test split's queries of a view; DataError if there are none."""
         return self._test("query", view)
 
     def gallery(self, view: str) -> list[Picture]:
-        """Return the test split's gallery of a view.
-
-        Raises:
-            DataError: if there is none.
-        """
+        """Return the test split's gallery of a view; DataError if there is none."""
         return self._test("gallery", view)
 
     def tasks(self) -> list[str]:

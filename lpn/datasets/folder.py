@@ -33,7 +33,7 @@ class Folder(Dataset):
         if self.whole is not None:
             inside = self.root.resolve().relative_to(self.whole.resolve()).as_posix()
             return (
-                f"is the part {printable(inside)} of a data set, and has no queries and gallery of its own; give --data "
+                f"is the part {printable(inside)} of a data set, and has no queries and gallery of its own; give "
                 f"{printable(str(self.whole))}"
             )
         return (

@@ -21,20 +21,23 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
+import numpy.typing as npt
 
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
+from lpn.core.lists import decoded, read_text, table
 from lpn.core.numbers import wrap_degrees
 from lpn.datasets.listed_paths import by_name, fold, plain_path
-from lpn.datasets.lists import decoded, read_text, table
 
 if TYPE_CHECKING:
     from lpn.datasets.base import Picture
 
 NAME = "geo.csv"
-# The mean radius of the Earth in metres.
-EARTH_RADIUS = 6_371_008.8
+# Equatorial radius and flattening of WGS 84, and the mean radius of the Earth; radii in metres.
+_EQUATOR, _FLATTENING, _MEAN_RADIUS = 6_378_137.0, 1 / 298.257223563, 6_371_008.8
+# Vincenty's iteration converges within a few steps, except for nearly antipodal points.
+_STEPS = 60
 
 _REQUIRED = ("path", "latitude", "longitude")
 _OPTIONAL = ("altitude", "heading", "tilt", "fov", "width")
@@ -94,13 +97,46 @@ class Positions:
         """Return the position of each picture; DataError if one has none."""
         return self.below(names_below(self._root, pictures))
 
-    def match(self, names: Sequence[str]) -> list[Position | None]:
-        """Return positions by names below a described folder; see the function `match`."""
-        return match(self._by_path, names, f"{self.source} in {self._root}")
-
     def below(self, names: Sequence[str]) -> list[Position]:
-        """Return positions by paths below the data set's folder; raises DataError as `of` does."""
-        return find_positions(self._by_path, names, self.source)
+        """Return the position of each path below the data set's folder; DataError if one has none."""
+        known = self._by_path
+        if any(name not in known for name in names):
+            known = by_name(known, names, self.source)
+        if missing := [name for name in names if name not in known]:
+            raise DataError(
+                f"{self.source} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
+                f"add a line for each, or take {self.source} away."
+            )
+        return [known[name] for name in names]
+
+    def match(self, names: Sequence[str]) -> list[Position | None]:
+        """Return positions by paths below another folder, that of a description; None for pictures without one.
+
+        The other folder may lie below the data set's: the prefix that fits most names is used, and on a tie the data set's own
+        folder.
+
+        Raises:
+            InputError: if two prefixes fit equally many names, at different positions.
+        """
+        # Paths are compared without case, unless two of them differ by case alone.
+        folds = all(len(set(map(fold, paths))) == len(paths) for paths in (self._by_path, {*map(plain_path, names)}))
+        key = fold if folds else str
+        listed = {key(path): position for path, position in self._by_path.items()}
+        keys = [key(plain_path(name)) for name in names]
+        wanted, counts = set(keys), Counter[str]()
+        for parts in (path.split("/") for path in listed):
+            depths = (depth for depth in range(len(parts)) if "/".join(parts[depth:]) in wanted)
+            counts.update("".join(f"{part}/" for part in parts[:depth]) for depth in depths)
+        most = max(counts.values(), default=0)
+        best, *others = sorted(folder for folder, count in counts.items() if count == most) or [""]
+        found = [listed.get(best + name) for name in keys]
+        for other in others if best else ():
+            if [_place(place) for place in found] != [_place(listed.get(other + name)) for name in keys]:
+                raise InputError(
+                    f"{self.source} in {self._root} has the pictures below both {best} and {other}, at other places; give a file "
+                    "of positions, or the folder of one (as --data takes it), that has only the described one."
+                )
+        return found
 
 
 def names_below(root: Path, pictures: Sequence[Picture]) -> list[str]:
@@ -119,18 +155,46 @@ def positions(root: Path) -> Positions | None:
 
 
 def metres(a: Sequence[Position], b: Sequence[Position]) -> Float64Array:
-    """Return the distance in metres between each position in `a` and the one in `b`: (N,) float64.
+    """Return the distance in metres between each position in `a` and the one in `b`, see `geodesic`: (N,) float64."""
+    return geodesic(degrees(a), degrees(b))
 
-    It is computed on a sphere of the mean radius, which differs from the ellipsoid of `on_plane` by up to 0.6 %.
+
+def geodesic(a: npt.ArrayLike, b: npt.ArrayLike) -> Float64Array:
+    """Return the distance in metres on the WGS 84 ellipsoid between latitude and longitude in degrees (..., 2).
+
+    It is the distance of all that the app, tables, and reports show. It is Vincenty's inverse formula (1975), exact to less than
+    a millimetre. For nearly antipodal points, where that does not converge, it is a sphere's, exact to 0.6 %.
     """
-    return metres_between(radians(a), radians(b))
-
-
-def metres_between(a: Float64Array, b: Float64Array) -> Float64Array:
-    """Return the same for latitudes and longitudes in radians, (N, 2); (1, 2) is broadcast."""
-    lat_a, lon_a, lat_b, lon_b = a[:, 0], a[:, 1], b[:, 0], b[:, 1]
-    square = np.sin((lat_b - lat_a) / 2) ** 2 + np.cos(lat_a) * np.cos(lat_b) * np.sin((lon_b - lon_a) / 2) ** 2
-    return cast(Float64Array, 2 * EARTH_RADIUS * np.arcsin(np.sqrt(np.minimum(square, 1.0))))
+    p, q = np.broadcast_arrays(np.radians(np.asarray(a, np.float64)), np.radians(np.asarray(b, np.float64)))
+    east = q[..., 1] - p[..., 1]
+    # Reduced latitudes.
+    u, v = (np.arctan((1 - _FLATTENING) * np.tan(point[..., 0])) for point in (p, q))
+    sin_u, cos_u, sin_v, cos_v = np.sin(u), np.cos(u), np.sin(v), np.cos(v)
+    turn, before = east, np.full_like(east, np.inf)
+    for _ in range(_STEPS):
+        cross = np.hypot(cos_v * np.sin(turn), cos_u * sin_v - sin_u * cos_v * np.cos(turn))
+        along = sin_u * sin_v + cos_u * cos_v * np.cos(turn)
+        arc = np.arctan2(cross, along)
+        sin_alpha = np.divide(cos_u * cos_v * np.sin(turn), cross, out=np.zeros_like(cross), where=cross > 0)
+        cos2_alpha = 1 - sin_alpha**2
+        # Along the equator the middle's latitude has no effect.
+        ratio = np.divide(2 * sin_u * sin_v, cos2_alpha, out=np.zeros_like(cross), where=cos2_alpha > 0)
+        middle = np.where(cos2_alpha > 0, along - ratio, 0.0)
+        c = _FLATTENING / 16 * cos2_alpha * (4 + _FLATTENING * (4 - 3 * cos2_alpha))
+        series = arc + c * cross * (middle + c * along * (2 * middle**2 - 1))
+        before, turn = turn, east + (1 - c) * _FLATTENING * sin_alpha * series
+        if not (np.abs(turn - before) >= 1e-13).any():  # a place that is not known, NaN, does not wait
+            break
+    polar = _EQUATOR * (1 - _FLATTENING)
+    square = cos2_alpha * (_EQUATOR**2 - polar**2) / polar**2
+    scale = 1 + square / 16384 * (4096 + square * (-768 + square * (320 - 175 * square)))
+    b_term = square / 1024 * (256 + square * (-128 + square * (74 - 47 * square)))
+    last = b_term / 6 * middle * (4 * cross**2 - 3) * (4 * middle**2 - 3)
+    shift = b_term * cross * (middle + b_term / 4 * (along * (2 * middle**2 - 1) - last))
+    half = np.sin((q - p) / 2) ** 2
+    chord = half[..., 0] + np.cos(p[..., 0]) * np.cos(q[..., 0]) * half[..., 1]
+    sphere = 2 * _MEAN_RADIUS * np.arcsin(np.sqrt(np.minimum(chord, 1.0)))
+    return cast(Float64Array, np.where(np.abs(turn - before) < 1e-9, polar * scale * (arc - shift), sphere))
 
 
 def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
@@ -138,8 +202,7 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
 
     Within 50 km of the origin and below 45 degrees of latitude, distances are accurate to 1 %.
     """
-    degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
-    return degrees_on_plane(degrees, origin)
+    return degrees_on_plane(degrees(places), origin)
 
 
 def degrees_on_plane(degrees: Float64Array, origin: Position) -> Float64Array:
@@ -151,10 +214,10 @@ def degrees_on_plane(degrees: Float64Array, origin: Position) -> Float64Array:
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
     """Return the metres of a degree of latitude and of longitude at a latitude on the WGS 84 ellipsoid."""
-    a, e2 = 6378137.0, 6.69437999014e-3
+    e2 = _FLATTENING * (2 - _FLATTENING)
     sine = np.sin(np.radians(latitude))
-    north = a * (1 - e2) / (1 - e2 * sine**2) ** 1.5
-    east = a / np.sqrt(1 - e2 * sine**2) * np.cos(np.radians(latitude))
+    north = _EQUATOR * (1 - e2) / (1 - e2 * sine**2) ** 1.5
+    east = _EQUATOR / np.sqrt(1 - e2 * sine**2) * np.cos(np.radians(latitude))
     return float(np.radians(north)), float(np.radians(east))
 
 
@@ -172,10 +235,9 @@ def camera(place: Position, origin: Position) -> Float64Array | None:
     return np.array([east - away * math.sin(heading), north - away * math.cos(heading), place.altitude])
 
 
-def radians(places: Sequence[Position]) -> Float64Array:
-    """Return latitude and longitude of each position in radians, (N, 2)."""
-    degrees = np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
-    return cast(Float64Array, np.radians(degrees))
+def degrees(places: Sequence[Position]) -> Float64Array:
+    """Return latitude and longitude of each position in degrees, (N, 2)."""
+    return np.array([(place.latitude, place.longitude) for place in places], dtype=np.float64).reshape(-1, 2)
 
 
 def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
@@ -206,54 +268,6 @@ def _positions_in(text: str, file: str) -> dict[str, Position]:
             raise DataError(f"{line} gives {_short(path)} a second position; keep one.")
         positions[path] = Position(**numbers)
     return positions
-
-
-def find_positions(by_file: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position]:
-    """Return the position of each picture by its name; DataError if one has none."""
-    if any(name not in by_file for name in names):
-        by_file = by_name(by_file, names, file)
-    missing = [name for name in names if name not in by_file]
-    if missing:
-        raise DataError(
-            f"{file} has no position for {len(missing)} of {len(names)} pictures, the first being {missing[0]}; "
-            f"add a line for each, or take {file} away."
-        )
-    return [by_file[name] for name in names]
-
-
-def match(positions: Mapping[str, Position], names: Sequence[str], file: str = NAME) -> list[Position | None]:
-    """Return positions by names below a described folder; None for pictures without one.
-
-    The described folder may lie below the folder of the file of positions: the prefix that matches most names is used,
-    and among equal ones the file's own folder.
-
-    Raises:
-        InputError: if two prefixes match equally many names, at different positions.
-    """
-    # Another case is the same picture, unless the names themselves differ by their case alone.
-    folds = all(len(set(map(fold, paths))) == len(paths) for paths in (positions, set(map(plain_path, names))))
-    key = fold if folds else str
-    listed = {key(path): position for path, position in positions.items()}
-    keys = [key(plain_path(name)) for name in names]
-    wanted, spelt = set(keys), dict[str, str]()
-    counts: Counter[str] = Counter()
-    for path in positions:
-        parts = path.split("/")
-        for depth in range(len(parts)):
-            if key("/".join(parts[depth:])) in wanted:
-                folder = "".join(f"{part}/" for part in parts[:depth])
-                counts[key(folder)] += 1
-                spelt.setdefault(key(folder), folder)
-    most = max(counts.values(), default=0)
-    above = sorted(folder for folder, count in counts.items() if count == most) or [""]
-    if above[0]:
-        for other in above[1:]:
-            if any(_place(listed.get(above[0] + name)) != _place(listed.get(other + name)) for name in keys):
-                raise InputError(
-                    f"{file} has the pictures below both {spelt[above[0]]} and {spelt[other]}, at other places; give a file of "
-                    "positions, or the folder of one (as --data takes it), that has only the described one."
-                )
-    return [listed.get(above[0] + name) for name in keys]
 
 
 def _place(position: Position | None) -> tuple[float, float] | None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from lpn.core.arrays import BoolArray
 from lpn.core.errors import DataError
-from lpn.datasets.lists import read_text, table
+from lpn.core.lists import read_text, table
 
 NAME = "ground.csv"
 UNKNOWN = "."

@@ -11,6 +11,7 @@ import io
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import BinaryIO
 
@@ -19,8 +20,11 @@ from PIL import Image
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import first_few, printable
+from lpn.core.views import views_of
+from lpn.datasets.base import Dataset, Picture
 
-_BATCH = 2048
+# Files between two reports of progress.
+_BATCH = 256
 # The last chunk of a PNG: its type, and the checksum that it always has.
 _PNG_END = b"IEND\xaeB`\x82"
 # The error of a picture that has a valid header and end but cannot be decoded.
@@ -72,13 +76,10 @@ def picture_errors(
     with ThreadPoolExecutor(min(32, 4 * (os.cpu_count() or 1))) as pool:
         for start in range(0, len(files), _BATCH):
             some = files[start : start + _BATCH]
-            for position, (file, error) in enumerate(
-                zip(some, pool.map(lambda f: picture_error(f, decode), some), strict=True), 1
-            ):
-                if error is not None:
-                    errors[file] = error
-                if on_progress is not None and (position % 64 == 0 or position == len(some)):
-                    on_progress(start + position)
+            found = zip(some, pool.map(partial(picture_error, decode=decode), some), strict=True)
+            errors |= {file: error for file, error in found if error is not None}
+            if on_progress is not None:
+                on_progress(start + len(some))
     return errors
 
 
@@ -131,3 +132,33 @@ def _strips_valid(file: BinaryIO, size: int) -> bool:
         if offsets in tags and len(tags[offsets]) == len(tags.get(counts, ())):
             return all(begin + count <= size for begin, count in zip(tags[offsets], tags[counts], strict=True))
     return False
+
+
+def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
+    """Check a test split before long work, so that the evaluation at its end does not fail.
+
+    Raises:
+        InputError: when the data set does not offer one of the tasks, but others.
+        PictureError: when a picture of the split is damaged.
+        DataError: when there is no task, the test split is incomplete, or a picture lacks the position that its metrics take.
+    """
+    if missing := [task for task in tasks if task not in dataset.tasks()]:
+        raise dataset.lacks_task(missing[0])
+    lists = lists_of(dataset, tasks)
+    files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
+    check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
+    positions = dataset.positions()
+    for pictures in lists.values():
+        if positions is not None:
+            positions.of(pictures)
+        if dataset.measured_by is not None:
+            dataset.coordinates(pictures)
+
+
+def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:
+    """Return the lists of pictures of some tasks, by keys such as "query drone" and "gallery satellite"."""
+    queries = dict.fromkeys(views_of(task)[0] for task in tasks)
+    galleries = dict.fromkeys(views_of(task)[1] for task in tasks)
+    return {f"query {view}": dataset.queries(view) for view in queries} | {
+        f"gallery {view}": dataset.gallery(view) for view in galleries
+    }

@@ -33,7 +33,7 @@ def below(root: Path, marked: Marked) -> DataError | None:
         if inner := [folder for folder in level if _layout(folder, marked) is not None]:
             listed = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
             return DataError(
-                f"{printable(str(root))} holds data sets in folders of its own: {listed}; give --data "
+                f"{printable(str(root))} holds data sets in folders of its own: {listed}; give "
                 f"{printable(str(inner[0]))}."
             )
     return None

@@ -25,10 +25,10 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.formats import WORLD as WORLD_FORMAT
 from lpn.core.formats import is_newer, newer_version
+from lpn.core.lists import read_text, table
 from lpn.core.tables import Column, number_column, text_column
 from lpn.datasets import geo
 from lpn.datasets.listed_paths import by_name, plain_path
-from lpn.datasets.lists import read_text, table
 
 log = logging.getLogger(__name__)
 

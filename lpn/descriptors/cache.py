@@ -17,7 +17,6 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import OutputError, StoreError
 from lpn.core.files import cache_folder, linked_folder, printable
-from lpn.core.progress import CountProgress
 from lpn.core.resources import FLOAT32_DEVICES
 from lpn.core.views import View
 from lpn.datasets import Picture
@@ -45,25 +44,16 @@ class StoredDescriptors:
 
 
 def cached_descriptors(
-    model: Model,
-    pictures: Sequence[Picture],
-    view: View,
-    change: Change = UNCHANGED,
-    progress: CountProgress | None = None,
+    model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED
 ) -> Float32Array:
     """Return descriptors (N, n, D) of pictures within their boxes, from the user's cache if possible.
 
     The cache is `$LPN_CACHE`, else `lpn-explorer` in `$XDG_CACHE_HOME` or `~/.cache`; it may be deleted at any time.
-
-    Args:
-        progress: see `describe`.
     """
-    return _cached(model, pictures, view, change, progress).descriptors
+    return _cached(model, pictures, view, change).descriptors
 
 
-def _cached(
-    model: Model, pictures: Sequence[Picture], view: View, change: Change, progress: CountProgress | None = None
-) -> StoredDescriptors:
+def _cached(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> StoredDescriptors:
     files = _resolved(pictures)
     # The key has the folder, not the list of files, so that the other rows are reused if one picture changes.
     common = os.path.commonpath({file.parent for file in files})
@@ -79,11 +69,10 @@ def _cached(
     identity += ["released"] if change.released else []
     identity += [["weather", *astuple(change.weather)]] if change.weather else []
     folder = cache_folder() / "descriptors" / hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
-    title = ", ".join(filter(None, (f"Describing {view}", change.describe())))
     with in_cache():
         if (cached := _from_complete_store(model, files, view, folder, change, boxes)) is not None:
             return cached
-        store = describe(model, files, view, folder, change=change, boxes=boxes, title=title, progress=progress)
+        store = describe(model, files, view, folder, change=change, boxes=boxes)
         return StoredDescriptors(store.float32, store.identity)
 
 
@@ -145,20 +134,11 @@ def _shipped(
 
 
 def shipped_or_cached(
-    model: Model,
-    pictures: Sequence[Picture],
-    view: View,
-    root: Path,
-    role: Role,
-    progress: CountProgress | None = None,
+    model: Model, pictures: Sequence[Picture], view: View, root: Path, role: Role
 ) -> StoredDescriptors:
-    """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache.
-
-    Args:
-        progress: see `describe`.
-    """
+    """Return the descriptors of queries or gallery: those shipped with the data set in `root`, else from the cache."""
     shipped = shipped_only(model, pictures, view, root, role)
-    return _cached(model, pictures, view, UNCHANGED, progress) if shipped is None else shipped
+    return _cached(model, pictures, view, UNCHANGED) if shipped is None else shipped
 
 
 def shipped_only(
@@ -169,13 +149,10 @@ def shipped_only(
     return next((shipped for shipped in stores if shipped is not None), None)
 
 
-def descriptor_reader(root: Path, on_progress: CountProgress | None = None) -> Reader:
+def descriptor_reader(root: Path) -> Reader:
     """Return a reader of descriptors of the data set in `root`: from its shipped stores, else from the cache.
 
     Only float32 stores are used, so that results do not depend on the shipped precision.
-
-    Args:
-        on_progress: receives the numbers of described and of all pictures of each list; by default the terminal shows them.
     """
 
     def read(model: Model, pictures: Sequence[Picture], view: View, change: Change = UNCHANGED) -> Float32Array:
@@ -183,7 +160,7 @@ def descriptor_reader(root: Path, on_progress: CountProgress | None = None) -> R
             shipped = shipped_descriptors(model, pictures, view, store, exact=True)
             if shipped is not None:
                 return shipped
-        return cached_descriptors(model, pictures, view, change, on_progress)
+        return cached_descriptors(model, pictures, view, change)
 
     return read
 
@@ -200,7 +177,7 @@ def temporary_descriptors(
     """Describe pictures without the cache, for a model that still changes, such as one in training."""
     files, boxes = [picture.path for picture in pictures], [picture.box for picture in pictures]
     with TemporaryDirectory(prefix="lpn-") as folder:
-        store = describe(model, files, view, folder, change=change, boxes=boxes, title=f"Describing {view}")
+        store = describe(model, files, view, folder, change=change, boxes=boxes)
         return np.array(store.descriptors)
 
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
-from lpn.core.consoles import counting_bar
 from lpn.core.errors import DataError, PictureError, StoreError
 from lpn.core.files import exclusive_lock, first_few, printable, space_remedy, write_atomic
-from lpn.core.progress import CountProgress
+from lpn.core.progress import report_progress
 from lpn.core.views import View
 from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
@@ -31,14 +29,12 @@ def describe(
     root: Path | None = None,
     change: Change = UNCHANGED,
     boxes: Sequence[CropBox | None] | None = None,
-    title: str = "Describing",
     precision: Precision = "float32",
-    progress: CountProgress | None = None,
 ) -> Store:
     """Describe picture files, mirror included, into a store; existing rows are not computed again.
 
-    After a kill, the next call resumes. If `out` holds a complete store of the same model, view, transform, and precision,
-    the rows of unchanged files are copied from it.
+    It reports its progress (`lpn.core.progress`). After a kill, the next call resumes. If `out` holds a complete store of the
+    same model, view, transform, and precision, the rows of unchanged files are copied from it.
 
     Args:
         files: the pictures, in the order of the rows.
@@ -46,9 +42,7 @@ def describe(
         root: the folder that file names in the manifest are relative to.
         change: the transform of each picture.
         boxes: the crop of each picture, applied first; None for a whole picture.
-        title: the label of the progress bar.
         precision: precision of the numbers on disk; the computation is in float32.
-        progress: called with the numbers of described and of all pictures, in place of a bar; an exception stops the work.
 
     Raises:
         PictureError: if files are broken: before anything is computed where header or end tell it (see
@@ -72,11 +66,11 @@ def describe(
 
     def fill(partial: PartialStore) -> None:
         broken: dict[int, PictureError] = {}
-        fill_store(model, partial, prepare, view, bar, broken)
+        fill_store(model, partial, prepare, view, stage, broken)
         if broken:
             raise _broken([(rows[row].file, broken[row]) for row in sorted(broken)], len(rows))
 
-    bar = counting_bar(title) if progress is None else nullcontext(progress)
+    stage = ", ".join(filter(None, (f"Describing {view} pictures", change.describe())))
     return write_store(out, manifest, fill)
 
 
@@ -143,14 +137,14 @@ def fill_store(
     partial: PartialStore,
     prepare: Callable[[int], Float32Array],
     view: View,
-    bar: AbstractContextManager[CountProgress],
+    stage: str,
     broken: dict[int, PictureError] | None = None,
 ) -> None:
     """Describe the missing rows of a store.
 
     Args:
         prepare: returns the model's input (3, H, W) of a row.
-        bar: shows the progress.
+        stage: names the work where its progress is shown.
         broken: takes the error of each row that cannot be read; without it, the first one is raised.
 
     Raises:
@@ -159,17 +153,16 @@ def fill_store(
     missing = [row for row, good in enumerate(partial.good) if not good]
     total = len(partial.good)
     done = total - len(missing)
-    with bar as report:
-        report(done, total)
-        for batch in describe_each(model, missing, prepare, view):
-            if batch.items:
-                partial.put([missing[i] for i in batch.items], batch.descriptors)
-            for i, error in batch.broken:
-                if broken is None:
-                    raise error
-                broken[missing[i]] = error
-            done += len(batch.items) + len(batch.broken)
-            report(done, total)
+    report_progress(stage, done, total)
+    for batch in describe_each(model, missing, prepare, view):
+        if batch.items:
+            partial.put([missing[i] for i in batch.items], batch.descriptors)
+        for i, error in batch.broken:
+            if broken is None:
+                raise error
+            broken[missing[i]] = error
+        done += len(batch.items) + len(batch.broken)
+        report_progress(stage, done, total)
 
 
 def prepare_row(model: Model, picture: UInt8Array, row: Row, change: Change, view: View) -> Float32Array:

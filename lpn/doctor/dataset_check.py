@@ -10,12 +10,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from rich.table import Table
-
 from lpn.core.consoles import Console
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
+from lpn.core.progress import report_progress
+from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, LeftOut, Picture, Size, geo, metadata
 from lpn.datasets.folder import Folder
@@ -111,21 +111,18 @@ class DataSetReport:
         return {"healthy": self.healthy, **asdict(self)}
 
 
-def check_dataset(
-    dataset: Dataset, decode: bool = True, on_progress: Callable[[int, int], None] | None = None
-) -> DataSetReport:
+def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     """Check every picture of a data set, and whether its lists fit each other.
 
     Args:
         decode: decode every picture; else read only its header and end (see `lpn.datasets.integrity`).
-        on_progress: called now and then with the numbers of checked files and of all files.
 
     Raises:
         DataError: if a list cannot be read.
     """
     lists = dataset.lists()
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
-    errors = picture_errors(files, decode, None if on_progress is None else lambda done: on_progress(done, len(files)))
+    errors = picture_errors(files, decode, lambda done: report_progress("Reading pictures", done, len(files)))
     positions, gap = _positions(dataset)
     (untrained, partly), (missed, by_street) = _training_places(lists), _unanswered(dataset)
     return DataSetReport(
@@ -312,11 +309,7 @@ def _below(root: Path, file: Path) -> str:
 
 def print_report(report: DataSetReport, console: Console) -> None:
     """Print a report with a few names of each kind; `to_dict` has all names."""
-    table = Table()
-    for name in ("pictures of", "pictures", "places"):
-        table.add_column(name, justify="left" if name == "pictures of" else "right")
-    for one in report.counts:
-        table.add_row(one.name, _of(one.pictures, one.full_pictures), _of(one.places, one.full_places))
+    counts = [(of.name, _of(of.pictures, of.full_pictures), _of(of.places, of.full_places)) for of in report.counts]
     how = "decoded" if report.decoded else "read at both ends"
     lines = [f"{report.looked_at - len(report.broken)} of {report.looked_at} pictures can be read ({how})."]
     lines += _some("cannot be read", [f"{item.file} {item.why}" for item in report.broken])
@@ -333,8 +326,8 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines += [text for text in (report.gap or report.positions, *report.refused) if text]
     lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
-    for line in (f"{report.root} is {report.title}.", table, *lines):
-        console.print(line, markup=False, highlight=False)
+    title, head = f"{report.root} is {report.title}.", ("pictures of", "pictures", "places")
+    TextTable(head, counts, title, "\n".join(lines)).print(console)
 
 
 def _of(count: int, full: int | None) -> str:

@@ -103,20 +103,36 @@ def _python_and_packages() -> Iterator[Finding]:
         )
     good = []
     for package in required.base:
-        if message := _package_error(package):
-            again = f"pip install --force-reinstall '{package.requirement}'"
-            yield Finding(package.name, "problem", message, again if package.fits else _install(package.requirement))
+        problem, install = _wrong_version(package), f"pip install '{package.requirement}'"
+        if not problem and (problem := _import_error(package)):
+            install = f"pip install --force-reinstall '{package.requirement}'"
+        if problem:
+            yield Finding(package.name, "problem", problem, install)
         else:
             good.append(f"{package.name} {package.installed}")
     yield Finding("packages", "OK", ", ".join(good))
     for extra, packages in required.extras.items():
-        yield _extra(extra, packages)
+        name, wrong = f"extra {extra}", [package for package in packages if not package.fits]
+        message = ", ".join(f"{package.name} {_wrong_version(package)}" for package in wrong)
+        if not wrong:
+            yield Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
+        else:
+            absent = all(package.installed is None for package in packages)
+            remedy = f"pip install '{requirements.NAME}[{extra}]'"
+            yield Finding(name, "note", "not installed" if absent else message, remedy)
 
 
-def _package_error(package: requirements.Package) -> str:
-    """Return what is wrong with a base package; empty if nothing is."""
-    if not package.fits:
-        return _version_error(package)
+def _wrong_version(package: requirements.Package) -> str:
+    """Return what is wrong with the version of a package; empty if nothing is."""
+    if package.fits:
+        return ""
+    if package.installed is None:
+        return "is not installed"
+    return f"{package.installed} is installed, and {package.wanted} is needed"
+
+
+def _import_error(package: requirements.Package) -> str:
+    """Return why a package cannot be imported; empty if it can."""
     try:
         with _silenced():
             importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
@@ -141,27 +157,6 @@ def _silenced() -> Iterator[None]:
             restore.callback(stream.flush)
             os.dup2(nowhere, number)
         yield
-
-
-def _version_error(package: requirements.Package) -> str:
-    if package.installed is None:
-        return "is not installed"
-    return f"{package.installed} is installed, and {package.wanted} is needed"
-
-
-def _install(requirement: str) -> str:
-    return f"pip install '{requirement}'"
-
-
-def _extra(extra: str, packages: tuple[requirements.Package, ...]) -> Finding:
-    name = f"extra {extra}"
-    wrong = [package for package in packages if not package.fits]
-    if not wrong:
-        return Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
-    message = ", ".join(f"{package.name} {_version_error(package)}" for package in wrong)
-    if all(package.installed is None for package in packages):
-        message = "not installed"
-    return Finding(name, "note", message, _install(f"{requirements.NAME}[{extra}]"))
 
 
 def _torch() -> Iterator[Finding]:

@@ -21,7 +21,7 @@ _AGAIN = "copy it again from where it came, or make it again"
 
 
 @dataclass(frozen=True)
-class Verdict:
+class VerifiedFile:
     """The result for one file or folder.
 
     Attributes:
@@ -37,7 +37,7 @@ class Verdict:
     empty: bool = False
 
 
-def verify(path: Path) -> Iterator[Verdict]:
+def verify(path: Path) -> Iterator[VerifiedFile]:
     """Compare a model file, store, index, or folder of shards, or all of these below a folder, with their checksums.
 
     Raises:
@@ -52,24 +52,24 @@ def verify(path: Path) -> Iterator[Verdict]:
         )
     for file in files:
         try:
-            yield _verify_index(file) if _is_index(file) else Verdict(file, _verify(file), True)
+            yield _verify_index(file) if _is_index(file) else VerifiedFile(file, _verify(file), True)
         except (LPNError, OSError) as error:
-            yield Verdict(file, printable(str(error)), False)
+            yield VerifiedFile(file, printable(str(error)), False)
 
 
 def _is_index(path: Path) -> bool:
     return path.is_dir() and any(is_manifest(file.name) for file in path.iterdir())
 
 
-def _verify_index(folder: Path) -> Verdict:
+def _verify_index(folder: Path) -> VerifiedFile:
     contents = verify_index(folder)
     left = "an add was interrupted or is still running, and its tiles are missing"
     if not contents.tiles:
         why = left if contents.unfinished else "no tile was added"
         again = "see that the disk has space, and add them again with lpn index"
-        return Verdict(folder, f"is empty: {why}; {again}.", False, True)
+        return VerifiedFile(folder, f"is empty: {why}; {again}.", False, True)
     more = f"; {left}, so add them again with lpn index" if contents.unfinished else ""
-    return Verdict(folder, f"is what was written{more}", True)
+    return VerifiedFile(folder, f"is what was written{more}", True)
 
 
 def _find(folder: Path) -> Iterator[Path]:

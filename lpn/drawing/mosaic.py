@@ -22,29 +22,23 @@ _EARTH: theme.Colour = (38, 40, 42)
 def draw(geometry: GalleryGeometry, gallery: Sequence[Picture]) -> UInt8Array:
     """Draw the tiles' pictures on a map, north up: (H, W, 3) uint8, at most LARGEST pixels a side.
 
-    Only the first of several tiles at the same position is drawn. No tile is rotated.
+    Only the first of several tiles at the same position is drawn, and none without a picture. No tile is rotated.
     """
     west, south, east, north = geometry.bounds()
     scale = LARGEST / max(east - west, north - south)
-    canvas = empty(geometry)
+    canvas = np.empty((max(round((north - south) * scale), 1), max(round((east - west) * scale), 1), 3), np.uint8)
+    canvas[:] = _EARTH
     side = max(round(geometry.width * scale), 1)
     places = geometry.places
     for index in places[:: max(1, len(places) // MOST_TILES)]:
+        if gallery[index].missing:
+            continue
         try:
             tile = overlays.square(gallery[index].load(), side)
         except PictureError:
             continue  # the ground shows where a picture is damaged
         x, y = geometry.ground[index]
         _paste(canvas, tile, round((x - west) * scale - side / 2), round((north - y) * scale - side / 2))
-    return canvas
-
-
-def empty(geometry: GalleryGeometry) -> UInt8Array:
-    """Draw the ground of a geometry without tiles: as `draw`, in one colour."""
-    west, south, east, north = geometry.bounds()
-    scale = LARGEST / max(east - west, north - south)
-    canvas = np.empty((max(round((north - south) * scale), 1), max(round((east - west) * scale), 1), 3), np.uint8)
-    canvas[:] = _EARTH
     return canvas
 
 

@@ -1,4 +1,4 @@
-"""Matplotlib figures as PNG files, drawn without a window."""
+"""Matplotlib figures as files, drawn without a window."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ def pyplot() -> Any:
     return cast(Any, pyplot)
 
 
-def png(figure: Any, dpi: int) -> bytes:
-    """Encode a figure as a PNG file, and close it. Equal figures give equal files."""
+def encode(figure: Any, dpi: int, kind: str = "png") -> bytes:
+    """Encode a figure as a file, "png", "svg", or "pdf", and close it. Equal figures give equal files."""
     data = io.BytesIO()
-    figure.savefig(data, format="png", dpi=dpi, metadata={"Software": None})
+    undated = {"png": "Software", "svg": "Date", "pdf": "CreationDate"}[kind]
+    figure.savefig(data, format=kind, dpi=dpi, metadata={undated: None})
     pyplot().close(figure)
     return data.getvalue()

@@ -17,7 +17,6 @@ from lpn.explain.counterfactual import Effect, Reweighting
 from lpn.explain.lead_places import LeadPlace, middle_of
 from lpn.explain.sweeps import SweepResult, signed_value
 from lpn.models.contract import Contract
-from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
 _PICTURES = {"drone": "drone pictures", "satellite": "satellite pictures", "street": "street pictures"}
@@ -27,13 +26,6 @@ _COMPASS = ("east", "north-east", "north", "north-west", "west", "south-west", "
 _ALIKE = 0.9
 # A guessed heading is right, or roughly so, within so many degrees; a sweep goes in steps of 15.
 _RIGHT_HEADING, _ROUGH_HEADING = 15.0, 45.0
-# Verbs after one part and after several.
-_LEADS, _COSTS = ("does most of it", "do most of it"), ("costs it most", "cost it most")
-
-
-def describe_rank(match: Match) -> str:
-    """Return "12th", or "not among the 100 found" where a search did not return the tile."""
-    return f"not among the {match.rank - 1} found" if match.beyond else ordinal(match.rank)
 
 
 def describe_position(cells: Float64Array, view: View) -> str:
@@ -181,21 +173,14 @@ def no_cells(contract: Contract) -> str:
     )
 
 
-def describe_margin(
-    margin: FloatingArray, part_names: Sequence[str], name: str | None = None, total: float | None = None
-) -> str:
-    """Say by how much a tile leads or trails another one, and which parts decide it.
+def describe_margin(total: float, name: str) -> str:
+    """Say by how much a tile leads or trails another one.
 
     Args:
-        margin: each part's share of the margin in squared distance, (n,).
-        name: of the tile; by default, it is the true one.
-        total: the sum of the margin as it is shown, see `shown_difference`.
+        total: the margin in squared distance as it is shown, see `shown_difference`.
     """
-    name = capitalised(name or f"the {say('positive')}")
-    total = float(margin.sum()) if total is None else total
-    if total >= 0:
-        return f"{name} leads by {total:.3f}{unit()}{_decisive(margin, part_names, total)}."
-    return f"{name} is {-total:.3f}{unit()} behind{_decisive(margin, part_names, total, costs=True)}."
+    by = f"leads by {total:.3f}{unit()}" if total >= 0 else f"is {-total:.3f}{unit()} behind"
+    return f"{capitalised(name)} {by}."
 
 
 def describe_reweighting(change: Reweighting | None, effect: Effect | None) -> str:
@@ -249,18 +234,6 @@ def leading_parts(differences: FloatingArray) -> list[int]:
     order: list[int] = np.argsort(-differences, kind="stable").tolist()
     least = _ALIKE * float(differences[order[0]])
     return [part for part in order if part == order[0] or differences[part] >= least > 0]
-
-
-def _decisive(margin: FloatingArray, part_names: Sequence[str], total: float, costs: bool = False) -> str:
-    """Name the parts that make most of a margin, or, if it `costs`, that take most of it, as a clause; empty for one part."""
-    if len(part_names) == 1:
-        return ""
-    parts, verbs = (leading_parts(-margin), _COSTS) if costs else (leading_parts(margin), _LEADS)
-    rounded = rounded_to_sum(margin.tolist(), total=total)
-    names, figures = listed([part_names[part] for part in parts]), ", ".join(signed(rounded[part]) for part in parts)
-    if len(parts) == 1:
-        return f"; {say('part')} {names} {verbs[0]} ({figures})"
-    return f"; {say('part', 2)} {names} {verbs[1]}, alike ({figures})"
 
 
 def _place(picture: str, position: str) -> str:

@@ -8,55 +8,17 @@ sum to one, a positive p, and a negative g:
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
-import numpy.typing as npt
 
-from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, Int64Array
+from lpn.core.arrays import Float32Array, FloatingArray, Int64Array
 from lpn.core.errors import InputError
-from lpn.datasets import Truth
 from lpn.explain._least_distance import shortest
-from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval import Ranking, scoring
 
 # Smallest lead in score over every negative in `smallest_change`. Rounding errors of float32 are smaller.
 MIN_SCORE_LEAD = 1e-5
-
-
-@dataclass(frozen=True, eq=False)
-class Margin:
-    """The margin of one tile over another, by part.
-
-    Attributes:
-        positive, negative: gallery positions of any two tiles.
-        parts: 2 w_i (cos_i(positive) - cos_i(negative)) in d², (n,); above 0 where the part speaks for `positive`.
-    """
-
-    positive: int
-    negative: int
-    parts: Float64Array
-
-    @property
-    def total(self) -> float:
-        """d²(negative) - d²(positive), the sum of `parts`; above 0 if `positive` is nearer."""
-        return float(self.parts.sum())
-
-
-def margin(ranking: Ranking, positive: int, negative: int) -> Margin:
-    """The margin of gallery picture `positive` over gallery picture `negative`.
-
-    Raises:
-        InputError: if there is no such gallery picture.
-    """
-    for index in (positive, negative):
-        if not 0 <= index < len(ranking.cosines):
-            raise InputError(
-                f"There is no gallery picture {index}; the gallery has positions 0 to {len(ranking.cosines) - 1}."
-            )
-    difference = ranking.similarities[positive].astype(np.float64) - ranking.similarities[negative]
-    return Margin(positive, negative, 2 * ranking.weights.astype(np.float64) * difference)
 
 
 @dataclass(frozen=True)
@@ -177,46 +139,6 @@ class Effect:
     def helps(self) -> bool:
         """True if more queries are gained than lost."""
         return len(self.gained) > len(self.lost)
-
-
-def effect(
-    query: Float32Array,
-    gallery: Float32Array,
-    before: npt.ArrayLike | None,
-    after: npt.ArrayLike,
-    query_labels: npt.ArrayLike | None = None,
-    gallery_labels: npt.ArrayLike | None = None,
-    truth: Sequence[Truth] | None = None,
-    first: Int64Array | None = None,
-) -> Effect:
-    """Compare two sets of part weights over all queries of a task.
-
-    This takes one retrieval for `after`, and another one for `before` if `first` is not given. For the memory and the
-    errors of a retrieval, see `lpn.retrieval.metrics.retrieve`.
-
-    Args:
-        query, gallery: descriptors, (Q, n, D) and (G, n, D).
-        before, after: part weights, see `scoring.part_weights`; None for equal ones.
-        query_labels, gallery_labels, truth: true matches, as for `lpn.retrieval.metrics.retrieve`.
-        first: 0-based rank of each query's first true match under the old weights, (Q,), -1 without one; computed by default.
-    """
-    if first is None:
-        first = metrics.retrieve(weighted_queries(query, before), query_labels, gallery, gallery_labels, truth).first
-    then = metrics.retrieve(weighted_queries(query, after), query_labels, gallery, gallery_labels, truth).first
-    if first.shape != then.shape:
-        raise InputError(f"There are {len(first)} known ranks for {len(then)} queries; expected one for each.")
-    old, new = first == 0, then == 0
-    known = metrics.known_queries(truth)
-    counted = np.ones(len(then), bool) if known is None else known
-    recalls = [100.0 * float(is_first[counted].mean()) for is_first in (old, new)]
-    gained, lost = np.flatnonzero(new & ~old), np.flatnonzero(old & ~new)
-    return Effect(recalls[0], recalls[1], gained, lost, int(counted.sum()))
-
-
-def weighted_queries(query: Float32Array, weights: npt.ArrayLike | None) -> Float32Array:
-    """Multiply part i of queries (..., n, D) by n w_i, so that their inner product with a tile is the weighted score."""
-    n = query.shape[-2]
-    return cast(Float32Array, query * (n * scoring.part_weights(n, weights))[:, None])
 
 
 def _split(ranking: Ranking, tile: int | None) -> tuple[Int64Array, Int64Array]:

@@ -47,7 +47,7 @@ class SweepPoint:
         tile: gallery position of the followed tile: the nearest positive, a chosen tile, or else the top match.
         true: True if the followed tile is a positive; None if unknown.
         score: weighted mean cosine of the followed tile, -1 .. 1.
-        rank: rank of the followed tile, 1 for the nearest; for a tile that a search does not return, the depth + 1.
+        rank: rank of the followed tile, 1 for the nearest.
         cosines: part cosines with the followed tile, (n,).
         top: gallery position of the nearest tile.
         top_score: score of the nearest tile.

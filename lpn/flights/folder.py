@@ -22,7 +22,7 @@ from lpn.core.csv_cells import csv_bytes, unescape
 from lpn.core.errors import DataError, OutputError
 from lpn.core.files import first_few, json_bytes, printable, write_together
 from lpn.core.formats import decode_json, format_of
-from lpn.datasets.lists import read_rows
+from lpn.core.lists import read_rows
 from lpn.flights.base import Flight, Frame, HeadingSource
 from lpn.flights.cameras import FOV_RANGE
 from lpn.flights.lenses import Lens, lens_of_text

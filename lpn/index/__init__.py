@@ -17,11 +17,16 @@ from lpn.core.errors import InputError, StoreError
 from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, check_count
 from lpn.index.exact import ExactIndex
 from lpn.index.faiss import Codes, FaissIndex
-from lpn.index.folder import IndexManifest
+from lpn.index.folder import MANIFEST, IndexManifest
 from lpn.index.milvus import SCHEME, MilvusIndex, Structure
 
 IndexEngine = Literal["exact", "faiss", "milvus"]
 _SCHEME = f"{SCHEME}:"
+
+
+def is_index(where: str) -> bool:
+    """Return whether a folder or an address is that of an index, without opening it."""
+    return where.startswith(_SCHEME) or (Path(where) / MANIFEST).is_file()
 
 
 def open_index(

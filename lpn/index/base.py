@@ -164,13 +164,8 @@ class Index(ABC):
             StoreError: when the index cannot be read.
         """
 
-    @property
-    def exhaustive(self) -> bool:
-        """Return True if a search compares every tile, so that no nearer tile is missed."""
-        return False
-
-    def extent(self) -> DegreeBox | None:
-        """Return a box that holds the positions of all tiles, NaN if none has one; None if only a search of all would tell.
+    def tiles(self) -> tuple[list[str], Float32Array, Float64Array] | None:
+        """Return names, descriptors (N, n, D), and positions (N, 2) of all tiles; None if the engine does not list them.
 
         Raises:
             StoreError: when the index cannot be read.

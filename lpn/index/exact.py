@@ -51,11 +51,6 @@ class ExactIndex(FolderIndex):
         create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind)))
         return cls(folder)
 
-    @property
-    def exhaustive(self) -> bool:
-        """See `Index.exhaustive`."""
-        return True
-
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:

@@ -93,11 +93,6 @@ class FaissIndex(FolderIndex):
         create(Path(folder), IndexManifest(engine=cls.engine, **vars(kind), settings={"codes": codes}))
         return cls(folder, nprobe, depth)
 
-    @property
-    def exhaustive(self) -> bool:
-        """See `Index.exhaustive`."""
-        return self.codes == "flat"
-
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
     ) -> SearchResult:

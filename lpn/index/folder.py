@@ -43,7 +43,6 @@ from lpn.core.files import (
 )
 from lpn.core.formats import decode_json
 from lpn.index.base import (
-    DegreeBox,
     DescriptorKind,
     Index,
     SearchResult,
@@ -282,14 +281,19 @@ class FolderIndex(Index):
         if announced(manifest := self._current().manifest) != manifest:
             self._change(lambda: announced(self._state.manifest))
 
-    def extent(self) -> DegreeBox | None:
-        """See `Index.extent`."""
-        boxes = np.array([segment.extent[0] for segment in self._current().segments]).reshape(-1, 4)
-        if not len(boxes):
-            return None
-        south, west = np.fmin.reduce(boxes[:, :2], axis=0).tolist()
-        north, east = np.fmax.reduce(boxes[:, 2:], axis=0).tolist()
-        return south, west, north, east
+    def tiles(self) -> tuple[list[str], Float32Array, Float64Array]:
+        """See `Index.tiles`; the descriptors of a single segment stay on disk."""
+        segments = self._current().segments
+        rows, on_disk = sum(one.size for one in segments), len(segments) == 1 and segments[0].alive is None
+        vectors = segments[0].in_order if on_disk else np.empty((rows, self.kind.numbers), np.float32)
+        names: list[str] = []
+        positions = [np.zeros((0, 2))]
+        for batch in (batch for segment in segments for batch in segment.batches(segment.alive)):
+            if not on_disk:
+                vectors[len(names) : len(names) + len(batch.names)] = batch.vectors
+            names += batch.names
+            positions.append(batch.positions)
+        return names, vectors.reshape(rows, self.kind.n_parts, self.kind.embedding), np.concatenate(positions)
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from lpn.core.arrays import Float32Array
-from lpn.core.progress import CountProgress
+from lpn.core.progress import report_progress
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.index.base import DegreeBox, Index, within
 from lpn.maps import Map, NamedWindow, Window
@@ -31,7 +31,6 @@ def index_windows(
     describe: DescribeWindows,
     sizes: Sequence[float],
     overlap: float = 0.5,
-    on_progress: CountProgress = lambda _done, _total: None,
     block: int = BLOCK,
     replace: bool = False,
     turns: int = 1,
@@ -39,12 +38,12 @@ def index_windows(
 ) -> int:
     """Describe the windows of a map that an index lacks, and add them under their names, with positions.
 
-    A killed run resumes, as windows whose names are in the index are left out.
+    It reports its progress, in which windows outside a box count as done. A killed run resumes, as windows whose names are in
+    the index are left out.
 
     Args:
         describe: see `window_describer`.
         sizes, overlap: see `Map.pyramid`.
-        on_progress: called with the numbers of windows done and of all; those outside a box count as done.
         block: windows that are described and added together.
         replace: describe all windows, also those that the index holds.
         turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
@@ -61,7 +60,7 @@ def index_windows(
     index.expect_windows(sizes, overlap)
     total = basemap.count_pyramid(sizes, overlap) * turns
     done = added = 0
-    on_progress(0, total)
+    report_progress("Describing windows", 0, total)
     for windows in basemap.pyramid_blocks(sizes, overlap):
         if box is not None:
             inside = within(basemap.frame.degrees([(window.x, window.y) for window in windows]), box)
@@ -85,7 +84,7 @@ def index_windows(
                 index.add([one.name for one in chosen], describe(rounded), degrees)
             added += len(missing)
             done += len(some)
-            on_progress(done, total)
+            report_progress("Describing windows", done, total)
     return added
 
 

@@ -1,102 +1,90 @@
-"""The tiles of an index that searches have returned, as the gallery of a task."""
+"""The tiles of an index as the gallery of a task: all of them, or those of a large index that its engine proposes."""
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Sequence
-from typing import Any
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from lpn.core.arrays import Float64Array, Int64Array
-from lpn.datasets import Picture
+from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.errors import InputError
+from lpn.core.progress import report_progress
+from lpn.datasets import geo
+from lpn.index.base import Index
+from lpn.index.queries import IndexQueries
+from lpn.maps import NamedWindow
 
-# Returns the picture of a tile, given its name in the index and its gallery position.
-MakePicture = Callable[[str, int], Picture]
-_SPARE = 256
+# Largest number of tiles that are ranked for a query. Their descriptors of 2048 numbers take 1.6 GB.
+MOST_TILES = 200_000
+# Number of tiles that an engine proposes for each query.
+PROPOSED = 100
 
 
-class IndexGallery(Sequence[Picture]):
-    """Tiles that somebody has seen, in the order in which they were first seen; thread-safe.
-
-    It only grows, so that a gallery position stays valid. A tile takes about 1 kB; its descriptor stays in the index.
-
-    Args:
-        make_picture: called once for each tile.
+@dataclass(frozen=True, eq=False)
+class IndexGallery:
+    """Tiles of an index.
 
     Attributes:
-        version: changes with every tile and position that is added.
+        names: in the index.
+        descriptors: (G, n, D); those of a folder of one segment stay on disk.
+        degrees: latitude and longitude, (G, 2), NaN for a tile without a position.
+        chosen: how the tiles were chosen from a larger index, in words; empty for all tiles.
     """
 
-    def __init__(self, make_picture: MakePicture) -> None:
-        self._make_picture, self._lock = make_picture, threading.RLock()
-        self._names: list[str] = []
-        self._pictures: list[Picture] = []
-        # Rows beyond the number of tiles are spare.
-        self._labels, self._degrees = np.zeros(_SPARE, np.int64), np.zeros((_SPARE, 2))
-        self._places: dict[str, int] = {}
-        self.version = 0
+    names: list[str]
+    descriptors: Float32Array
+    degrees: Float64Array
+    chosen: str = ""
 
-    def __len__(self) -> int:
-        return len(self._pictures)
+    @cached_property
+    def windows(self) -> list[NamedWindow | None]:
+        """The window of a map that each name tells; None for other tiles."""
+        return list(map(NamedWindow.parse, self.names))
 
-    def __getitem__(self, place: Any) -> Any:
-        return self._pictures[place]
+    @property
+    def sizes(self) -> Float64Array:
+        """Sides of the windows in metres, (G,), NaN for other tiles."""
+        return np.array([np.nan if window is None else window.size for window in self.windows], np.float64)
 
-    def add(self, names: Sequence[str], degrees: Float64Array | None = None) -> Int64Array:
-        """Return the gallery position of each tile, (B,); tiles that are not there yet are appended.
 
-        Args:
-            names: the tiles' names in the index.
-            degrees: latitude and longitude, (B, 2), NaN where unknown; None if they are not known yet.
-        """
-        positions = np.full((len(names), 2), np.nan) if degrees is None else degrees
-        with self._lock:
-            places = []
-            for name, position in zip(names, positions, strict=True):
-                place = self._places.get(name)
-                if place is None:
-                    place = self._append(name)
-                elif np.isnan(position).any() or (self._degrees[place] == position).all():
-                    places.append(place)
-                    continue
-                self._degrees[place] = position
-                self.version += 1
-                places.append(place)
-        return np.array(places, np.int64)
+def open_gallery(index: Index, queries: IndexQueries) -> IndexGallery:
+    """Read all tiles of an index, or, of one that is large or does not list its tiles, those that matter to some queries.
 
-    def find(self, name: str) -> int | None:
-        """Return the gallery position of a tile; None if nobody has seen it yet."""
-        return self._places.get(name)
+    These are the tiles that the engine proposes for each query, and the true ones. Their ranks are those among all tiles
+    down to the last proposed one, as far as the engine misses none.
 
-    def name_of(self, place: int) -> str:
-        """Return a tile's name in the index."""
-        return self._names[place]
-
-    def degrees_of(self, place: int) -> Float64Array:
-        """Return a tile's latitude and longitude, (2,), NaN where unknown."""
-        with self._lock:
-            degrees: Float64Array = self._degrees[place].copy()
-        return degrees
-
-    def labels(self) -> Int64Array:
-        """Return the label of each tile, (G,)."""
-        with self._lock:
-            return self._labels[: len(self)].copy()
-
-    def degrees(self) -> Float64Array:
-        """Return latitude and longitude of each tile, (G, 2), NaN where unknown."""
-        with self._lock:
-            return self._degrees[: len(self)].copy()
-
-    def _append(self, name: str) -> int:
-        place = len(self._pictures)
-        if place == len(self._labels):
-            self._labels = np.concatenate([self._labels, np.zeros_like(self._labels)])
-            self._degrees = np.concatenate([self._degrees, np.zeros_like(self._degrees)])
-        picture = self._make_picture(name, place)
-        self._labels[place] = picture.label
-        self._names.append(name)
-        self._places[name] = place
-        self._pictures.append(picture)  # last, as it gives the length
-        return place
+    Raises:
+        InputError: if the index holds no tiles, or too many are proposed.
+        StoreError: if the index cannot be read.
+    """
+    count = index.count()
+    if not count:
+        raise InputError("The index holds no tiles; add some with lpn index.")
+    if count <= MOST_TILES and (tiles := index.tiles()) is not None:
+        return IndexGallery(*tiles)
+    total = len(queries.pictures)
+    names = dict.fromkeys(queries.true_tiles())
+    for i, descriptor in enumerate(queries.descriptors):
+        names |= dict.fromkeys(index.search(descriptor, None, PROPOSED).ids)
+        report_progress("Searching the index", i, total)
+    if queries.spots is not None:
+        windows = [window for name in names if (window := NamedWindow.parse(name)) is not None]
+        reach = max((window.size for window in windows), default=0) / 2
+        for descriptor, place in zip(queries.descriptors, queries.places or (), strict=True):
+            if place is not None:
+                high, wide = (reach / metres for metres in geo.metres_per_degree(place.latitude))
+                middle = place.latitude, place.longitude
+                box = middle[0] - high, middle[1] - wide, middle[0] + high, middle[1] + wide
+                names |= dict.fromkeys(index.search(descriptor, None, PROPOSED, box).ids)
+    if len(names) > MOST_TILES:
+        raise InputError(
+            f"The index of {count:,} tiles is searched for {total:,} queries, which gives {len(names):,} tiles to rank; expected "
+            f"{MOST_TILES:,} at most, so give fewer queries, or search with lpn search."
+        )
+    report_progress("Searching the index", total, total)
+    chosen = (
+        f"of {count:,} in the index: the {PROPOSED} that its engine ({index.engine}) proposes for each query, and the true ones; "
+        "ranks and AP are among these"
+    )
+    return IndexGallery(list(names), *index.read(list(names)), chosen)

@@ -184,11 +184,6 @@ class MilvusIndex(Index):
         shaped = vectors[chosen].reshape(len(chosen), self.kind.n_parts, self.kind.embedding)
         return SearchResult([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
 
-    @property
-    def exhaustive(self) -> bool:
-        """See `Index.exhaustive`."""
-        return self.structure == "flat"
-
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""
         keys = [key_of(name) for name in ids]

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from lpn import descriptors
-from lpn.core.arrays import BoolArray, Float32Array
+from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, Picture, geo
+from lpn.datasets import Dataset, Picture, Truth, geo
 from lpn.datasets.geo import Position
-from lpn.index.shared import SharedIndex
+from lpn.index.base import Index
 from lpn.models.base import Model
-from lpn.retrieval.metrics import JUNK
 from lpn.tasks.opening import choose_task, offered_tasks
 
 # Gallery pictures by which the described folder is found.
@@ -36,11 +35,9 @@ class IndexQueries:
         pictures: the queries.
         descriptors: (Q, n, D).
         places: what each query shows; None if no position is known.
-        true: names of each query's true tiles in the index, none where `contains` finds them; None for a query whose place is not
-            known, and in place of all if none is.
-        junk: names of tiles that are left out of each query's ranking; empty for none.
-        contains: returns which tiles, given by name, show a query's place, (K,), where the true tiles cannot be listed.
-        tiles: pictures of tiles that the data set knows, by their names in the index.
+        listed: gallery pictures that the index holds, by their names in it, with their positions in the data set's gallery.
+        truth: of each query, by positions in the data set's gallery; None where labels or `spots` tell it.
+        spots: metres in the frame of a map, (Q, 2), NaN where unknown: the windows that hold them are true.
         folders: where the pictures of other tiles are looked for, by their names.
     """
 
@@ -50,14 +47,29 @@ class IndexQueries:
     pictures: Sequence[Picture]
     descriptors: Float32Array
     places: Sequence[Position | None] | None = None
-    true: Sequence[Sequence[str] | None] | None = None
-    junk: Sequence[Sequence[str]] = ()
-    contains: Callable[[int, Sequence[str]], BoolArray] | None = None
-    tiles: Mapping[str, Picture] = field(default_factory=dict)
+    listed: Mapping[str, tuple[int, Picture]] = field(default_factory=dict)
+    truth: Sequence[Truth] | None = None
+    spots: Float64Array | None = None
     folders: Sequence[Path] = ()
 
+    def true_tiles(self) -> list[str]:
+        """Return the names of listed tiles that are true for some query."""
+        labels = {query.label for query in self.pictures}
+        good = {place for one in self.truth or () for place in one.good.tolist()}
+        by_labels = self.truth is None
+        return [
+            name
+            for name, (place, tile) in self.listed.items()
+            if (tile.label in labels if by_labels else place in good)
+        ]
 
-def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> IndexQueries:
+
+def unknown_truth(queries: Sequence[Picture]) -> list[Truth]:
+    """Return the truth of queries whose places nobody knows."""
+    return [Truth(np.zeros(0, np.int64), np.zeros(0, np.int64), known=False)] * len(queries)
+
+
+def dataset_queries(model: Model, dataset: Dataset, index: Index) -> IndexQueries:
     """Return the test queries of a data set whose gallery an index holds: of the task of which it holds most pictures.
 
     The names in the index are paths below the folder that was described, which is the data set's or one below it. Where it
@@ -79,24 +91,7 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
             "that holds both, so that names tell them apart."
         )
     view, model = views_of(name)[0], model.for_task(*views_of(name))
-    queries, lists = dataset.queries(view), dataset.truth(name)
-    positions = dataset.positions()
-    by_label: dict[int, list[str]] = {}
-    for tile, (_, picture) in held.items():
-        by_label.setdefault(picture.label, []).append(tile)
-    true: list[Sequence[str] | None]
-    junk: list[Sequence[str]] = []
-    if not held:
-        true = [None] * len(queries)
-    elif lists is None:
-        common = by_label.pop(JUNK, [])
-        true = [by_label.get(query.label, ()) for query in queries]
-        junk = [common] * len(queries) if common else []
-    else:
-        names = {place: tile for tile, (place, _) in held.items()}
-        true = [[names[i] for i in one.good.tolist() if i in names] if one.known else None for one in lists]
-        unranked = (np.flatnonzero(one.unranked(len(galleries[name]))).tolist() for one in lists)
-        junk = [[names[i] for i in of if i in names] for of in unranked]
+    queries, positions = dataset.queries(view), dataset.positions()
     return IndexQueries(
         name=name,
         data_name=printable(dataset.root.resolve().name),
@@ -104,14 +99,13 @@ def dataset_queries(model: Model, dataset: Dataset, index: SharedIndex) -> Index
         pictures=queries,
         descriptors=descriptors.shipped_or_cached(model, queries, view, dataset.root, "query").descriptors,
         places=None if positions is None else positions.of(queries),
-        true=true,
-        junk=junk,
-        tiles={tile: picture for tile, (_, picture) in held.items()},
+        listed=held,
+        truth=dataset.truth(name) if held else unknown_truth(queries),
         folders=tuple(dict.fromkeys((*(dataset.root / folder for folder in folders), dataset.root))),
     )
 
 
-def picture_queries(model: Model, folder: Path, index: SharedIndex, tiles: Path | None = None) -> IndexQueries:
+def picture_queries(model: Model, folder: Path, index: Index, tiles: Path | None = None) -> IndexQueries:
     """Return plain pictures below a folder as queries, whose places are not known.
 
     Args:
@@ -135,11 +129,12 @@ def picture_queries(model: Model, folder: Path, index: SharedIndex, tiles: Path 
         pictures=pictures,
         descriptors=descriptors.cached_descriptors(model.for_task(*views_of(name)), pictures, views_of(name)[0]),
         places=None if positions is None else positions.match(geo.names_below(folder, pictures)),
+        truth=unknown_truth(pictures),
         folders=() if tiles is None else (tiles,),
     )
 
 
-def fitting_tasks(model: Model, names: Sequence[str], index: SharedIndex) -> list[str]:
+def fitting_tasks(model: Model, names: Sequence[str], index: Index) -> list[str]:
     """Return those of some tasks whose gallery an index holds; all of them unless the model's branches have roles.
 
     Raises:
@@ -147,12 +142,10 @@ def fitting_tasks(model: Model, names: Sequence[str], index: SharedIndex) -> lis
     """
     fingerprints = [model.for_task(*views_of(name)).fingerprint for name in names]
     fitting = [
-        name
-        for name, fingerprint in zip(names, fingerprints, strict=True)
-        if fingerprint == index.index.kind.fingerprint
+        name for name, fingerprint in zip(names, fingerprints, strict=True) if fingerprint == index.kind.fingerprint
     ]
     if not fitting:
-        index.index.check_model(fingerprints[0])
+        index.check_model(fingerprints[0])
     return fitting
 
 
@@ -163,7 +156,7 @@ def view_pair(model: Model) -> str:
 
 
 def _names_held(
-    index: SharedIndex, root: Path, gallery: Sequence[Picture]
+    index: Index, root: Path, gallery: Sequence[Picture]
 ) -> tuple[list[str], dict[str, tuple[int, Picture]]]:
     """Return the folders below the root that the names in an index fit best, and the gallery pictures of the first.
 

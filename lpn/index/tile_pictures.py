@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,70 +15,65 @@ from lpn.core.files import printable
 from lpn.datasets import Picture
 from lpn.datasets.listed_paths import listed_path
 from lpn.drawing import captions
+from lpn.index.gallery import IndexGallery
+from lpn.index.queries import IndexQueries
 from lpn.maps import Map, NamedWindow
 from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 
-_PLACEHOLDER = 256
+# Side of a placeholder in pixels.
+_SIDE = 256
+# Labels of tiles that no data set names begin here.
+_NO_PLACE = 1 << 40
 
 
-@dataclass(frozen=True)
-class TilePlaceholder:
-    """Stands for the picture of a tile that is not at hand: plain grey with the tile's name and position.
-
-    Attributes:
-        reason: why there is no picture, as a sentence.
-        position: returns the tile's latitude and longitude, (2,), NaN where they are unknown.
-    """
-
-    name: str
-    reason: str
-    position: Callable[[], Float64Array]
-
-    def __call__(self) -> UInt8Array:
-        """Draw the placeholder, (256, 256, 3)."""
-        image, draw = captions.caption(_PLACEHOLDER, _PLACEHOLDER)
-        draw.rectangle((0, 0, _PLACEHOLDER, _PLACEHOLDER), fill=(60, 60, 60))
-        lines = ["no picture", *(self.name[i : i + 22] for i in range(0, min(len(self.name), 66), 22))]
-        latitude, longitude = self.position()
-        if np.isfinite(latitude) and NamedWindow.parse(self.name) is None:
-            lines.append(f"{latitude:.5f}, {longitude:.5f}")
-        for i, line in enumerate(lines):
-            draw.text(
-                (128, 128 + 26 * (i - (len(lines) - 1) / 2)), line, (190, 190, 190), captions.font(20), anchor="mm"
-            )
-        return np.asarray(image)
-
-
-def tile_picture(
-    name: str,
-    label: int,
-    root: Path,
-    folders: Sequence[Path],
-    basemap: Map | None,
-    pixels: int,
-    position: Callable[[], Float64Array],
-) -> Picture:
-    """Return the picture of a tile that no data set lists: cut from the map, read from a folder, or a placeholder.
+def tile_pictures(gallery: IndexGallery, queries: IndexQueries, basemap: Map | None, pixels: int) -> list[Picture]:
+    """Return the pictures of tiles: a data set's, cut from the map, read from a folder of the queries, or placeholders.
 
     Args:
-        root: a folder for the paths of pictures that are no files.
-        folders: where files of the tile's name are looked for, in this order.
         pixels: side of a picture that is cut from the map.
-        position: see `TilePlaceholder`.
     """
-    window, title = NamedWindow.parse(name), printable(name)
-    if window is not None and basemap is not None:
-        place = window.on(basemap.frame)
-        if covers_part_of(basemap, place):
-            cut = WindowCut(basemap, place, pixels)
-            return Picture(root / "windows" / name, label, describe_place(place), cut=cut, caption=caption_of(place))
-        reason = f"the window lies outside the map {printable(basemap.name)}."
-    elif window is not None:
-        reason = "it is a window of a map; give that map as --map."
-    else:
-        with suppress(DataError, OSError):
-            for folder in folders:
-                if (file := folder / listed_path(name, "The index")).is_file():
-                    return Picture(file, label, title)
-        reason = "no file of this name is at hand; give the folder that was described as --data."
-    return Picture(root / "index" / str(label), label, title, cut=TilePlaceholder(title, reason, position))
+    windows = [window for window in gallery.windows if window is not None]
+    on_map = iter([] if basemap is None else NamedWindow.all_on(windows, basemap.frame))
+    pictures = []
+    for i, (name, window) in enumerate(zip(gallery.names, gallery.windows, strict=True)):
+        place = None if window is None else next(on_map, None)
+        if name in queries.listed:
+            picture = queries.listed[name][1]
+        elif basemap is not None and place is not None and covers_part_of(basemap, place):
+            file, cut = queries.root / "windows" / name, WindowCut(basemap, place, pixels)
+            picture = Picture(file, _NO_PLACE + i, describe_place(place), cut=cut, caption=caption_of(place))
+        elif window is None and (found := _file(name, queries.folders)) is not None:
+            picture = Picture(found, _NO_PLACE + i, printable(name))
+        else:
+            reason = "no file of this name is at hand; give the folder that was described as --data."
+            if window is not None:
+                reason = "it is a window of a map; give that map as --map."
+            if basemap is not None and window is not None:
+                reason = f"the window lies outside the map {printable(basemap.name)}."
+            drawn = partial(_placeholder, printable(name), np.full(2, np.nan) if window else gallery.degrees[i])
+            file = queries.root / "index" / str(i)
+            picture = Picture(file, _NO_PLACE + i, printable(name), cut=drawn, missing=reason)
+        pictures.append(picture)
+    return pictures
+
+
+def _file(name: str, folders: Sequence[Path]) -> Path | None:
+    """Return the file of a tile's name in the first folder that has one; None without."""
+    with suppress(DataError, OSError):
+        for folder in folders:
+            if (file := folder / listed_path(name, "The index")).is_file():
+                return file
+    return None
+
+
+def _placeholder(name: str, degrees: Float64Array) -> UInt8Array:
+    """Draw plain grey with a tile's name and position, (256, 256, 3)."""
+    image, draw = captions.caption(_SIDE, _SIDE)
+    draw.rectangle((0, 0, _SIDE, _SIDE), fill=(60, 60, 60))
+    lines = ["no picture", *(name[i : i + 22] for i in range(0, min(len(name), 66), 22))]
+    if np.isfinite(degrees).all():
+        lines.append(f"{degrees[0]:.5f}, {degrees[1]:.5f}")
+    for i, line in enumerate(lines):
+        at = 128, 128 + 26 * (i - (len(lines) - 1) / 2)
+        draw.text(at, line, (190, 190, 190), captions.font(20), anchor="mm")
+    return np.asarray(image)

@@ -60,8 +60,8 @@ def open_tiles(where: str, data: Path | None = None) -> TileSource:
 
     Args:
         where: folder of a store, or folder or address of shards.
-        data: folder whose geo.csv replaces the positions of shards; see `lpn.datasets.geo.match` for its paths. Without one,
-            it is a data set that tells positions otherwise.
+        data: folder whose geo.csv replaces the positions of shards, by `lpn.datasets.geo.Positions.match`. Without one, it is a
+            data set that tells positions otherwise.
 
     Raises:
         StoreError: when there is neither a complete store nor complete shards.

@@ -131,17 +131,14 @@ class QueryAnalyser:
             elif index is not None:
                 described = DescribedPicture(source, task.query_descriptors[index], None, None)
             else:
-                raise InputError(
-                    f"{task.model_name} has no network, only descriptors; choose a query of the data set."
-                )
+                raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
             self._query = query_key, described
         query = self._query[1]
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
         search = self._search.get(search_key, lambda: _start_search(task, index, query, request.region, weights))
-        ranking = search(weights, request.compare if isinstance(request.compare, int) else None)
-        task = task.current()
+        ranking = search(weights)
         matches = ranking.top(k)
         if not matches:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
@@ -150,6 +147,7 @@ class QueryAnalyser:
         return Answer(
             task=task,
             name=own.name if own else picture.name,
+            index=index,
             query=query,
             ranking=ranking,
             matches=matches,
@@ -185,8 +183,8 @@ def _errors_m(task: Task, index: int | None, own: OwnPicture | None) -> Float64A
 def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPicture:
     """Describe a gallery picture; without a model, or without its picture, take its stored descriptor."""
     picture = task.gallery[index].load_zoomed()
-    if model is None or task.without_picture(index):
-        return DescribedPicture(picture, task.stored_descriptor(index), None, None)
+    if model is None or task.gallery[index].missing:
+        return DescribedPicture(picture, task.gallery_descriptors[index], None, None)
     return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)
 
 

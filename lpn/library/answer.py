@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Literal, Self
 
+import numpy as np
 from markupsafe import Markup
 
 from lpn import explain
@@ -17,6 +18,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import check_ending, printable, write_atomic
 from lpn.core.notebook_html import table
 from lpn.drawing import charts, overlays, pair_figure, verdicts
+from lpn.drawing.paper_figure import PAGE, FigureRow, PaperFigure
 from lpn.drawing.part_areas import PartAreas
 from lpn.explain import Correspondences, Evidence
 from lpn.retrieval import DescribedPicture, Match, Ranking
@@ -81,6 +83,7 @@ class Answer:
     Attributes:
         task: the query's; its gallery was searched.
         name: the query's name.
+        index: the query's position; None for a picture that is none of the task's queries.
         query: the query after its change, with its descriptor.
         ranking: of the gallery, under the part weights of the search.
         matches: the nearest tiles.
@@ -104,6 +107,7 @@ class Answer:
     chosen: Match
     describe_tile: Callable[[Task, int], DescribedPicture]
     source: UInt8Array
+    index: int | None = None
     tile: DescribedPicture | None = None
     positive: Match | None = None
     errors_m: Float64Array | None = None
@@ -148,7 +152,24 @@ class Answer:
             InputError: if there is no such rank, or the model gives no cells.
             PictureError: if the picture cannot be read any more.
         """
-        return self._pair(rank)[1]
+        return self._pair(self._match(rank))[1]
+
+    @property
+    def shares(self) -> Float32Array:
+        """Each part's share of d² of every ranked picture, nearest first, (k, n); a picture's add up to its d²."""
+        return np.stack([match.contributions for match in self.ranking.top(len(self.ranking.order))])
+
+    def heat(self, rank: int = 1, of: Literal["query", "tile"] = "query") -> Float32Array:
+        """The share of each cell of the query, or of the picture at a rank, in their score: of each part, (n, h, w).
+
+        With the constants of `evidence(rank)` under the part weights and the terms of CSLS, all cells add up to the score.
+
+        Raises:
+            InputError, PictureError: as `evidence`.
+        """
+        evidence = self.evidence(rank)
+        side = evidence.query if of == "query" else evidence.tile
+        return (side.cells * evidence.weights[:, None, None]).astype(np.float32)
 
     def figure(self, rank: int = 1) -> PairPicture:
         """Draw the query beside the picture at a rank: their parts, the evidence of their cells, and bars for each part.
@@ -157,27 +178,75 @@ class Answer:
             InputError: if there is no such rank, or the model gives no cells.
             PictureError: if the picture cannot be read any more.
         """
-        tile, evidence = self._pair(rank)
-        model, contract, views = self.task.model, self.task.contract, self.task.views
-        assert model is not None  # it gave the cells
-        (one, first), (other, second) = (
-            (
-                model.as_partitioned(shown.picture, view),
-                PartAreas.of(contract, view, self.task.map_sizes[view], shown.trace),
-            )
-            for shown, view in zip((self.query, tile), views, strict=True)
-        )
-        name = printable(self.task.gallery[int(self.ranking.order[rank - 1])].name)
+        match, views = self._match(rank), self.task.views
+        tile, evidence = self._pair(match)
+        (one, first), (other, second) = self.drawn(self.query, 0), self.drawn(tile, 1)
+        name = printable(self.task.gallery[match.index].name)
         titles = f"Query, {views[0]}", f"Rank {rank} of {self.task.tiles:,}, {views[1]}: {name}"
-        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, contract, (first, second)))
+        return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, self.task.contract, (first, second)))
 
-    def _pair(self, rank: int) -> tuple[DescribedPicture, Evidence]:
-        """Return the picture at a rank, described, and the evidence for it."""
-        if rank not in range(1, len(self.ranking.order) + 1):
-            raise InputError(f"There is no rank {rank}; the gallery has ranks 1 to {len(self.ranking.order)}.")
-        match = self.ranking.match(rank - 1)
-        tile = self.tile if self.tile is not None and match.index == self.chosen.index else None
-        tile = tile or self.describe_tile(self.task, match.index)
+    def drawn(self, described: DescribedPicture, side: int) -> tuple[UInt8Array, PartAreas | None]:
+        """Return the picture on which the parts of the query (side 0) or of a tile (1) are drawn, and their areas.
+
+        The areas are None if neither a partition nor the picture's cells are known.
+        """
+        task, view = self.task, self.task.views[side]
+        picture = described.picture if task.model is None else task.model.as_partitioned(described.picture, view)
+        return picture, PartAreas.of(task.contract, view, task.map_sizes[view], described.trace)
+
+    def described(self, match: Match) -> DescribedPicture:
+        """Return the picture of a match, described."""
+        if self.tile is not None and match.index == self.chosen.index:
+            return self.tile
+        return self.describe_tile(self.task, match.index)
+
+    def paper_figure(
+        self, true: int | str | None = None, wrong: int | str | None = None, width: float = PAGE
+    ) -> PaperFigure:
+        """Draw the figure of a paper: the query, the true tile, a wrong tile, the heat of each part, and its shares.
+
+        Args:
+            true: a tile by its rank or its name; by default the nearest positive, and the nearest tile where that is not known.
+            wrong: likewise; by default the nearest other tile.
+            width: in mm, such as 88 for a column, or 180 for a page, where each part has a map of its own.
+
+        Raises:
+            InputError: if there is no such tile, both are one, the model gives no cells, or the width is out of range.
+            PictureError: if a picture cannot be read any more.
+        """
+        second = None if wrong is None else self._match(wrong)
+        positive = self.ranking.positive() if true is None else self._match(true)
+        first = positive or self.ranking.hardest_negative(None if second is None else second.index)
+        second = second or (first and self.ranking.hardest_negative(first.index))
+        if first is None or (second is not None and first.index == second.index):
+            raise InputError("The true and the wrong tile are one; give two tiles of the gallery.")
+        rows, pairs = [], []
+        for match, right in ((first, True), (second, False)):
+            if match is not None:
+                tile, evidence = self._pair(match)
+                known = right if positive is not None or (match is second and wrong is not None) else None
+                title = {True: "True tile", False: "Wrong tile", None: "Tile"}[known], f"rank {match.rank:,}"
+                rows.append(FigureRow.of_tile(title, *self.drawn(tile, 1), evidence, known))
+                pairs.append(evidence)
+        query = FigureRow.of_query(("Query", self.task.query_view), *self.drawn(self.query, 0), pairs)
+        return PaperFigure([query, *rows], self.task.part_names, self.task.contract.part_noun, width)
+
+    def _match(self, tile: int | str) -> Match:
+        """Return the match of a tile by its rank or its name."""
+        order = self.ranking.order.tolist()
+        if isinstance(tile, str):
+            for index in order:
+                if self.task.gallery[index].name == tile:
+                    return self.ranking.find(index)
+            example = printable(self.task.gallery[order[0]].name)
+            raise InputError(f"There is no tile {printable(tile)}; give a rank, or a name such as {example}.")
+        if tile not in range(1, len(order) + 1):
+            raise InputError(f"There is no rank {tile}; the gallery has ranks 1 to {len(order)}.")
+        return self.ranking.match(tile - 1)
+
+    def _pair(self, match: Match) -> tuple[DescribedPicture, Evidence]:
+        """Return the tile of a match, described, and the evidence for it."""
+        tile = self.described(match)
         pair = pair_evidence(self.query, tile, self.ranking.weights, csls=self.ranking.csls_of(match.index))
         if pair is None:
             raise InputError(f"{verdicts.no_cells(self.task.contract)} Its answers have no figure.")
@@ -207,7 +276,7 @@ class Answer:
 
     def _listed(self, match: Match) -> dict[str, Any]:
         return {
-            "rank": match.rank_text if match.beyond else match.rank,
+            "rank": match.rank,
             "name": self.task.gallery[match.index].name,
             "true": match.true,
             "score": match.score,

@@ -24,7 +24,7 @@ from lpn.retrieval import DescribedPicture, Ranking, calibration, scoring
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import CslsTerms
 from lpn.retrieval.csls import hubness as hubness_of
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.task import Task
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,7 +156,7 @@ def answer_of(
         descriptors_of: of the pictures, (G, n, D).
         ranking: of the pictures.
     """
-    task = GalleryTask(
+    task = Task(
         name=f"{views[0]}-to-{views[1]}",
         model=model,
         model_name=model.contract.method,

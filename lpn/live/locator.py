@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 
 import msgspec
@@ -21,7 +20,7 @@ from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.numbers import SIGMA
-from lpn.core.progress import Progress
+from lpn.core.progress import Listener, listening
 from lpn.core.views import View
 from lpn.flights.base import Frame
 from lpn.flights.cameras import ground_width
@@ -154,14 +153,14 @@ class LiveLocator:
         basemap: the map.
         model: ranks its windows.
         options: how.
-        on_progress: called while the map's windows are described, once, with "windows", the number done, and the total.
+        on_progress: called while the map's windows are described, once, see `lpn.core.progress.listening`.
 
     Attributes:
         notes: sentences since they were last taken, see `take_notes`.
     """
 
     def __init__(
-        self, basemap: Map, model: Model, options: LiveOptions | None = None, on_progress: Progress | None = None
+        self, basemap: Map, model: Model, options: LiveOptions | None = None, on_progress: Listener = lambda *_: None
     ) -> None:
         # A frame is one pass of milliseconds, in which further threads save less time than they spin for afterwards.
         self.basemap, self.model = basemap, model.for_parallel_inference()
@@ -201,9 +200,8 @@ class LiveLocator:
             raise InputError(
                 f"No window of {min(sizes):.0f} m fits on the map {self.basemap.name}; give smaller ones with --size."
             )
-        report = self._on_progress
-        bar = nullcontext(lambda done, total: None if report is None else report("windows", done, total))
-        raw = described_windows(self.model, self.basemap, windows, bar)
+        with listening(self._on_progress):
+            raw = described_windows(self.model, self.basemap, windows)
         places = np.array([(window.x, window.y) for window in windows])
         extents = np.array([window.size for window in windows])
         side = float(np.median(extents))

@@ -4,36 +4,38 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float32Array, Float64Array
 from lpn.core.files import printable
+from lpn.core.progress import report_progress
 from lpn.core.views import views_of
 from lpn.datasets import Picture
 from lpn.datasets.geo import Position
 from lpn.descriptors.parallel_inference import describe_each
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import CUT, FrameReader, TurnedFrame, cut_size
-from lpn.index.ground import some_windows
+from lpn.index import Index
 from lpn.index.queries import IndexQueries, fitting_tasks, view_pair
-from lpn.index.shared import SharedIndex
 from lpn.locate.retrieval import tried_headings
 from lpn.maps import Map, NamedWindow
-from lpn.models.base import Model
+from lpn.models.base import Model, normalise
 
 log = logging.getLogger(__name__)
+
+# Searches by drawn descriptors that show how large windows are, and tiles that each returns.
+_PROBES, _PROBED = 2, 100
 
 
 def flight_queries(
     model: Model,
     flight: Flight,
     basemap: Map,
-    index: SharedIndex,
+    index: Index,
     root: Path,
-    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> IndexQueries:
     """Describe frames as they are compared with the windows of an index.
 
@@ -45,14 +47,13 @@ def flight_queries(
     Args:
         basemap: map of the windows.
         root: folder of the flight, where a person's notes are kept.
-        on_progress: called with the numbers of described and of all pictures.
 
     Raises:
         InputError: if the model's branches have roles, and it has one view.
         StoreError: if the index holds descriptors of another model.
     """
     name = fitting_tasks(model, [view_pair(model)], index)[0]
-    held, pixels = some_windows(index, model), max(model.input_size)
+    held, pixels = _some_windows(index), max(model.input_size)
     sizes, turned_windows = sorted({one.size for one in held}), any(one.heading for one in held)
     cuts: list[TurnedFrame] = []
     owners: list[int] = []
@@ -77,20 +78,12 @@ def flight_queries(
                 log.warning("%s", error)
             unreadable.add(owners[j])
         done += len(batch.items) + len(batch.broken)
-        on_progress(done, len(cuts))
+        report_progress("Describing frames", done, len(cuts))
     chosen = [
         _best(index, described, [j for j, owner in enumerate(owners) if owner == i], good)
         for i in range(len(flight.frames))
     ]
-    xy = _tags(flight.frames, basemap)
-
-    def contains(query: int, names: Sequence[str]) -> BoolArray:
-        windows = [NamedWindow.parse(name) for name in names]
-        centres = np.array([(w.latitude, w.longitude) if w else (math.nan, math.nan) for w in windows]).reshape(-1, 2)
-        halves = np.array([w.size / 2 if w else 0.0 for w in windows])
-        away = np.abs(basemap.frame.xy(centres[:, 0], centres[:, 1]) - xy[query])
-        return np.asarray((away <= halves[:, None]).all(axis=1), bool)
-
+    spots = np.where(good[chosen][:, None], _tags(flight.frames, basemap), math.nan)
     return IndexQueries(
         name=name,
         data_name=printable(f"{flight.name} over {basemap.name}"),
@@ -100,9 +93,16 @@ def flight_queries(
         ],
         descriptors=described[chosen],
         places=[_place(frame) for frame in flight.frames],
-        true=[() if good[j] and np.isfinite(xy[i]).all() else None for i, j in enumerate(chosen)],
-        contains=contains,
+        spots=spots,
     )
+
+
+def _some_windows(index: Index) -> list[NamedWindow]:
+    """Return some windows that an index holds, which tell its sizes and headings, by searches for drawn descriptors."""
+    shape = _PROBES, index.kind.n_parts, index.kind.embedding
+    drawn = normalise(np.random.default_rng(0).standard_normal(shape).astype(np.float32))
+    names = (name for one in drawn for name in index.search(one, None, _PROBED).ids)
+    return [window for name in names if (window := NamedWindow.parse(name)) is not None]
 
 
 def _share(frame: Frame, sizes: Sequence[float]) -> float:
@@ -113,7 +113,7 @@ def _share(frame: Frame, sizes: Sequence[float]) -> float:
     return share * min(sizes, key=lambda size: abs(math.log(size / cut))) / cut
 
 
-def _best(index: SharedIndex, described: Float32Array, turns: Sequence[int], good: BoolArray) -> int:
+def _best(index: Index, described: Float32Array, turns: Sequence[int], good: BoolArray) -> int:
     """Return which of a frame's turns has the nearest window; the first if none can be read."""
     if len(turns) == 1 or not good[turns[0]]:
         return turns[0]

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 
 from lpn.core.arrays import Float32Array
-from lpn.core.consoles import counting_bar
-from lpn.core.progress import CountProgress
 from lpn.core.views import View
 from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Precision, Row, Store
@@ -27,7 +24,6 @@ def describe_windows(
     view: View = "satellite",
     precision: Precision = "float32",
     names: Sequence[str] | None = None,
-    bar: AbstractContextManager[CountProgress] | None = None,
 ) -> Store:
     """Describe windows of a map, mirror included, into a store; existing rows are not computed again.
 
@@ -40,7 +36,6 @@ def describe_windows(
         view: the branch that describes them.
         precision: precision of the numbers on disk; the computation is in float32.
         names: of the rows, such as `lpn.maps.named_window` gives them; by default the numbers of each window.
-        bar: shows the progress; by default on the terminal.
 
     Raises:
         PictureError: if a file of the map is damaged where a window lies.
@@ -60,6 +55,6 @@ def describe_windows(
         return model.prepare(WindowCut(basemap, windows[row], side)(), view)
 
     def fill(partial: PartialStore) -> None:
-        fill_store(model, partial, prepare, view, bar or counting_bar("Describing windows"))
+        fill_store(model, partial, prepare, view, "Describing windows")
 
     return write_store(Path(out), manifest, fill)

@@ -12,7 +12,6 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.numbers import error_figure
-from lpn.core.progress import Progress
 from lpn.flights import Flight
 from lpn.locate.audit import TagAudit, audit_tags, corrected_tags
 from lpn.locate.beyond import places_beyond
@@ -41,7 +40,6 @@ def locate(
     flight: Flight,
     model: Model | None = None,
     options: LocateOptions | None = None,
-    on_progress: Progress | None = None,
     corrections: Mapping[str, Correction] | None = None,
     indexed: WindowIndex | None = None,
     shipped: Path | None = None,
@@ -52,7 +50,6 @@ def locate(
 
     Args:
         model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
-        on_progress: called with a stage, the frames (or windows) done, and their number.
         corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
             audit, and stand in the track in place of registrations.
         indexed: of the map's windows, described by the model; without it, the windows that the options tell are described.
@@ -88,9 +85,7 @@ def locate(
     if model is not None:
         if shipped is not None:
             answers = ShippedAnswers.open(shipped, FORMAT, model, basemap, flight)
-        retrieval = retrieve(
-            model, basemap, flight, options.sizes, options.overlap, options.centre, on_progress, indexed, answers
-        )
+        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, options.centre, indexed, answers)
         notes += retrieval.notes
         if retrieval.broken:
             notes.append(
@@ -108,21 +103,19 @@ def locate(
     located = LocatedFlight(
         flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior
     )
-    return registered(located, model, options, on_progress) if options.register else located
+    return registered(located, model, options) if options.register else located
 
 
 def registered(
     located: LocatedFlight,
     model: Model | None,
     options: LocateOptions | None = None,
-    on_progress: Progress | None = None,
     on_partial: Callable[[LocatedFlight], None] | None = None,
 ) -> LocatedFlight:
     """Register the frames of a flight whose other stages are done, and audit its tags; `located` is not changed.
 
     Args:
         model, options: those that the flight was located with, so that answers of `locate` are found in the cache.
-        on_progress: as for `locate`; an exception that it raises stops the run, and a later one goes on.
         on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
     """
     options = replace(options or LocateOptions(), register=True)
@@ -131,10 +124,8 @@ def registered(
     frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
     published = time.monotonic()
 
-    def report(stage: str, done: int, total: int) -> None:
+    def publish(done: int, total: int) -> None:
         nonlocal published
-        if on_progress is not None:
-            on_progress(stage, done, total)
         if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
             copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
             refuse_contradicted(copies[:done])
@@ -142,7 +133,7 @@ def registered(
             published = time.monotonic()
 
     notes = register_frames(
-        located.basemap, located.flight, frames, options, model, located.retrieval, report, located.shipped
+        located.basemap, located.flight, frames, options, model, located.retrieval, publish, located.shipped
     )
     side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
     if side is not None:

@@ -19,7 +19,7 @@ from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError, PictureError
 from lpn.core.files import cache_folder
 from lpn.core.numbers import SIGMA, error_figure
-from lpn.core.progress import CountProgress, Progress
+from lpn.core.progress import CountProgress, report_progress
 from lpn.flights import Flight, Frame, ground_width
 from lpn.locate import continuity
 from lpn.locate.agreement import map_agreement
@@ -83,10 +83,14 @@ def register_frames(
     options: LocateOptions,
     model: Model | None,
     retrieval: MapRetrieval | None,
-    on_progress: Progress | None,
+    on_frame: CountProgress,
     shipped: Mapping[str, StageRecord],
 ) -> list[str]:
-    """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them."""
+    """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them.
+
+    Args:
+        on_frame: called after each frame with the numbers of frames done and of all.
+    """
     matchers = open_matchers(options.matcher)
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
@@ -128,8 +132,8 @@ def register_frames(
             widths.append(answer.width)
             if (expected := ground_width(located.frame)) is not None:
                 ratios.append(answer.width / expected)
-        if on_progress is not None:
-            on_progress("registration", i + 1, len(frames))
+        report_progress("Registering frames", i + 1, len(frames))
+        on_frame(i + 1, len(frames))
     notes = refuse_contradicted(frames)
     return notes + correct_radii(frames, answers, map_error)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,6 @@ from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError, PictureError
 from lpn.core.files import cache_folder
 from lpn.core.filled_cache import FilledCache
-from lpn.core.progress import CountProgress, Progress
 from lpn.core.views import View
 from lpn.descriptors.cache import in_cache
 from lpn.descriptors.partial_store import PartialStore
@@ -231,7 +229,6 @@ def retrieve(
     sizes: Sequence[float] | None = None,
     overlap: float = 0.75,
     centre: bool = True,
-    on_progress: Progress | None = None,
     indexed: WindowIndex | None = None,
     shipped: ShippedAnswers | None = None,
 ) -> MapRetrieval:
@@ -243,7 +240,6 @@ def retrieve(
         centre: subtract the mean descriptor of the windows and that of the frames, part by part, which makes up for a difference
             of views that the model has not seen, and whiten the parts, see `whitening_of`. With fewer than 20 distinct frames
             neither is done, and a note says so.
-        on_progress: called with "windows" or "frames", the number described, and the total.
         indexed: an index of windows that are described already; `sizes` and `overlap` do not count then.
         shipped: descriptors that ship with the flight; those of other windows or frames are not taken.
 
@@ -281,19 +277,16 @@ def retrieve(
         i, heading, share = jobs[job]
         return model.prepare(reader(flight.frames[i].file, heading, share), query)
 
-    def bar(stage: str) -> AbstractContextManager[CountProgress]:
-        return nullcontext(lambda done, total: None if on_progress is None else on_progress(stage, done, total))
-
     notes = _size_notes(flight.frames, levels)
     tiles = None if shipped is None or indexed is not None else shipped.windows(windows, side)
     if indexed is None and tiles is None:
-        tiles = described_windows(model, basemap, windows, bar("windows"))
+        tiles = described_windows(model, basemap, windows)
     rows = tuple(_frame_row(flight.frames[i], heading, share) for i, heading, share in jobs)
     manifest = Manifest.for_model(model, query, UNCHANGED, rows)
     broken: dict[int, PictureError] = {}
 
     def fill(partial: PartialStore) -> None:
-        fill_store(model, partial, of_frame, query, bar("frames"), broken)
+        fill_store(model, partial, of_frame, query, "Describing frames", broken)
 
     if shipped is not None and (ready := shipped.frames(flight, headings, cut_shares)) is not None:
         queries = ready
@@ -349,13 +342,11 @@ def retrieve(
     )
 
 
-def described_windows(
-    model: Model, basemap: Map, windows: list[Window], bar: AbstractContextManager[CountProgress]
-) -> Float32Array:
+def described_windows(model: Model, basemap: Map, windows: list[Window]) -> Float32Array:
     """Return the descriptors of windows, (W, n, D), from the user's cache where they were described before."""
     ground = _cached(basemap.digest(), model.fingerprint, max(model.input_size), windows)
     with in_cache():
-        return np.array(describe_windows(model, basemap, windows, ground, bar=bar).float32)
+        return np.array(describe_windows(model, basemap, windows, ground).float32)
 
 
 def _size_notes(frames: Sequence[Frame], levels: Float64Array) -> list[str]:

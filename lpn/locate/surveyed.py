@@ -9,7 +9,6 @@ surveyed: "camera", or "ground" for the ground at the photo's middle.
 
 from __future__ import annotations
 
-import csv
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,9 +18,10 @@ from typing import Any, Literal
 import numpy as np
 
 from lpn.core.arrays import BoolArray, Float64Array
-from lpn.core.csv_cells import csv_bytes, decode_text, delimited, mixed_separators, unescape
+from lpn.core.csv_cells import csv_bytes, mixed_separators, unescape
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable, write_atomic
+from lpn.core.lists import read_text, separated
 from lpn.core.numbers import distance
 from lpn.flights.logs import nearest_in_folders, path_parts
 from lpn.locate.belief import BestAnswer, best_answers
@@ -245,17 +245,9 @@ def read_surveyed(file: Path, frame: LocalFrame, crs: str | None = None) -> list
         InputError: if a CRS is none, does not fit the columns, is told twice, or is needed and missing.
     """
     name = printable(file.name)
-    try:
-        text = decode_text(file.read_bytes())
-        decimal_comma, rows = delimited(text, strict=True)
-        header = _header(next(rows, (0, []))[1], name)
-        entries = [_entry(values, header, f"Line {line} of {name}", decimal_comma) for line, values in rows]
-    except OSError as error:
-        raise DataError(
-            f"{printable(str(file))} cannot be read ({error.strerror or error}); check that it is there and readable."
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(f"{name} is not a text file of comma-separated values in UTF-8; save it as such.") from error
+    decimal_comma, rows = separated(read_text(file, name), name, strict=True)
+    header = _header(next(rows, (0, []))[1], name)
+    entries = [_entry(values, header, f"Line {line} of {name}", decimal_comma) for line, values in rows]
     if not entries:
         raise DataError(f"{name} has no position below its first line; add a line for each photo.")
     xy = _in_metres(entries, "latitude" in header, frame, crs, name)

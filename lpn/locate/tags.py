@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from lpn.core.arrays import Float64Array
+from lpn.datasets import geo
 from lpn.flights import Flight
 from lpn.locate.camera_place import camera_place
 from lpn.locate.corrections import Correction
@@ -17,7 +18,6 @@ from lpn.locate.registration import (
     turn_between,
 )
 from lpn.maps import Map
-from lpn.retrieval import field_metrics
 
 
 def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], float | None]:
@@ -47,8 +47,8 @@ def tags_on_map(basemap: Map, flight: Flight) -> tuple[Float64Array, list[str], 
     if (off > margin).all():
         # Degrees are compared, as the plane stretches what lies far off; beyond its end the whole edge is.
         edge = basemap.frame.degrees(np.clip(tags[known], [west, south], [east, north]))
-        near = field_metrics.geodesic(flight.degrees[known], edge)
-        far = field_metrics.geodesic(flight.degrees[tagged & ~known, None], _edge(basemap))
+        near = geo.geodesic(flight.degrees[known], edge)
+        far = geo.geodesic(flight.degrees[tagged & ~known, None], _edge(basemap))
         nearest = min(float(some.min(initial=np.inf)) for some in (near, far))
         notes.append(
             f"The flight lies elsewhere than {basemap.name}, the map: its nearest GPS tag is {nearest / 1000:.1f} km from the "

@@ -28,7 +28,7 @@ from lpn.maps import Map
 from lpn.maps.named_window import WindowCut, caption_of, describe_place
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
+from lpn.tasks.task import Task
 
 TASK = "drone-to-satellite"
 _OFF_TAG = "Distance from the photo's GPS tag, or from its correction by hand; tags themselves may be metres off"
@@ -43,7 +43,7 @@ _VERDICTS = {
 }
 
 
-def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> GalleryTask:
+def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Path) -> Task:
     """Return the task of a located flight; query i is frame i, and gallery picture j is window j of the retrieval.
 
     Scores are those of the retrieval. Where it centred and whitened the descriptors, the task's model does so too
@@ -66,7 +66,9 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     if retrieval is None:
         raise InputError("The flight was located without a model, so there is no ranking to explore; give a model.")
     if retrieval.turned_windows is not None:
-        raise InputError("The index holds turned windows, in place of turned photos; explore it by lpn explore index.")
+        raise InputError(
+            "The index holds turned windows, in place of turned photos; give the flight as SOURCE with --index."
+        )
     for view in ("satellite", "drone"):
         model.check_view(view)
     turns = [0 if i in retrieval.broken else retrieval.best_turn(i) for i in range(len(located.frames))]
@@ -75,7 +77,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
     digest = hashlib.sha256(queries.tobytes() + np.ascontiguousarray(retrieval.windows_described).tobytes()).hexdigest()
     if retrieval.means:
         model = model.centred(retrieval.means, retrieval.whitening)
-    return GalleryTask(
+    return Task(
         name=TASK,
         model=model,
         model_name=printable(model_name),

@@ -7,13 +7,12 @@ satellite_coordinates_range.csv     mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_
 
 from __future__ import annotations
 
-import csv
-import io
 import re
 from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import read_rows
 from lpn.maps import _gdal
 
 Corners = tuple[float, float, float, float]
@@ -39,34 +38,23 @@ def read_list(path: Path) -> dict[str, Corners]:
         DataError: if it is no such list; the message names the line.
     """
     file_name = printable(str(path))
-    try:
-        lines = csv.reader(io.StringIO(path.read_bytes().decode("utf-8-sig"), newline=""), skipinitialspace=True)
-        header = [re.sub("[^a-z]", "", name.lower()) for name in next(lines, [])]
-        places = [next((i for i, name in enumerate(header) if name in names), None) for names in _COLUMNS]
-        if None in places:
+    rows = read_rows(path, file_name)
+    header = [re.sub("[^a-z]", "", name.lower()) for name in next(rows, (0, []))[1]]
+    places = [next((i for i, name in enumerate(header) if name in names), None) for names in _COLUMNS]
+    if None in places:
+        raise DataError(
+            f"The first line of {file_name} is {printable(','.join(header))[:200] or 'empty'}; expected "
+            "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon."
+        )
+    corners = {}
+    for line, values in rows:
+        try:
+            name, top, left, bottom, right = (values[place].strip() for place in places if place is not None)
+            corners[name] = (float(top), float(left), float(bottom), float(right))
+        except (IndexError, ValueError):
             raise DataError(
-                f"The first line of {file_name} is {printable(','.join(header))[:200] or 'empty'}; expected "
-                "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon."
-            )
-        corners = {}
-        for values in lines:
-            if values:
-                try:
-                    name, top, left, bottom, right = (values[place].strip() for place in places if place is not None)
-                    corners[name] = (float(top), float(left), float(bottom), float(right))
-                except (IndexError, ValueError):
-                    raise DataError(
-                        f"Line {lines.line_num} of {file_name} is {printable(','.join(values))[:200]}; expected a file "
-                        "and four numbers."
-                    ) from None
-    except OSError as error:
-        raise DataError(
-            f"{file_name} cannot be read ({error.strerror or error}); check that it is there and readable."
-        ) from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise DataError(
-            f"{file_name} is not a text file of comma-separated values in UTF-8; save it as such."
-        ) from error
+                f"Line {line} of {file_name} is {printable(','.join(values))[:200]}; expected a file and four numbers."
+            ) from None
     if not corners:
         raise DataError(f"{file_name} names no picture; expected a line for each.")
     return corners

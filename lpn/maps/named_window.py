@@ -61,10 +61,11 @@ class NamedWindow:
             for (latitude, longitude), window in zip(places, windows, strict=True)
         ]
 
-    def on(self, frame: LocalFrame) -> Window:
-        """Return the window in metres of a map's frame."""
-        x, y = frame.xy(self.latitude, self.longitude)[0].tolist()
-        return Window(x, y, self.size, self.heading)
+    @staticmethod
+    def all_on(windows: Sequence[NamedWindow], frame: LocalFrame) -> list[Window]:
+        """Return windows in metres of a map's frame."""
+        places = frame.xy([one.latitude for one in windows], [one.longitude for one in windows]).tolist()
+        return [Window(x, y, one.size, one.heading) for (x, y), one in zip(places, windows, strict=True)]
 
 
 @dataclass(frozen=True)
@@ -113,11 +114,10 @@ def caption_of(window: Window) -> str:
 
 def covers_part_of(basemap: Map, window: Window) -> bool:
     """Return whether a window lies at least partly within a map's bounds."""
-    if not all(map(math.isfinite, (window.x, window.y))):
-        return False
-    (west, south), (east, north) = window.corners.min(axis=0).tolist(), window.corners.max(axis=0).tolist()
-    bounds = basemap.bounds
-    return bool(west < bounds[2] and east > bounds[0] and south < bounds[3] and north > bounds[1])
+    west, south, east, north = basemap.bounds
+    turned = math.radians(window.heading)
+    reach = window.size / 2 * (abs(math.cos(turned)) + abs(math.sin(turned)))
+    return west - reach < window.x < east + reach and south - reach < window.y < north + reach
 
 
 def _short(value: float) -> str:

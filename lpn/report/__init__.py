@@ -5,8 +5,8 @@ write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 """
 
 from lpn.library.analyser import OwnPicture
-from lpn.report.cases import Options, Said, SaidDetails, SaidPicture
-from lpn.report.leaderboard_page import build_leaderboard
+from lpn.report.cases import DetailPin, DetailsPair, Options, Said, SaidPicture
 from lpn.report.page import build
+from lpn.report.tables import table_page
 
-__all__ = ["Options", "OwnPicture", "Said", "SaidDetails", "SaidPicture", "build", "build_leaderboard"]
+__all__ = ["DetailPin", "DetailsPair", "Options", "OwnPicture", "Said", "SaidPicture", "build", "table_page"]

@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from lpn.analysis.comparison import effect_on
+from lpn.analysis.comparison import Comparison, effect_on
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.numbers import shown_difference
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.drawing.part_areas import PartAreas
-from lpn.explain import Evidence, counterfactual
-from lpn.explain.counterfactual import Effect, Margin, RanksWithoutParts, Reweighting
+from lpn.explain import Evidence
+from lpn.explain.counterfactual import Effect
 from lpn.explain.part_activation import part_activation
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer, pair_evidence
-from lpn.retrieval import DescribedPicture, Match, Ranking
+from lpn.retrieval import Match
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
 
@@ -45,28 +45,47 @@ class SaidPicture:
 
 
 @dataclass(frozen=True)
-class SaidDetails:
+class DetailPin:
+    """A detail that photo and map show, by its number in both.
+
+    Attributes:
+        in_photo, on_map: per cent of the width and height of the pictures.
+        metres: from where the photo's place has it to where the map has it, two digits.
+    """
+
+    number: int
+    in_photo: tuple[float, float]
+    on_map: tuple[float, float]
+    metres: str
+
+
+@dataclass(frozen=True)
+class DetailsPair:
     """A photo beside the map about it, with the same details numbered in both.
 
     Attributes:
         sentence: how many details agree, and how well.
-        photo, ground: the pictures as data URIs.
+        photo, ground, laid: the photo, the map, and the photo laid over it, as data URIs.
         size: their width and height in pixels.
         frame: the photo's corners on the map, per cent of its width and height.
         colour: of the frame, in CSS.
-        pins: for each detail its places in photo and map, per cent of width and height, and the metres between where the photo
-            has it and where the map has it, as a number.
+        pins: the numbered details.
         limit: metres within which a detail counts, as a number.
+        heading: what points up on the map, degrees clockwise from north, -180 up to 180.
+        scale: metres of the scale, and per cent of the map's width that it takes.
     """
 
     sentence: str
     photo: str
     ground: str
+    laid: str
     size: tuple[int, int]
-    frame: tuple[tuple[float, float], ...]
+    frame: list[tuple[float, float]]
     colour: str
-    pins: tuple[tuple[tuple[float, float], tuple[float, float], str], ...]
+    pins: list[DetailPin]
     limit: str
+    heading: float
+    scale: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -93,7 +112,7 @@ class Said:
     map: tuple[tuple[str, str], ...] = ()
     reasons: tuple[tuple[str, tuple[str, ...]], ...] = ()
     judged: tuple[str, ...] = ()
-    details: SaidDetails | None = None
+    details: DetailsPair | None = None
 
 
 @dataclass(frozen=True)
@@ -103,25 +122,20 @@ class Options:
     Attributes:
         matches: number of tiles listed for each query, 1 or more.
         change: the change that is applied to each query first.
-        compared_tile: gallery position of a tile to compare in place of the top match.
         selection: how the queries were chosen, for the report's header.
         said: the screen's words on a single query; they stand first.
         doubtful: queries of the task for which no tile is right for certain; they are not graded, nor counted in its figures.
-        unsure: of the report's queries, those whose answer as it is shown is not graded; by default those that are doubtful.
+        title: of a report that tells a story, which has no figures of all queries; empty for a report on queries.
+        captions: what a story says of each answer.
     """
 
     matches: int = 5
     change: Change = UNCHANGED
-    compared_tile: int | None = None
     selection: str = ""
     said: Said | None = None
     doubtful: Collection[int] = ()
-    unsure: Collection[int] | None = None
-
-    @property
-    def ungraded(self) -> Collection[int]:
-        """The queries whose answers are not graded where they are shown."""
-        return self.doubtful if self.unsure is None else self.unsure
+    title: str = ""
+    captions: Sequence[Sequence[str]] = ()
 
     def __post_init__(self) -> None:
         if self.matches < 1:
@@ -152,108 +166,77 @@ class Case:
     """One query: its answer, and what a report adds to it.
 
     Attributes:
-        doubtful: see `Options`; its place counts as not known.
+        doubtful: no tile is right for certain, so it is not graded.
+        matches: the nearest tiles, then the nearest positive if it is not among them.
         facts: names and values of the query's metadata.
-        picture: the query's picture on which parts are drawn, see `Model.as_partitioned`.
+        picture: the query's picture on which parts are drawn, see `Answer.drawn`.
         areas: of its parts; None if neither a partition nor its cells are known.
         pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
             negative. The counterpart of another tile is the nearest positive.
-        margin: margin of the positive in `pairs` over the other tile; None if `pairs` is one tile.
-        without: ranks of the positive without each part; None if no positive is known.
-        change: the smallest change of part weights that puts a positive first; None if impossible or needless.
-        effect: the effect of `change` on all queries of the task; None for a gallery that only searches know.
+        comparison: of the nearest positive with a wrong tile; None if no positive is known, or no tile is wrong.
+        effect: what the smallest change of weights does to all queries; None in a story.
     """
 
     answer: Answer
     doubtful: bool
+    matches: list[Match]
     facts: list[tuple[str, str]]
     picture: UInt8Array
     areas: PartAreas | None
     pairs: tuple[Pair, ...]
-    margin: Margin | None
-    without: RanksWithoutParts | None
-    change: Reweighting | None
+    comparison: Comparison | None
     effect: Effect | None
 
     @property
-    def matches(self) -> list[Match]:
-        """The nearest tiles, then the nearest positive if it is not among them."""
-        listed, positive = self.answer.matches, self.answer.positive
-        return listed if positive is None or positive.rank <= len(listed) else [*listed, positive]
-
-    @property
-    def margin_shown(self) -> float | None:
-        """The margin as it is shown beside both squared distances, see `shown_difference`; None without one."""
-        if self.margin is None:
-            return None
-        distance2 = {pair.match.index: pair.match.distance2 for pair in self.pairs}
-        return shown_difference(distance2[self.margin.negative], distance2[self.margin.positive])
+    def margin(self) -> float | None:
+        """The margin of the positive as it is shown beside both squared distances, see `shown_difference`."""
+        pair = self.comparison
+        return None if pair is None else shown_difference(pair.other.distance2, pair.followed.distance2)
 
 
 class Cases:
     """Makes the cases of one report; caches described tiles across cases."""
 
     def __init__(self, task: Task, options: Options) -> None:
-        if options.compared_tile is not None and not 0 <= options.compared_tile < len(task.gallery):
-            raise InputError(
-                f"There is no gallery picture {options.compared_tile}; the gallery has positions 0 to {len(task.gallery) - 1}."
-            )
         if task.model is None and options.change:
             raise InputError(
                 f"{task.model_name} has saved descriptors but no network, so queries cannot be changed; leave changes out."
             )
         self._task, self._options = task, options
-        self._tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
-        self._analyser = QueryAnalyser(task.model, lambda _, index: self._tile(index))
+        self._graded = task.without_truth(options.doubtful)
+        tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
+        self._analyser = QueryAnalyser(task.model, lambda _, index: tile(index))
 
-    def make(self, query: int | OwnPicture) -> Case:
-        """Analyse one query."""
+    def make(self, query: int | OwnPicture | Answer) -> Case:
+        """Answer one query, or take the answer that is given."""
         task, options = self._task, self._options
-        index = None if isinstance(query, OwnPicture) else query
-        weights = None if task.weights is None else tuple(task.part_weights.tolist())
-        request = QueryRequest(query, options.change, weights, compare=options.compared_tile)
-        answer = self._analyser.analyse(task, request, options.matches)
+        if isinstance(query, Answer):
+            answer = query
+        else:
+            weights = None if task.weights is None else tuple(task.part_weights.tolist())
+            request = QueryRequest(query, options.change, weights)
+            answer = self._analyser.analyse(self._graded, request, options.matches)
         ranking, chosen, positive = answer.ranking, answer.chosen, answer.positive
         other = ranking.hardest_negative() if chosen.true else positive
-        margin = None
-        if other is not None:
-            true, wrong = (chosen, other) if chosen.true else (other, chosen)
-            margin = counterfactual.margin(ranking, true.index, wrong.index)
-        change = None if positive is None or positive.rank == 1 else counterfactual.smallest_change(ranking)
+        comparison = None if positive is None else Comparison.of(ranking, chosen)
+        below = [] if positive is None or positive.rank <= options.matches else [positive]
+        picture, areas = answer.drawn(answer.query, 0)
+        index = answer.index
+        placed = index is not None and (index in options.doubtful or task.truth is None or task.truth[index].known)
         return Case(
             answer=answer,
-            doubtful=index in options.ungraded,
-            facts=self._facts(index),
-            picture=self._partitioned(answer.query.picture, 0),
-            areas=self._areas(answer.query, 0),
-            pairs=tuple(self._pair(answer.query, match, ranking) for match in (chosen, other) if match is not None),
-            margin=margin,
-            without=counterfactual.ranks_without_parts(ranking),
-            change=change,
-            effect=None if change is None else self._effect(change),
+            doubtful=placed and answer.verdict.sign is None,
+            matches=[*ranking.top(options.matches), *below],
+            facts=[] if index is None or options.title else self._facts(index),
+            picture=picture,
+            areas=areas,
+            pairs=tuple(_pair(answer, match) for match in (chosen, other) if match is not None),
+            comparison=comparison,
+            effect=None if comparison is None or options.title else self._effect(comparison),
         )
 
-    def _partitioned(self, picture: UInt8Array, side: int) -> UInt8Array:
-        task = self._task
-        return picture if task.model is None else task.model.as_partitioned(picture, task.views[side])
-
-    def _pair(self, query: DescribedPicture, match: Match, ranking: Ranking) -> Pair:
-        tile = self._tile(match.index)
-        evidence = pair_evidence(query, tile, self._task.part_weights, csls=ranking.csls_of(match.index))
-        activation = None
-        if query.trace is not None and tile.trace is not None:
-            activation = part_activation(query.trace), part_activation(tile.trace)
-        evidence_of_pair = None if evidence is None else evidence.evidence
-        return Pair(match, self._partitioned(tile.picture, 1), self._areas(tile, 1), evidence_of_pair, activation)
-
-    def _areas(self, described: DescribedPicture, side: int) -> PartAreas | None:
-        view = self._task.views[side]
-        return PartAreas.of(self._task.contract, view, self._task.map_sizes[view], described.trace)
-
-    def _facts(self, index: int | None) -> list[tuple[str, str]]:
-        if index is None:
-            return []
-        table = self._task.table
+    def _facts(self, index: int) -> list[tuple[str, str]]:
+        table = self._graded.table
         names = [column.name for column in picture_columns(table)] + [TAGS, NOTE]
         columns = [table.columns[name] for name in names if name in table.columns]
         return [
@@ -262,6 +245,17 @@ class Cases:
             if column.known[index]
         ]
 
-    def _effect(self, change: Reweighting) -> Effect | None:
-        task = self._task
-        return effect_on(task, task.weights, change.weights, task.outcomes.rank) if task.lists_gallery else None
+    def _effect(self, comparison: Comparison) -> Effect | None:
+        task, change = self._graded, comparison.change
+        if comparison.followed.rank == 1 or change is None:
+            return None
+        return effect_on(task, change.weights)
+
+
+def _pair(answer: Answer, match: Match) -> Pair:
+    query, tile, ranking = answer.query, answer.described(match), answer.ranking
+    evidence = pair_evidence(query, tile, ranking.weights, csls=ranking.csls_of(match.index))
+    activation = None
+    if query.trace is not None and tile.trace is not None:
+        activation = part_activation(query.trace), part_activation(tile.trace)
+    return Pair(match, *answer.drawn(tile, 1), None if evidence is None else evidence.evidence, activation)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -11,10 +10,11 @@ import lpn
 from lpn.core.errors import InputError
 from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
+from lpn.library.answer import Answer
 from lpn.report._rendering import render, style_sheet, thumbnail
 from lpn.report.cases import Case, Cases, Options
 from lpn.report.sections import section, summary
-from lpn.retrieval import protocol
+from lpn.tasks.measure import sentence
 from lpn.tasks.task import Task
 
 # Queries in one report; browsers open the file of more of them slowly.
@@ -45,7 +45,7 @@ class _ContentsLine:
 
 def build(
     task: Task,
-    queries: Sequence[int | OwnPicture],
+    queries: Sequence[int | OwnPicture | Answer],
     options: Options | None = None,
     progress: Callable[[int, int], None] | None = None,
     made: datetime | None = None,
@@ -55,7 +55,7 @@ def build(
     Each query and each compared tile takes one forward pass.
 
     Args:
-        queries: positions among the task's queries, or pictures that are no queries, in the order of the report.
+        queries: positions among the task's queries, pictures that are no queries, or answers, in the order of the report.
         progress: called after each query with the numbers of finished and of all queries; what it raises ends the work.
         made: date and time that the report bears, by default now.
 
@@ -66,17 +66,17 @@ def build(
     options = options or Options()
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
-    shown, task = task.without_truth(options.ungraded), task.without_truth(options.doubtful)
-    cases = Cases(shown, options)
-    lines, sections = [], []
+    cases, task = Cases(task, options), task.without_truth(options.doubtful)
+    lines, sections, own = [], [], False
     for number, query in enumerate(queries, 1):
         case = cases.make(query)
         # A case holds pictures and a whole ranking, so only its HTML is kept.
-        lines.append(_line(case, shown, query))
-        sections.append(section(case, shown, number))
+        lines.append(_line(case))
+        sections.append(section(case, number))
+        own = own or case.answer.index is None
         if progress is not None:
             progress(number, len(queries))
-    graded = int(task.metrics["queries"])
+    graded = 0 if options.title else int(task.metrics["queries"])
     return render(
         "report.html.j2",
         style=style_sheet(),
@@ -91,9 +91,11 @@ def build(
         doubtful=bool(options.doubtful),
         part_names=task.part_names,
         said=options.said,
+        title=options.title,
+        captions=options.captions,
         queries=f"{graded:,}{'' if graded == len(task.queries) else ' graded'}",
-        own=any(isinstance(query, OwnPicture) for query in queries),
-        figures=_figures(task),
+        own=own,
+        figures=[] if options.title else _figures(task),
         facts=_facts(task, options, len(queries), made or datetime.now().astimezone()),
         lines=lines,
         sections=sections,
@@ -104,31 +106,20 @@ def _figures(task: Task) -> list[tuple[str, float, str]]:
     """List the results of all queries as names, percentages, and meanings; empty if no query's place is known."""
     if not task.metrics["queries"]:
         return []
-    figures = [
+    return [
         ("R@1", task.metrics["recall@1"], "true tile first"),
         ("R@5", task.metrics["recall@5"], "among the first 5"),
         ("R@10", task.metrics["recall@10"], "among the first 10"),
         ("AP", task.metrics["ap"], "mean average precision"),
     ]
-    # AP needs all ranks, and a search returns only the first.
-    return [figure for figure in figures if not math.isnan(figure[1])]
 
 
 def _gallery(task: Task) -> str:
-    tiles = f"{len(task.gallery):,} tiles" if task.lists_gallery else task.gallery_description
-    return f"{tiles}, pieces of the map" if task.of_map else tiles
+    return f"{task.gallery_description}, pieces of the map" if task.of_map else task.gallery_description
 
 
 def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tuple[str, str]]:
     """List what the report is about as names and values."""
-    mirrored = "descriptors of picture and mirror added, " if task.contract.mirror == "sum" else ""
-    normalised = f"{'each part ' if task.contract.n_parts > 1 else ''}normalised"
-    clauses = ["descriptors as saved"] if task.model is None else [f"{mirrored}{normalised}"]
-    if task.weights is not None:
-        clauses.append("part weights " + " : ".join(f"{100 * weight:.0f}" for weight in task.part_weights) + " %")
-    clauses += [] if task.calibration is None else [task.calibration.describe()]
-    parts = tuple(range(1, task.contract.n_parts + 1))
-    rule = protocol.sentence(clauses, parts, len(parts), listed=task.truth is not None, neighbours=task.neighbours)
     facts = [
         ("Model", task.model_name),
         ("", "saved descriptors, no network" if task.model is None else task.model.describe()),
@@ -144,7 +135,7 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     facts += [
         ("Data", task.data_name),
         ("Task", f"{task.name}: {len(task.queries):,} queries{graded}, {_gallery(task)}"),
-        ("Protocol", rule.removeprefix("Protocol: ")),
+        ("Protocol", sentence(task).removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
     if options.said:
@@ -154,19 +145,19 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
 
 
-def _line(case: Case, task: Task, query: int | OwnPicture) -> _ContentsLine:
-    picture = query.picture if isinstance(query, OwnPicture) else task.queries[query].load_cropped()
-    first, truth = case.matches[0], case.answer.positive
+def _line(case: Case) -> _ContentsLine:
+    answer = case.answer
+    first, truth = answer.ranking.match(0), answer.positive
     tiles = [first] if truth is None or truth.rank == 1 else [first, truth]
     return _ContentsLine(
-        case.answer.verdict.sign,
-        thumbnail(picture),
-        case.answer.name,
+        answer.verdict.sign,
+        thumbnail(answer.source),
+        answer.name,
         summary(case)[0],
         [
             _ContentsTile(match.true, thumbnail(entry.load()), entry.name)
-            for match, entry in ((match, task.gallery[match.index]) for match in tiles)
+            for match, entry in ((match, answer.task.gallery[match.index]) for match in tiles)
         ],
         None if truth is None else truth.rank,
-        case.margin_shown,
+        case.margin,
     )

@@ -35,8 +35,9 @@ class _PairEvidence:
     bars: list[Markup]
 
 
-def section(case: Case, task: Task, number: int) -> Markup:
+def section(case: Case, number: int) -> Markup:
     """Render everything about one query."""
+    task, ranking, pair = case.answer.task, case.answer.ranking, case.comparison
     headline, reason = summary(case)
     return render(
         "query.html.j2",
@@ -59,7 +60,9 @@ def section(case: Case, task: Task, number: int) -> Markup:
         scale=overlays.data_uri(overlays.evidence_scale(240, 20), 90),
         heatmaps=_heatmaps(case, task),
         heatmaps_note=heatmaps.note(len(task.part_names)),
-        steps=charts.waterfall(case.margin.parts, sum_shown=case.margin_shown) if case.margin else [],
+        steps=[]
+        if pair is None
+        else charts.waterfall(ranking.gains(pair.followed.index, pair.other.index), sum_shown=case.margin),
     )
 
 
@@ -73,10 +76,10 @@ def summary(case: Case) -> tuple[str, str]:
 
 
 def _sentences(case: Case, task: Task) -> list[str]:
-    positive = case.answer.positive
-    if len(task.part_names) == 1 or positive is None or positive.rank == 1:
+    pair = case.comparison
+    if len(task.part_names) == 1 or pair is None or pair.followed.rank == 1:
         return []
-    return [verdicts.describe_reweighting(case.change, case.effect)]
+    return [verdicts.describe_reweighting(pair.change, case.effect)]
 
 
 def _role(case: Case, match: Match) -> str:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from lpn.analysis.statistics import half_interval
 from lpn.reproduce.paper_values import CLAIMS, Claim
 from lpn.reproduce.record import RowRecord, TableRecord
-from lpn.reproduce.seed_intervals import half_interval_of_difference
 
 
 def verdicts(record: TableRecord) -> list[str]:
@@ -78,9 +78,7 @@ def _not_ahead(claim: Claim, rows: dict[str, RowRecord], columns: Sequence[int])
 
 def _noise(rows: dict[str, RowRecord], better: str, worse: str, index: int) -> float:
     """Return half the width of the interval of the difference between two rows in a column."""
-    return half_interval_of_difference(
-        *([values[index] for values in rows[label].values.values()] for label in (better, worse))
-    )
+    return half_interval(*([values[index] for values in rows[label].values.values()] for label in (better, worse)))
 
 
 def _closest(claim: Claim, rows: dict[str, RowRecord], index: int, record: TableRecord) -> str:

@@ -14,15 +14,15 @@ from lpn.core.checksums import crc_of_values
 from lpn.core.errors import InputError
 from lpn.core.files import exclusive_lock, write_json
 from lpn.core.formats import decode_json
-from lpn.descriptors.transforms import Change
 from lpn.explain.centre import VIEWS, centre_box, centre_shares
 from lpn.models.base import Model
 from lpn.reproduce.paper_values import Values
 from lpn.reproduce.record import Provenance, TableRecord, here
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import Measure, TableRow
-from lpn.retrieval.evaluate import Result, evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.tasks.changes import turned, with_parts
+from lpn.tasks.measure import Result
+from lpn.tasks.opening import lazy_task
 
 log = logging.getLogger(__name__)
 
@@ -131,8 +131,12 @@ def _measured(row: TableRow, measure: Measure, model: Model, data: Sequence[Sour
             100 * float(np.mean(list(centre_shares(model, data[0].dataset.gallery(view), view)))) for view in VIEWS
         )
         return MeasuredFigures(means, _CENTRE.format(_box(model)), here())
-    protocol = Protocol(Change(row.rotate), row.parts, row.branch, released=released)
-    results = [evaluate(model, source.dataset, task, protocol) for source in data for task in TASKS[measure]]
+    tasks = (
+        lazy_task(model, source.dataset, task, branch=row.branch, released=released)
+        for source in data
+        for task in TASKS[measure]
+    )
+    results = [with_parts(turned(task, row.rotate) if row.rotate else task, row.parts).evaluate() for task in tasks]
     return MeasuredFigures(
         tuple(value for result in results for value in _values(result, measure)), results[0].sentence, here()
     )

@@ -11,7 +11,7 @@ from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
-from lpn.drawing.plots import png, pyplot
+from lpn.drawing.plots import encode, pyplot
 from lpn.models.base import Model
 from lpn.retrieval import scoring
 
@@ -59,7 +59,7 @@ def heatmaps(
                     )
                 if row == line == 0:
                     cell.set_title(models[column - 1][0] if column else "picture", fontsize=9)
-    return png(figure, 100)
+    return encode(figure, 100)
 
 
 def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Sequence[str] = (), top: int = 5) -> bytes:
@@ -102,7 +102,7 @@ def retrievals(model: Model, dataset: Dataset, views: Sequence[View], names: Seq
             cell.set_title(title, fontsize=7)
             for side in cell.spines.values():
                 side.set(linewidth=0 if query_cell else 3, color=TRUE if right else FALSE)
-    return png(figure, 100)
+    return encode(figure, 100)
 
 
 def named(dataset: Dataset, view: View, names: Sequence[str] = (), count: int = 4) -> list[Picture]:

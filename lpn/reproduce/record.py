@@ -15,8 +15,8 @@ import msgspec
 import torch
 
 import lpn
+from lpn.analysis.statistics import half_interval
 from lpn.reproduce.paper_values import PrintedValues, Values
-from lpn.reproduce.seed_intervals import half_interval
 
 
 class Provenance(msgspec.Struct, frozen=True, omit_defaults=True):

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lpn.analysis.text_tables import TableSection, TextTable, latex_page
-from lpn.core.csv_cells import csv_bytes
 from lpn.core.files import write_atomic
-from lpn.drawing.plots import png, pyplot
+from lpn.core.text_tables import TextTable, latex_page
+from lpn.drawing.plots import encode, pyplot
 from lpn.reproduce.claims import verdicts
 from lpn.reproduce.record import TableRecord
 
@@ -22,22 +22,17 @@ def write(record: TableRecord, out: Path) -> list[Path]:
     write_atomic(files[0], markdown(record).encode())
     write_atomic(files[1], _csv(record))
     write_atomic(files[2], figure(record))
-    section = TableSection(record.title, (text_table(record),), after=" ".join((*record.notes, *verdicts(record))))
-    write_atomic(files[3], latex_page([section]).encode())
+    after = " ".join((*record.notes, *verdicts(record)))
+    write_atomic(files[3], latex_page([replace(text_table(record), after=after)]).encode())
     return files
 
 
 def markdown(record: TableRecord) -> str:
     """Format the table, its notes, and the verdicts on the paper's claims."""
-    table = text_table(record)
-    titles = table.head[1:]
-    lines = [f"### {record.title}", "", "| | " + " | ".join(titles) + " |", "|---|" + "---:|" * len(titles)]
-    lines += [f"| {' | '.join(row)} |" for row in table.rows]
-    lines += ["", *(f"{sentence}  " for sentence in record.notes)]
-    claims = verdicts(record)
-    if claims:
-        lines += ["", *(f"- {claim}" for claim in claims)]
-    return "\n".join(lines) + "\n"
+    after = "".join(f"{sentence}  \n" for sentence in record.notes)
+    claims = "".join(f"- {claim}\n" for claim in verdicts(record))
+    table = replace(text_table(record), after="\n".join(filter(None, (after, claims))).rstrip("\n"))
+    return table.markdown(3).removesuffix("\n")
 
 
 def text_table(record: TableRecord) -> TextTable:
@@ -69,7 +64,7 @@ def text_table(record: TableRecord) -> TextTable:
                 # The paper prints a dash for what it does not know of a row.
                 texts.append(f"{printed:.2f}" if printed is not None else "-" if row.paper else "")
         rows.append((row.title, *texts))
-    return TextTable(("", *titles), rows)
+    return TextTable(("", *titles), rows, record.title)
 
 
 def _format(mean: float, interval: float) -> str:
@@ -78,15 +73,15 @@ def _format(mean: float, interval: float) -> str:
 
 def _csv(record: TableRecord) -> bytes:
     names = list(dict.fromkeys(name for row in record.rows for name in row.values))
-    rows: list[list[object]] = [["row", "column", "paper", "mean", "not run", *names]]
+    rows = []
     for row in record.rows:
         for index, (title, beside) in enumerate(zip(record.columns, record.beside, strict=True)):
             printed = row.paper[beside] if beside is not None and beside < len(row.paper) else None
-            paper = "" if printed is None else printed
+            paper = "" if printed is None else str(printed)
             values = [f"{row.values[name][index]:.4f}" if name in row.values else "" for name in names]
             mean = f"{row.mean[index]:.4f}" if row.mean else ""
             rows.append([row.title, title, paper, mean, row.reason, *values])
-    return csv_bytes(rows)
+    return TextTable(("row", "column", "paper", "mean", "not run", *names), rows).csv()
 
 
 def figure(record: TableRecord) -> bytes:
@@ -117,7 +112,7 @@ def figure(record: TableRecord) -> bytes:
     axes.set_title(record.title, loc="left", fontsize=11)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1, 0.5))
-    return png(drawn, 110)
+    return encode(drawn, 110)
 
 
 def _draw(

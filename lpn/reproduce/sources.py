@@ -14,9 +14,9 @@ from lpn.core.consoles import Console
 from lpn.core.errors import InputError
 from lpn.core.views import views_of
 from lpn.datasets import Dataset, Picture, open_dataset
+from lpn.datasets.integrity import check_test_split, lists_of
 from lpn.datasets.rendered import is_rendered
 from lpn.reproduce.tables import DataRole, Measure
-from lpn.retrieval.evaluate import check_test_split, lists_of
 from lpn.training.training_set import TrainingSet
 
 # The tasks of each measure.

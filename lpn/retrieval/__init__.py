@@ -1,4 +1,4 @@
-"""Ranking and its measures: scores of parts, exact ranks, metrics, and the published test protocol.
+"""Ranking and its measures: scores of parts, exact ranks, metrics, and calibration without labels.
 
 It imports `core`, `datasets`, `models`, and `descriptors`.
 """

@@ -29,7 +29,6 @@ from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.descriptors.transforms import MAX_SCALE, UNCHANGED, Change
 from lpn.models.base import Model, normalise
-from lpn.retrieval.protocol import centred
 
 # The factor between tried ratios.
 STEP = 2**0.25
@@ -337,6 +336,11 @@ def _nearest(query: Float32Array, gallery: Float32Array) -> Float64Array:
     return np.concatenate(
         [(block.reshape(len(block), -1) @ flat).max(axis=1) for block in np.split(query, range(1000, len(query), 1000))]
     ).astype(np.float64)
+
+
+def centred(described: Float32Array) -> Float32Array:
+    """Subtract the mean of descriptors (N, n, D) from each of them, part by part, and scale parts to norm 1/sqrt(n) again."""
+    return normalise(described - described.mean(axis=0))
 
 
 def zoom_note(zoom: float) -> str:

@@ -16,19 +16,18 @@ from typing import cast
 import numpy as np
 import numpy.typing as npt
 
-from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array
 from lpn.core.errors import InputError
+from lpn.datasets import geo
+from lpn.datasets.base import PositionProtocol
 from lpn.retrieval.inner_products import Scores
 from lpn.retrieval.metrics import checked_sides
 
 # Decay of DenseUAV's SDM, per degree, and of GTA-UAV's, per metre.
 _DENSEUAV_DECAY = 5000.0
 _GTA_UAV_DECAY = 0.001
-# The equatorial radius of WGS 84 in metres, which DenseUAV's evaluation takes for a sphere's, and its flattening.
+# The equatorial radius of WGS 84 in metres, which DenseUAV's evaluation takes for a sphere's.
 _EQUATOR = 6_378_137.0
-_FLATTENING = 1 / 298.257223563
-# Vincenty's iteration converges within a few steps, except for nearly antipodal points.
-_STEPS = 60
 
 
 def recall_at(hits: npt.ArrayLike, k: int) -> float:
@@ -93,43 +92,6 @@ def great_circle(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
     return cast(Float64Array, 2 * _EQUATOR * np.arcsin(np.sqrt(np.clip(chord, 0, 1))))
 
 
-def geodesic(queries: npt.ArrayLike, tiles: npt.ArrayLike) -> Float64Array:
-    """Return the distance in metres on the WGS 84 ellipsoid between latitude and longitude in degrees (..., 2).
-
-    It is Vincenty's inverse formula (1975), exact to less than a millimetre; for nearly antipodal points, where that does not
-    converge, the great circle's distance.
-    """
-    a, b = np.broadcast_arrays(np.radians(np.asarray(queries, np.float64)), np.radians(np.asarray(tiles, np.float64)))
-    east = b[..., 1] - a[..., 1]
-    # Reduced latitudes.
-    u, v = (np.arctan((1 - _FLATTENING) * np.tan(point[..., 0])) for point in (a, b))
-    sin_u, cos_u, sin_v, cos_v = np.sin(u), np.cos(u), np.sin(v), np.cos(v)
-    turn, before = east, np.full_like(east, np.inf)
-    for _ in range(_STEPS):
-        cross = np.hypot(cos_v * np.sin(turn), cos_u * sin_v - sin_u * cos_v * np.cos(turn))
-        along = sin_u * sin_v + cos_u * cos_v * np.cos(turn)
-        arc = np.arctan2(cross, along)
-        sin_alpha = np.divide(cos_u * cos_v * np.sin(turn), cross, out=np.zeros_like(cross), where=cross > 0)
-        cos2_alpha = 1 - sin_alpha**2
-        # Along the equator the middle's latitude has no effect.
-        ratio = np.divide(2 * sin_u * sin_v, cos2_alpha, out=np.zeros_like(cross), where=cos2_alpha > 0)
-        middle = np.where(cos2_alpha > 0, along - ratio, 0.0)
-        c = _FLATTENING / 16 * cos2_alpha * (4 + _FLATTENING * (4 - 3 * cos2_alpha))
-        series = arc + c * cross * (middle + c * along * (2 * middle**2 - 1))
-        before, turn = turn, east + (1 - c) * _FLATTENING * sin_alpha * series
-        if (np.abs(turn - before) < 1e-13).all():
-            break
-    polar = _EQUATOR * (1 - _FLATTENING)
-    square = cos2_alpha * (_EQUATOR**2 - polar**2) / polar**2
-    scale = 1 + square / 16384 * (4096 + square * (-768 + square * (320 - 175 * square)))
-    b_term = square / 1024 * (256 + square * (-128 + square * (74 - 47 * square)))
-    last = b_term / 6 * middle * (4 * cross**2 - 3) * (4 * middle**2 - 3)
-    shift = b_term * cross * (middle + b_term / 4 * (along * (2 * middle**2 - 1) - last))
-    metres = polar * scale * (arc - shift)
-    settled = np.abs(turn - before) < 1e-9
-    return cast(Float64Array, np.where(settled, metres, great_circle(np.degrees(a), np.degrees(b))))
-
-
 def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArray | None = None) -> Int64Array:
     """Return the gallery positions of each query's k nearest tiles in the order of exact scores, ties in gallery order.
 
@@ -162,6 +124,37 @@ def nearest(query: npt.ArrayLike, gallery: npt.ArrayLike, k: int, junk: BoolArra
             order = np.argsort(-scores.exact(query_index, candidates), kind="stable")
             nearest_first[query_index] = candidates[order[:depth]]
     return nearest_first
+
+
+def field_figures(
+    measured_by: PositionProtocol,
+    query: Float32Array,
+    gallery: Float32Array,
+    query_places: Float64Array,
+    places: Float64Array,
+) -> dict[str, float]:
+    """Return the metrics that a published evaluation takes from positions, as means over the queries.
+
+    Keys: for DenseUAV `sdm_denseuav@K` (0 .. 1) for K = 1, 3, 5, 10 and `ma@m` in percent for m = 5, 10, 20, 50, 100 metres; for
+    GTA-UAV and UAV-VisLoc `sdm_gta_uav@K` (0 .. 1) and `dis@K` in metres for K = 1, 3, 5. K above the size of the gallery is left
+    out.
+
+    Args:
+        query, gallery: descriptors, (Q, n, D) and (G, n, D).
+        query_places, places: see `Dataset.coordinates`, (Q, 2) and (G, 2).
+    """
+    order = nearest(query, gallery, 10)
+    starts, ends = query_places[:, None], places[order]
+    if measured_by == "DenseUAV":
+        degrees = degree_distances(starts, ends)
+        top = great_circle(query_places, ends[:, 0])
+        depths = [k for k in (1, 3, 5, 10) if k <= order.shape[1]]
+        figures = {f"sdm_denseuav@{k}": float(sdm_denseuav(degrees, k).mean()) for k in depths}
+        return figures | {f"ma@{metres}": accuracy_within(top, metres) for metres in (5, 10, 20, 50, 100)}
+    metres = geo.geodesic(starts, ends) if measured_by == "UAV-VisLoc" else np.linalg.norm(starts - ends, axis=2)
+    depths = [k for k in (1, 3, 5) if k <= order.shape[1]]
+    figures = {f"sdm_gta_uav@{k}": float(sdm_gta_uav(metres, k).mean()) for k in depths}
+    return figures | {f"dis@{k}": float(distance_at(metres, k).mean()) for k in depths}
 
 
 def _sdm(distances: npt.ArrayLike, k: int, decay: float) -> Float64Array:

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float32Array, Int64Array, UInt8Array
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, Int64Array, UInt8Array
 from lpn.core.numbers import shown_difference
 from lpn.core.views import View
 from lpn.datasets import Truth
@@ -18,9 +18,6 @@ from lpn.models.trace import Trace
 from lpn.retrieval import scoring
 from lpn.retrieval.csls import CslsTerms
 from lpn.retrieval.metrics import JUNK
-
-# Stands in place of a rank that may be any.
-NOT_RETURNED = "not returned"
 
 
 @dataclass(frozen=True)
@@ -46,18 +43,14 @@ class Match:
     """One ranked tile.
 
     Attributes:
-        rank: 1 for the nearest; for a tile `beyond` the searched depth, that depth + 1, which is the lowest rank that it can have
-            unless it is `missed`.
+        rank: 1 for the nearest.
         index: position in the gallery.
         score: weighted mean cosine, -1 .. 1; under CSLS, less both of its terms.
         distance2: squared distance 2 - 2 score.
-        gap: squared distance of the next tile minus that of this one; None for the last tile, and beyond the depth.
+        gap: squared distance of the next tile minus that of this one; None for the last tile.
         cosines: of each part, (n,).
         contributions: each part's exact share of distance2, (n,); under CSLS, with the part's share of both of its terms.
         true: True for a tile of the query's place; None if the place is not known.
-        beyond: the search did not return the tile, so its rank is not known.
-        missed: the tile is `beyond`, but nearer than the last tile that an approximate search returned, so that its rank may be
-            any.
         constants: what CSLS subtracts from the score for the query and for the tile, under the part weights; None without CSLS.
     """
 
@@ -69,21 +62,12 @@ class Match:
     cosines: Float32Array
     contributions: Float32Array
     true: bool | None
-    beyond: bool = False
-    missed: bool = False
     constants: tuple[float, float] | None = None
 
     @property
     def shown_gap(self) -> float | None:
         """The gap beside the rounded squared distances of both tiles, see `shown_difference`."""
         return None if self.gap is None else shown_difference(self.distance2 + self.gap, self.distance2)
-
-    @property
-    def rank_text(self) -> str:
-        """The rank in figures, such as "12", or "> 100" beyond a depth of 100, or "not returned"."""
-        if self.missed:
-            return NOT_RETURNED
-        return f"> {self.rank - 1}" if self.beyond else str(self.rank)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +82,6 @@ class Ranking:
         relevant: True for gallery pictures of the query's place, (G,); None if the place is not known.
         lengths: n |q_i|^2 of each part of a query that is restricted to a region, (n,), see `scoring.contributions`; `cosines`
             are then n times inner products.
-        depth: number of tiles in `order` whose ranks are known; those behind them are ranked among themselves only, and scores of
-            all other tiles are not a number. None if all ranks are known.
-        approximate: the search may leave out tiles that are nearer than those it returns.
         csls: the terms of CSLS; None if it does not re-rank.
     """
 
@@ -110,8 +91,6 @@ class Ranking:
     order: Int64Array
     relevant: BoolArray | None
     lengths: Float32Array | None = None
-    depth: int | None = None
-    approximate: bool = False
     csls: CslsTerms | None = None
 
     @property
@@ -122,12 +101,10 @@ class Ranking:
     def match(self, position: int) -> Match:
         """The match at a 0-based position of the order."""
         index = int(self.order[position])
-        depth = len(self.order) if self.depth is None else self.depth
-        beyond, last = position >= depth, position + 1 >= depth
+        last = position + 1 >= len(self.order)
         terms = self.csls_of(index)
-        leads = beyond and (not depth or bool(self.scores[index] > self.scores[self.order[depth - 1]]))
         return Match(
-            rank=min(position, depth) + 1,
+            rank=position + 1,
             index=index,
             score=float(self.scores[index]),
             distance2=2.0 - 2.0 * float(self.scores[index]),
@@ -135,8 +112,6 @@ class Ranking:
             cosines=self.cosines[index],
             contributions=self._contributions(index),
             true=None if self.relevant is None else bool(self.relevant[index]),
-            beyond=beyond,
-            missed=self.approximate and leads,
             constants=None if terms is None else (float(terms[0] @ self.weights), float(terms[1] @ self.weights)),
         )
 
@@ -149,10 +124,17 @@ class Ranking:
         terms = None if csls is None else csls[0] + csls[1]
         return scoring.contributions(self.cosines[index], self.weights, self.lengths, terms)
 
+    def gains(self, leader: int, follower: int) -> Float64Array:
+        """The lead of one gallery picture over another in d², part by part: 2 w_i (cos_i(leader) - cos_i(follower)), (n,).
+
+        A gain is above 0 where the part speaks for the leader; under CSLS it has both of its terms.
+        """
+        ahead, behind = (self.similarities[index].astype(np.float64) for index in (leader, follower))
+        return cast(Float64Array, 2 * self.weights.astype(np.float64) * (ahead - behind))
+
     def top(self, k: int) -> list[Match]:
-        """The k nearest, or all whose ranks are known when there are fewer."""
-        ranked = len(self.order) if self.depth is None else self.depth
-        return [self.match(position) for position in range(min(k, ranked))]
+        """The k nearest, or all when there are fewer."""
+        return [self.match(position) for position in range(min(k, len(self.order)))]
 
     def holds(self, index: int) -> bool:
         """Return True if gallery picture `index` is ranked, that is, not junk."""

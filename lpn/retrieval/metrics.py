@@ -40,13 +40,10 @@ class Retrieval(Ranked):
     """The rankings of all queries, (Q,) each.
 
     Attributes:
-        gallery: number of gallery pictures, junk included.
-        depth: number of tiles that were ranked for each query, of which `first` is `depth` where the first true match is none;
-            None for all. For the rest see `lpn.retrieval.ranks.Ranked`.
+        gallery: number of gallery pictures, junk included. For the rest see `lpn.retrieval.ranks.Ranked`.
     """
 
     gallery: int
-    depth: int | None = None
 
     @property
     def best(self) -> Int64Array:
@@ -57,7 +54,7 @@ class Retrieval(Ranked):
         """Return the values that `evaluate` returns; they count the queries that are `known`, (Q,), or all."""
         if known is not None and not known.all():
             kept = self.first[known], self.true[known], self.false[known], self.precision[known], self.gap[known]
-            return Retrieval(*kept, self.gallery, self.depth).metrics()
+            return Retrieval(*kept, self.gallery).metrics()
         return {
             "recall@1": self.recall(1),
             "recall@5": self.recall(5),
@@ -69,8 +66,8 @@ class Retrieval(Ranked):
         }
 
     def recall(self, within: int) -> float:
-        """Percentage of queries whose first true match is among the nearest `within`; NaN without queries or beyond `depth`."""
-        if not len(self.first) or (self.depth is not None and within > self.depth):
+        """Percentage of queries whose first true match is among the nearest `within`; NaN without queries."""
+        if not len(self.first):
             return math.nan
         return 100.0 * int(np.count_nonzero((self.first >= 0) & (self.first < within))) / len(self.first)
 

@@ -1,4 +1,4 @@
-"""Descriptors that other programs saved: evaluated and explored without a network.
+"""Descriptors that other programs saved.
 
 Plain arrays of any model are (N, D), (N, n, D), or (N, D, n), floats of any precision, in one of these files:
 
@@ -6,18 +6,7 @@ Plain arrays of any model are (N, D), (N, n, D), or (N, D, n), floats of any pre
     .npz        one array; or `query` and `gallery`, so that one file may hold both sides
     .mat        MATLAB 5: query_f, query, gallery_f, gallery, descriptors, or features (extra `train`)
 
-Their list (`paths.csv`) has a line for each row of both arrays, those of one side in the order of their rows:
-
-    file,side,label,latitude,longitude
-    query/0001.jpg,query,1,30.3201,120.3807
-    tiles/0001.png,gallery,1,30.3203,120.3806
-
-`file` is a path below the list's folder; a picture that is not there is drawn as a placeholder. `side` is query or gallery.
-`label` is any text, equal for pictures of one place; "7" and "007" are two places. It is empty where it is unknown: such a query
-is not counted, and such a gallery picture is true for none. It is -1 for a gallery picture that is dropped from the ranking.
-Latitude and longitude, in degrees, may be empty. Only file and side are needed.
-
-`pytorch_result.mat` of the published test code holds its own list:
+`pytorch_result.mat` of the published test code also says what its rows are:
 
     gallery_f, query_f            (G, F) and (Q, F): part embeddings (512, n), each part of norm 1/sqrt(n), flattened row by row
     gallery_label, query_label    (1, G) and (1, Q) integers; -1 for a gallery picture that is dropped from the ranking
@@ -26,34 +15,28 @@ Latitude and longitude, in degrees, may be empty. Only file and side are needed.
 
 from __future__ import annotations
 
-import hashlib
 import logging
-import os
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 
-from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, BoolArray, Float32Array, Int64Array, UInt8Array
+from lpn.core.arrays import DAMAGED_ARRAY, AnyArray, Float32Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.core.views import VIEWS, View, views_of
 from lpn.datasets import Dataset, Picture, Truth, matlab
-from lpn.datasets.geo import Position
-from lpn.datasets.listed_paths import FilesBelow, listed_path, plain_path
-from lpn.datasets.lists import read_text, table
+from lpn.datasets.listed_paths import plain_path
 from lpn.models.contract import Role
 from lpn.retrieval.ranks import JUNK
-from lpn.retrieval.sides import TaskPictures
 
 log = logging.getLogger(__name__)
 
 # The axis of the parts: (N, n, D) or (N, D, n).
 Order = Literal["parts-first", "parts-last"]
-_COLUMNS = {"file", "side", "label", "latitude", "longitude"}
 _KEYS = {side: (f"{side}_f", side, "descriptors", "features") for side in ("query", "gallery")}
 _PUBLISHED = ("gallery_f", "gallery_label", "query_f", "query_label")
 # Norms of parts that differ by less than this share from 1/sqrt(n) are not worth a warning.
@@ -89,8 +72,7 @@ class PublishedResult:
     @property
     def views(self) -> tuple[View, View] | None:
         """The views of queries and gallery, read from their folders (query_drone, gallery_satellite); None when unknown."""
-        views = _view(self.query_paths, "query"), _view(self.gallery_paths, "gallery")
-        return None if None in views else cast("tuple[View, View]", views)
+        return views_of_paths(self.query_paths or (), self.gallery_paths or ())
 
     @property
     def task(self) -> str:
@@ -141,71 +123,7 @@ class PublishedResult:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class PlainArrays:
-    """Descriptors of both sides with what the list tells about their pictures.
-
-    Attributes:
-        result: descriptors (parts of norm 1/sqrt(n)), labels, and paths.
-        root: the folder that paths are relative to.
-        queries, gallery: the pictures.
-        query_positions, positions: where they were taken; None for those that the list leaves out.
-        labelled: the queries whose label tells what is right, (Q,); none where no label of theirs is one of the gallery.
-        identity: digest of the descriptors.
-    """
-
-    result: PublishedResult
-    root: Path
-    queries: list[Picture]
-    gallery: list[Picture]
-    query_positions: list[Position | None]
-    positions: list[Position | None]
-    labelled: BoolArray
-    identity: str
-
-    @property
-    def views(self) -> tuple[View, View]:
-        """The views of both sides, by folders such as query_drone; drone and satellite where these do not tell."""
-        return self.result.views or ("drone", "satellite")
-
-    @property
-    def all_positions(self) -> tuple[list[Position], list[Position]] | None:
-        """The positions of queries and gallery; None if one is not known."""
-        sides = places_of(self.query_positions), places_of(self.positions)
-        return None if sides[0] is None or sides[1] is None else (sides[0], sides[1])
-
-    def truth(self) -> list[Truth] | None:
-        """The true matches of each query where some queries have no label; None if labels tell everything."""
-        if self.labelled.all():
-            return None
-        junk = np.flatnonzero(self.result.gallery_labels == JUNK)
-        return [
-            Truth(np.flatnonzero(self.result.gallery_labels == label) if known else junk[:0], junk, bool(known))
-            for label, known in zip(self.result.query_labels, self.labelled, strict=True)
-        ]
-
-
-class _Line(NamedTuple):
-    file: str
-    label: str = ""
-    position: Position | None = None
-
-
-def published_pictures(saved: PublishedResult, dataset: Dataset) -> tuple[TaskPictures, tuple[Int64Array, Int64Array]]:
-    """Return the pictures of a result's rows with their truth, and the labels of queries and gallery, (Q,) and (G,).
-
-    Raises:
-        DataError: when no task of the test split has all pictures.
-        InputError: when truth is listed, and a gallery picture has two rows.
-    """
-    views, queries, gallery = saved.pictures(dataset)
-    name = "-to-".join(views)
-    pictures = TaskPictures(name, queries, gallery, _truth_of_rows(dataset, name, queries, gallery))
-    # Where truth is listed, the result's labels name one true tile of several, or are numbered otherwise.
-    return pictures, (saved.query_labels, saved.gallery_labels) if pictures.truth is None else pictures.labels
-
-
-def _truth_of_rows(
+def truth_of_rows(
     dataset: Dataset, task: str, queries: Sequence[Picture], gallery: Sequence[Picture]
 ) -> list[Truth] | None:
     """Return the listed truth of a task for its pictures in another order, or some of them; None if labels tell the truth."""
@@ -353,74 +271,28 @@ def _pictures_of_rows(
     return None if None in of_rows else cast("list[Picture]", of_rows)
 
 
-def _view(paths: tuple[str, ...] | None, role: str) -> View | None:
-    """Read the view from the folder above the place's folder, as in .../query_drone/0001/image-01.jpeg."""
-    folders = {"".join(path.split("/")[-3:-2]) for path in paths or ()}
-    return next((view for view in VIEWS if folders == {f"{role}_{view}"}), None)
+def views_of_paths(queries: Sequence[str], gallery: Sequence[str]) -> tuple[View, View] | None:
+    """Read the views of both sides from the folders above those of places, as in .../query_drone/0001/image-01.jpeg."""
+    views: list[View | None] = []
+    for role, paths in (("query", queries), ("gallery", gallery)):
+        folders = {"".join(path.split("/")[-3:-2]) for path in paths}
+        views.append(next((view for view in VIEWS if folders == {f"{role}_{view}"}), None))
+    return None if None in views else cast("tuple[View, View]", tuple(views))
 
 
-def load_arrays(
-    query: str | Path,
-    gallery: str | Path,
-    paths: str | Path | None = None,
-    n_parts: int | None = None,
-    order: Order = "parts-first",
-    root: str | Path | None = None,
-) -> PlainArrays:
-    """Read plain arrays of queries and gallery, and the list of their pictures.
+def load_parts(file: Path, side: Role, n_parts: int | None = None, order: Order = "parts-first") -> Float32Array:
+    """Read the plain array of a side, (N, n, D), with parts of norm 1/sqrt(n).
 
     Args:
-        query, gallery: files of arrays, see the module; they may be the same `.npz` or `.mat`.
-        paths: the list; without it, rows are numbered, their places are unknown, and pictures are placeholders.
-        n_parts: number of parts. Two-dimensional arrays are cut into so many, 1 by default; others must have so many.
+        n_parts: number of parts. A two-dimensional array is cut into so many, 1 by default; another must have so many.
         order: "parts-first" for (N, n, D), and for rows that are n parts one after the other; "parts-last" for (N, D, n).
-        root: the folder that the list's paths are relative to; by default the list's.
 
     Raises:
-        DataError: if a file is missing, damaged, or does not fit the others.
-        InputError: if an array does not consist of that many parts.
+        DataError: if the file is missing or damaged, or holds other numbers.
+        InputError: if the array does not consist of that many parts.
     """
-    query, gallery = Path(query), Path(gallery)
-    q, g = (
-        _scaled(_parts(_read(file, side), file, n_parts, order), printable(file.name))
-        for side, file in (("query", query), ("gallery", gallery))
-    )
-    if q.shape[1:] != g.shape[1:]:
-        shapes = [" x ".join(map(str, array.shape[1:])) for array in (q, g)]
-        raise DataError(
-            f"{printable(query.name)} has rows of {shapes[0]}, and {printable(gallery.name)} of {shapes[1]} (parts and numbers "
-            "of a part); expected the same, from one model."
-        )
-    folder = Path(root) if root is not None else query.parent if paths is None else Path(paths).parent
-    if not folder.is_dir():
-        raise DataError(f"There is no folder of pictures at {printable(str(folder))}; check the path.")
-    counts: dict[Role, int] = {"query": len(q), "gallery": len(g)}
-    lines = _numbered(counts) if paths is None else _listed(Path(paths), counts, FilesBelow(folder))
-    numbers = _label_numbers([line.label for of in lines.values() for line in of])
-    labels = {side: np.array([numbers[line.label] for line in of], np.int64) for side, of in lines.items()}
-    files = {side: tuple(line.file for line in of) for side, of in lines.items()}
-    positions = {side: [line.position for line in of] for side, of in lines.items()}
-    digest = hashlib.sha256(q.data)
-    digest.update(b"|")
-    digest.update(g.data)
-    return PlainArrays(
-        PublishedResult(
-            *(printable(query.name), q, labels["query"], g, labels["gallery"]), files["query"], files["gallery"]
-        ),
-        folder,
-        _pictures(folder, files["query"], labels["query"]),
-        _pictures(folder, files["gallery"], labels["gallery"]),
-        positions["query"],
-        positions["gallery"],
-        _known(lines),
-        digest.hexdigest(),
-    )
-
-
-def places_of(positions: Sequence[Position | None]) -> list[Position] | None:
-    """Return positions if all are known, else None."""
-    known = [place for place in positions if place is not None]
-    return known if known and len(known) == len(positions) else None
+    name = printable(file.name)
+    return _scaled(_parts(_read(file, side), name, n_parts, order), name)
 
 
 def _check_file(file: Path, what: str, expected: str) -> None:
@@ -462,9 +334,8 @@ def _read(file: Path, side: str) -> AnyArray:
     raise DataError(f"{name} holds {', '.join(map(printable, names)) or 'nothing'}; expected one array, or {side}.")
 
 
-def _parts(array: AnyArray, file: Path, n_parts: int | None, order: Order) -> AnyArray:
+def _parts(array: AnyArray, name: str, n_parts: int | None, order: Order) -> AnyArray:
     """Return descriptors (N, n, D)."""
-    name = printable(file.name)
     if array.ndim not in (2, 3) or not array.size or not np.issubdtype(array.dtype, np.floating):
         raise DataError(
             f"The descriptors in {name} are {array.dtype} of shape {array.shape}; expected floats, (N, D), (N, n, D), or "
@@ -507,98 +378,3 @@ def _scaled(parts: AnyArray, name: str) -> Float32Array:
     if not (np.abs(norms - 1) <= _TOLERANCE).all():
         log.warning("The parts in %s do not have norm 1/sqrt(%d); they are scaled to it.", name, parts.shape[1])
     return scaled
-
-
-def _numbered(counts: Mapping[Role, int]) -> dict[Role, list[_Line]]:
-    return {
-        side: [_Line(f"{side}/{row:0{len(str(count))}d}") for row in range(1, count + 1)]
-        for side, count in counts.items()
-    }
-
-
-def _listed(file: Path, counts: Mapping[Role, int], below: FilesBelow) -> dict[Role, list[_Line]]:
-    """Read the list of pictures, with the files that its paths name; other paths stay."""
-    name = printable(file.name)
-
-    def fits(header: list[str]) -> bool:
-        return len({*header}) == len(header) and {"file", "side"} <= {*header} <= _COLUMNS
-
-    rows = table(read_text(file, name), name, fits, "file,side and, if known, label,latitude,longitude")[1]
-    lines: dict[Role, list[_Line]] = {"query": [], "gallery": []}
-    for where, row in rows:
-        if row["side"] not in lines:
-            raise DataError(f"{where} has the side {printable(row['side'])!r}; expected query or gallery.")
-        path = listed_path(row["file"], where)
-        lines[row["side"]].append(_Line(below.find(path) or path, row.get("label", ""), _position(row, where)))
-    for side, of in lines.items():
-        if len(of) != counts[side]:
-            raise DataError(
-                f"{name} has {len(of)} lines of the side {side}, and the array {counts[side]} rows; expected as many."
-            )
-    return lines
-
-
-def _position(row: Mapping[str, str], where: str) -> Position | None:
-    texts = [row.get(name, "") for name in ("latitude", "longitude")]
-    if not any(texts):
-        return None
-    try:
-        latitude, longitude = (float(text) for text in texts)
-    except ValueError:
-        latitude = longitude = float("nan")
-    if not (abs(latitude) <= 90 and abs(longitude) <= 180) or latitude == longitude == 0:
-        empty = ", both empty where they are unknown" if latitude == longitude == 0 else ""
-        raise DataError(
-            f"{where} has the position {printable(', '.join(texts))!r}; expected latitude and longitude in degrees{empty}."
-        )
-    return Position(latitude, longitude)
-
-
-def _known(lines: Mapping[Role, Sequence[_Line]]) -> BoolArray:
-    """Return the queries whose label tells what is right, (Q,): none where no label is in the gallery, as 0001 beside 1."""
-    known = np.array([bool(line.label) for line in lines["query"]], bool)
-    own = [line.label for line in lines["query"] if line.label]
-    told = [line.label for line in lines["gallery"] if line.label not in ("", str(JUNK))]
-    if not own or not set(own).isdisjoint(told):
-        return known
-    if not told:
-        log.warning(
-            "No picture of the gallery has a label, so those of the queries tell nothing; the truth counts as unknown."
-        )
-        return np.zeros_like(known)
-    found = (
-        f"None of the queries has a label of the gallery: the first of their labels are {printable(own[0])[:80]!r} and "
-        f"{printable(told[0])[:80]!r}. Labels are compared as texts, so write both sides alike"
-    )
-    if any(line.position is None for of in lines.values() for line in of):
-        raise DataError(f"{found}, or give the positions of all pictures, from which errors in metres follow.")
-    log.warning("%s; the truth of all queries counts as unknown, and errors in metres come from the positions.", found)
-    return np.zeros_like(known)
-
-
-def _label_numbers(labels: Sequence[str]) -> dict[str, int]:
-    """Return a number for each label: its own value if all are distinct whole numbers. Junk has -1, and "" has a free number."""
-    distinct = list(dict.fromkeys(label for label in labels if label and label != str(JUNK)))
-    whole = all(label.removeprefix("-").isdecimal() and len(label) < 18 for label in distinct)
-    values = [int(label) for label in distinct] if whole else []
-    if len(set(values)) < len(distinct) or JUNK in values:
-        values = list(range(len(distinct)))
-    numbers = dict(zip(distinct, values, strict=True))
-    return numbers | {str(JUNK): JUNK, "": max([0, *numbers.values()]) + 1}
-
-
-def _pictures(root: Path, files: Sequence[str], labels: Int64Array) -> list[Picture]:
-    """Return the pictures of a side, named without the folders that all of them share."""
-    paths = [Path(file).with_suffix("") for file in files]
-    shared = len(Path(os.path.commonpath([path.parent for path in paths])).parts) if paths else 0
-    names = [printable(Path(*path.parts[shared:]).as_posix()) for path in paths]
-    return [
-        Picture(root / file, label, name)
-        if (root / file).is_file()
-        else Picture(root / file, label, name, note="no picture", cut=_placeholder)
-        for file, label, name in zip(files, labels.tolist(), names, strict=True)
-    ]
-
-
-def _placeholder() -> UInt8Array:
-    return np.full((256, 256, 3), 96, np.uint8)

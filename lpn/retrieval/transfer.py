@@ -13,8 +13,8 @@ import numpy as np
 
 from lpn.core import images
 from lpn.core.arrays import Float32Array
-from lpn.core.consoles import counting_bar
 from lpn.core.errors import InputError
+from lpn.core.progress import tracked
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.models.base import Model
@@ -62,12 +62,9 @@ def map_means(model: Model, pictures: Sequence[Picture], view: View, side: int =
     network = check_model(model).network
     model.check_view(view)
     means, device = [], next(network.parameters()).device
-    with counting_bar(f"Describing {view}, as released") as progress:
-        for done, picture in enumerate(pictures):
-            progress(done, len(pictures))
-            shrunk = images.shrink_to(images.load_without_orientation(picture.path), side, picture.box)
-            batch = torch.from_numpy(images.normalise(shrunk)[None]).to(device)
-            with exact_inference():
-                means.append(network.features(batch, view).mean((2, 3)).cpu().numpy())
-        progress(len(pictures), len(pictures))
+    for picture in tracked(f"Describing {view} pictures, as released", pictures, len(pictures)):
+        shrunk = images.shrink_to(images.load_without_orientation(picture.path), side, picture.box)
+        batch = torch.from_numpy(images.normalise(shrunk)[None]).to(device)
+        with exact_inference():
+            means.append(network.features(batch, view).mean((2, 3)).cpu().numpy())
     return np.stack(means).astype(np.float32)

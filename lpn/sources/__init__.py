@@ -1,52 +1,45 @@
-"""Where tasks come from: five kinds of source, each of which opens as tasks that every command takes.
+"""Where tasks come from: a SOURCE, which says by what lies on the disk what it is, and opens as tasks.
 
-`Data` is a data set under a model, `Published` a result of the published test code, `Arrays` descriptors that any model made,
-`Indexed` an index of tiles, and `Flown` a flight over a map. Commands and the explorer import from here; this room imports
-everything below it.
+Each file of `lpn.sources.kinds` is one kind: a data set, a result of the published test code, plain arrays, an index. Other
+packages bring kinds by the entry points `lpn.sources`; a flight over a map is one of these (`lpn.locate.source`). Commands and
+the explorer import from here; this room imports `index`, `tasks`, and what lies below them.
 """
 
 from __future__ import annotations
 
 from lpn.sources.opened import OpenedSource
-from lpn.sources.sources import (
-    Arrays,
+from lpn.sources.options import (
+    Advanced,
     CalibrateOption,
     CslsOption,
-    Data,
-    Flown,
-    Indexed,
     KindOption,
     ModelOptions,
     PoolingOption,
     ProviderOption,
-    Published,
-    TaskSource,
+    SourceOptions,
     model_names,
     of_each,
-    open_data,
     shipped_model,
 )
-
-# The sources that a word behind a command names; without a word, it is a data set.
-NAMED = (Published, Arrays, Indexed, Flown)
+from lpn.sources.recognise import GROUP, TaskSource, kind_of, known_kinds, open_source, source_of
 
 __all__ = [
-    "NAMED",
-    "Arrays",
+    "GROUP",
+    "Advanced",
     "CalibrateOption",
     "CslsOption",
-    "Data",
-    "Flown",
-    "Indexed",
     "KindOption",
     "ModelOptions",
     "OpenedSource",
     "PoolingOption",
     "ProviderOption",
-    "Published",
+    "SourceOptions",
     "TaskSource",
+    "kind_of",
+    "known_kinds",
     "model_names",
     "of_each",
-    "open_data",
+    "open_source",
     "shipped_model",
+    "source_of",
 ]

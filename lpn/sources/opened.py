@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, Self
 
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 
 if TYPE_CHECKING:
-    from lpn.locate.located import LocatedFlight
-    from lpn.maps import Map
     from lpn.models.base import Model
-    from lpn.sources.sources import TaskSource
+    from lpn.sources.recognise import TaskSource
     from lpn.tasks.task import Task
 
 
@@ -27,48 +25,50 @@ class OpenedSource:
         tasks: one, or all that the source offers.
         model: the network that describes further pictures, calibrated or centred where the source is; None without one.
         network: the same before calibration and centring.
-        located: the flight, located without registration; None for other sources.
-        map: the map that windows are cut from; None without one.
         notes: sentences about the files, for the person who opened them.
     """
 
     tasks: Sequence[Task]
     model: Model | None = None
     network: Model | None = None
-    located: LocatedFlight | None = None
-    map: Map | None = None
-    notes: Sequence[str] = field(default=())
+    notes: Sequence[str] = ()
 
     @property
     def task(self) -> Task:
         """The first task."""
         return self.tasks[0]
 
-    def named(self, model_name: str) -> OpenedSource:
+    def graded(self) -> tuple[Task, Collection[int]]:
+        """Return the first task as it is graded, and the queries that are not, as no tile is right for certain.
+
+        Raises:
+            LPNError: if a file cannot be used.
+        """
+        return self.task, ()
+
+    def named(self, model_name: str) -> Self:
         """Return the source with another display name of its model."""
         return replace(self, tasks=[replace(task, model_name=printable(model_name)) for task in self.tasks])
 
 
-def weighted(task: Task, weights: Sequence[float] | None) -> Task:
-    """Return a task under part weights, equal ones for None; InputError if they are not its parts'."""
-    from lpn.retrieval import scoring
+def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -> Task:
+    """Return a task under part weights, equal ones for None, and under CSLS over K neighbours, without it for 0.
+
+    Raises:
+        InputError: if the weights are not its parts', or there are fewer queries.
+    """
+    from lpn.retrieval import csls, scoring
 
     scoring.part_weights(task.contract.n_parts, weights)
-    return replace(task, weights=weights)
-
-
-def open_first_task(source: TaskSource) -> Task:
-    """Open the first task of a source, with a bar on the terminal for work that takes long."""
-    from lpn.core.consoles import stage_bars
-
-    with stage_bars() as on_progress:
-        return source.open(on_progress=on_progress).task
+    if neighbours:
+        csls.check_neighbours(neighbours, len(task.queries))
+    return replace(task, weights=weights, neighbours=neighbours)
 
 
 def open_with_notes(
     source: TaskSource, file: Path | None, names: Sequence[str] = (), weights: Sequence[float] | None = None
 ) -> OpenedSource:
-    """Open a source with its first task alone, which has a person's tags and notes, see `open_first_task`.
+    """Open a source with its first task alone, which has a person's tags and notes.
 
     Args:
         file: of the notes, read first; None takes notes.csv in the folder of the queries.
@@ -77,13 +77,11 @@ def open_with_notes(
     Raises:
         DataError: also if the file is damaged.
     """
-    from lpn.core.consoles import stage_bars
     from lpn.core.demo import own_file
     from lpn.tasks import notes
 
     named = None if file is None else notes.read_notes(file)
-    with stage_bars() as on_progress:
-        opened = source.open(names, weights, on_progress)
+    opened = source.open(names, weights)
     first = opened.task
     read = notes.read_notes(own_file(first.root, notes.NAME)) if named is None else named
     return replace(opened, tasks=[replace(first, notes=read)])

@@ -23,7 +23,7 @@ class GalleryGeometry:
     """The positions of one task's pictures.
 
     Attributes:
-        queries, tiles: positions, in the order of the pictures; a query's may be unknown.
+        queries, tiles: positions, in the order of the pictures; a query's may be unknown, and a tile's not a number.
         origin: the middle of the tiles.
         ground: centre of each tile in metres east and north of the origin, (G, 2).
         width: side of a tile on the ground in metres; by default the median distance from a position to the nearest other.
@@ -38,7 +38,8 @@ class GalleryGeometry:
     @classmethod
     def of(cls, queries: Sequence[Position | None], tiles: Sequence[Position]) -> GalleryGeometry:
         """Lay out a task's pictures around the middle of its tiles."""
-        latitudes, longitudes = ([getattr(tile, key) for tile in tiles] for key in ("latitude", "longitude"))
+        placed = [tile for tile in tiles if not math.isnan(tile.latitude)]
+        latitudes, longitudes = ([getattr(tile, key) for tile in placed] for key in ("latitude", "longitude"))
         origin = Position((min(latitudes) + max(latitudes)) / 2, (min(longitudes) + max(longitudes)) / 2)
         ground = geo.on_plane(tiles, origin)
         widths = [tile.width for tile in tiles if tile.width is not None]
@@ -60,14 +61,14 @@ class GalleryGeometry:
 
     def metres_from(self, place: Position) -> Float64Array:
         """Metres from a place to the centre of each tile, (G,)."""
-        return geo.metres_between(geo.radians([place]), self._radians)
+        return geo.geodesic(geo.degrees([place]), self._degrees)
 
     def answer_errors_m(self, answers: Int64Array) -> Float64Array:
         """Metres from the place that each query shows to its answer, (Q,).
 
         Infinite for the answer -1, that is, none; NaN for a query whose place is unknown.
         """
-        metres = geo.metres_between(geo.radians(self._known_or_nan), self._radians[answers])
+        metres = geo.geodesic(geo.degrees(self._known_or_nan), self._degrees[answers])
         return np.where((answers < 0) & ~np.isnan(metres), np.inf, metres)
 
     @cached_property
@@ -80,8 +81,8 @@ class GalleryGeometry:
         return [Position(math.nan, math.nan) if place is None else place for place in self.queries]
 
     @cached_property
-    def _radians(self) -> Float64Array:
-        return geo.radians(self.tiles)
+    def _degrees(self) -> Float64Array:
+        return geo.degrees(self.tiles)
 
     @cached_property
     def places(self) -> Int64Array:
@@ -90,13 +91,17 @@ class GalleryGeometry:
 
     def bounds(self) -> tuple[float, float, float, float]:
         """West, south, east, and north border of all tiles, in metres from the origin."""
-        low, high = self.ground.min(axis=0) - self.width / 2, self.ground.max(axis=0) + self.width / 2
+        low, high = (
+            self.ground[self.places].min(axis=0) - self.width / 2,
+            self.ground[self.places].max(axis=0) + self.width / 2,
+        )
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
 
 def _distinct(ground: Float64Array) -> Int64Array:
-    """The index of the first of all positions, (G, 2) in metres, that are equal to a decimetre; ascending."""
-    return np.sort(np.unique(ground.round(1), axis=0, return_index=True)[1])
+    """The index of the first of all known positions, (G, 2) in metres, that are equal to a decimetre; ascending."""
+    known = np.flatnonzero(~np.isnan(ground).any(axis=1))
+    return np.sort(known[np.unique(ground[known].round(1), axis=0, return_index=True)[1]])
 
 
 def _neighbour_distance(ground: Float64Array) -> float:

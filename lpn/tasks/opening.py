@@ -2,33 +2,123 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import cast
 
 import numpy.typing as npt
 
 from lpn import descriptors
+from lpn.core.arrays import Float32Array
 from lpn.core.demo import own_file
 from lpn.core.errors import DataError, InputError, PictureError
 from lpn.core.files import printable
-from lpn.core.progress import CountProgress
+from lpn.core.progress import counted_among
 from lpn.core.views import View, views_of
-from lpn.datasets import Dataset, Picture
+from lpn.datasets import Dataset, Picture, labels_of
+from lpn.datasets.integrity import check_test_split, lists_of
+from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.models.contract import Role
-from lpn.retrieval import scoring
+from lpn.retrieval import scoring, transfer
 from lpn.retrieval.calibration import MIN_PICTURES, Calibration, calibrate
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
-from lpn.retrieval.evaluate import check_test_split, lists_of
-from lpn.retrieval.sides import TaskPictures
 from lpn.tasks import notes
+from lpn.tasks.changes import by_csls
+from lpn.tasks.changes import calibrated as calibrated_task
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.notes import Note
 from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
+from lpn.tasks.task import Task
+
+log = logging.getLogger(__name__)
 
 _ROLES: tuple[Role, Role] = ("query", "gallery")
+
+
+def lazy_task(
+    model: Model,
+    dataset: Dataset,
+    name: str,
+    read: descriptors.Reader = descriptors.cached_descriptors,
+    branch: View | None = None,
+    released: bool = False,
+    model_name: str = "",
+) -> Task:
+    """List the pictures of a task, which a model describes when their descriptors are first read.
+
+    Args:
+        name: the task, such as "drone-to-satellite".
+        read: returns descriptors; by default from the user's cache, which receives new ones.
+        branch: describes both sides (Table VI); None for each view's own.
+        released: read and rotate pictures as the released test code does, see `Change.released`, and carry features over to
+            landmarks as released, see `lpn.retrieval.transfer`.
+        model_name: the model's name to display.
+
+    Raises:
+        InputError: when the data set lacks the task, or the model a view.
+        DataError: when the test split is incomplete, or a picture has no position.
+    """
+    if name not in dataset.tasks():
+        raise dataset.lacks_task(name)
+    views, contract, change = views_of(name), model.contract, Change(released=released)
+    queries, gallery, truth = dataset.queries(views[0]), dataset.gallery(views[1]), dataset.truth(name)
+    model = model if branch else model.for_task(*views)
+    for view in views:
+        if branch is None and view not in model.views:
+            raise InputError(
+                f"This model has no {view!r} view; it has {', '.join(model.views)}. Of landmarks, lpn reproduce table6 "
+                "describes both sides with one of these, and lpn.tasks.opening.lazy_task(branch=...) does so of any data set."
+            )
+        model.check_view(branch or view)
+    query_labels, gallery_labels = labels_of(queries), labels_of(gallery)
+    if truth is None and len(set(gallery_labels.tolist())) == 1:
+        log.warning(
+            "%s shows one place only, so that every answer is right; its metrics say nothing.", dataset.root.name
+        )
+    mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
+    clauses = [f"{mirrored}each part normalised"]
+    clauses += ["pictures read by Pillow without their EXIF orientation, as released"] if released else []
+    carried = released and name == "street-to-street" and truth is not None
+    if carried:
+        contract = replace(contract, n_parts=1, level="one vector", held="", partitions={}, part_names={})
+        read, clauses = _carried, [transfer.SENTENCE]
+    clauses += ["queries cropped to the part that is meant"] if any(picture.box for picture in queries) else []
+    if branch:
+        contract = replace(contract, views=(branch,), groups=(), roles="view")
+        clauses.append(f"both sides described by the {branch} branch")
+
+    def describe(some: Sequence[Picture], view: View, change: Change) -> Float32Array:
+        return read(model, some, branch or view, change)
+
+    return Task(
+        name=name,
+        # The carried features of landmarks are no descriptors of the model, and are not changed.
+        model=None if carried else model,
+        model_name=printable(model_name),
+        data_name=printable(dataset.root.resolve().name),
+        root=dataset.root,
+        contract=contract,
+        map_sizes={},
+        queries=queries,
+        gallery=gallery,
+        query_labels=query_labels,
+        gallery_labels=gallery_labels,
+        query_descriptors=lambda: describe(queries, views[0], change),
+        gallery_descriptors=lambda: describe(gallery, views[1], change),
+        truth=truth,
+        geometry=GalleryGeometry.of_dataset(dataset, queries, gallery),
+        clauses=tuple(clauses),
+        change=change,
+        describe=describe,
+        dataset=dataset,
+    )
+
+
+def _carried(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+    del change
+    return transfer.map_means(model, pictures, view)
 
 
 def describe_task(
@@ -39,9 +129,8 @@ def describe_task(
     weights: npt.ArrayLike | None = None,
     tags_and_notes: Mapping[str, Note] | None = None,
     calibration: Calibration | None = None,
-    on_progress: CountProgress | None = None,
     neighbours: int = 0,
-) -> GalleryTask:
+) -> Task:
     """Describe queries and gallery of a task, or read their stored descriptors.
 
     Args:
@@ -50,8 +139,6 @@ def describe_task(
         weights: part weights, see `scoring.part_weights`.
         tags_and_notes: by the query's path; by default those in the data set's folder.
         calibration: see `task_calibration`; its zooms and means are applied to `model`, which is that before the calibration.
-        on_progress: receives the numbers of described and of all pictures, with a calibration of each list; by default the
-            terminal shows them.
         neighbours: K of CSLS; 0 ranks without it.
 
     Raises:
@@ -62,61 +149,41 @@ def describe_task(
     scoring.part_weights(model.n_parts, weights)
     if tags_and_notes is None:
         tags_and_notes = notes.read_notes(own_file(dataset.root, notes.NAME))
-    pictures = TaskPictures.of(dataset, name)
-    views = pictures.views
+    task = lazy_task(model, dataset, name, model_name=model_name)
+    views, both = task.views, len(task.queries) + len(task.gallery)
     model = model.for_task(*views)
-    queries, gallery = pictures.queries, pictures.gallery
     if neighbours:
-        check_neighbours(neighbours, len(queries))
-    geometry = GalleryGeometry.of_dataset(dataset, queries, gallery)
+        check_neighbours(neighbours, len(task.queries))
     try:
         if calibration is None:
-            both = len(queries) + len(gallery)
-            of_queries, of_gallery = (_shifted(on_progress, before, both) for before in (0, len(queries)))
-            query_side = descriptors.shipped_or_cached(model, queries, views[0], dataset.root, "query", of_queries)
-            gallery_side = descriptors.shipped_or_cached(model, gallery, views[1], dataset.root, "gallery", of_gallery)
+            with counted_among(0, both):
+                query_side = descriptors.shipped_or_cached(model, task.queries, views[0], task.root, "query")
+            with counted_among(len(task.queries), both):
+                gallery_side = descriptors.shipped_or_cached(model, task.gallery, views[1], task.root, "gallery")
         else:
             query_side, gallery_side = (
                 descriptors.shipped_only(calibration.applied(model), side, view, dataset.root, role)
-                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root, on_progress))
-                for side, view, role in zip((queries, gallery), views, _ROLES, strict=True)
+                or calibration.stored(model, side, view, descriptors.descriptor_reader(dataset.root))
+                for side, view, role in zip((task.queries, task.gallery), views, _ROLES, strict=True)
             )
     except PictureError:  # of one list; name the broken pictures of all lists at once
         check_test_split(dataset, offered)
         raise
-    if calibration is not None:
-        queries, gallery = calibration.pictures(views[0], queries), calibration.pictures(views[1], gallery)
-        model = calibration.applied(model)
-    query_labels, gallery_labels = pictures.labels
+    task = calibrated_task(task, calibration)
     identities = query_side.identity, gallery_side.identity
-    return GalleryTask(
-        name=name,
-        model=model,
-        model_name=printable(model_name),
-        data_name=printable(dataset.root.resolve().name),
-        root=dataset.root,
-        contract=model.contract,
+    return replace(
+        task,
         map_sizes={view: model.map_size(view) for view in views},
-        queries=queries,
-        gallery=gallery,
-        query_labels=query_labels,
-        gallery_labels=gallery_labels,
         query_descriptors=query_side.descriptors,
         gallery_descriptors=gallery_side.descriptors,
-        truth=pictures.truth,
-        geometry=geometry,
+        # The explorer changes the model for one that describes pictures in the background.
+        describe=None,
         identity=" ".join(identities) if all(identities) else "",
         weights=weights,
         notes=tags_and_notes,
-        columns=dataset.columns(queries),
-        calibration=calibration,
+        columns=dataset.columns(task.queries),
         neighbours=neighbours,
     )
-
-
-def _shifted(on_progress: CountProgress | None, before: int, total: int) -> CountProgress | None:
-    """Return what reports the progress of one of several lists, given the pictures of the lists before it and of all."""
-    return None if on_progress is None else lambda done, _: on_progress(before + done, total)
 
 
 def scored_tasks(
@@ -125,40 +192,28 @@ def scored_tasks(
     dataset: Dataset,
     calibration: Calibration,
     names: Sequence[str],
-    on_progress: CountProgress | None = None,
     neighbours: int = NEIGHBOURS,
-) -> list[GalleryTask]:
+) -> list[Task]:
     """Open tasks under the scorings besides the plain one: calibrated, and, with queries enough, calibrated and under CSLS.
 
     Args:
         model: before the calibration.
         names: of the tasks.
-        on_progress, neighbours: see `describe_task`.
+        neighbours: see `describe_task`.
 
     Raises:
         LPNError: as `describe_task`.
     """
-    tasks = [
-        describe_task(model, model_name, dataset, name, calibration=calibration, on_progress=on_progress)
-        for name in names
-    ]
-    return tasks + by_csls(tasks, neighbours)
+    tasks = [describe_task(model, model_name, dataset, name, calibration=calibration) for name in names]
+    return tasks + [by_csls(task, neighbours) for task in tasks if len(task.queries) >= neighbours]
 
 
-def by_csls(tasks: Iterable[GalleryTask], neighbours: int) -> list[GalleryTask]:
-    """Return those of some tasks that have K queries or more, re-ranked by CSLS."""
-    return [replace(task, neighbours=neighbours) for task in tasks if len(task.queries) >= neighbours]
-
-
-def task_calibration(
-    model: Model, dataset: Dataset, calibrate: bool | None = None, on_progress: CountProgress | None = None
-) -> Calibration | None:
+def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = None) -> Calibration | None:
     """Choose the calibration that ranks the tasks of a data set, for the library, every command, and the page; no label counts.
 
     Args:
         calibrate: True for the calibration that ships with the data set, or else a new one, see `calibrated`; False for none;
             None for the one that ships, if any.
-        on_progress: see `calibrated`.
 
     Returns:
         None to rank plain.
@@ -170,7 +225,7 @@ def task_calibration(
     if calibrate is not None and not isinstance(calibrate, bool):
         raise InputError(f"calibrate is {printable(repr(calibrate))}; expected True, False, or None.")
     shipped = None if calibrate is False else shipped_calibration(model, dataset)
-    return calibrated(model, dataset, on_progress) if calibrate and shipped is None else shipped
+    return calibrated(model, dataset) if calibrate and shipped is None else shipped
 
 
 def alike_calibrations(
@@ -211,12 +266,8 @@ def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]
     return lists
 
 
-def calibrated(model: Model, dataset: Dataset, on_progress: CountProgress | None = None) -> Calibration:
+def calibrated(model: Model, dataset: Dataset) -> Calibration:
     """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
-
-    Args:
-        on_progress: receives the numbers of described and of all pictures of each list at each zoom; by default the terminal
-            shows them.
 
     Raises:
         InputError: when the model's branches have roles, so that a task decides its descriptors, or pictures are too few.
@@ -231,7 +282,7 @@ def calibrated(model: Model, dataset: Dataset, on_progress: CountProgress | None
     if not tasks:
         raise no_task_error(model, dataset)
     check_test_split(dataset, tasks)
-    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root, on_progress))
+    return calibrate(model, _lists(model, dataset), descriptors.descriptor_reader(dataset.root))
 
 
 def offered_tasks(model: Model, dataset: Dataset) -> list[str]:

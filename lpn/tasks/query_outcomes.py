@@ -9,10 +9,9 @@ an exact sum over the parts, which is positive when the query is found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -22,8 +21,7 @@ from lpn.core.errors import InputError
 from lpn.core.tables import Column, Table, number_column, text_column
 from lpn.datasets import Picture, Truth, geo, metadata
 from lpn.datasets.metadata import NOTE, TAGS
-from lpn.retrieval import metrics, scoring
-from lpn.retrieval.gallery_search import NOT_RETURNED
+from lpn.retrieval import scoring
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
@@ -44,8 +42,7 @@ class Outcomes:
     """The outcomes of all queries as columns; tiles are gallery positions.
 
     Attributes:
-        rank: 0-based rank of the first true match, not counting junk, (Q,); -1 for a query without a true match, and `depth` if
-            it is not known.
+        rank: 0-based rank of the first true match, not counting junk, (Q,); -1 for a query without a true match.
         answer: the nearest tile, -1 where all are junk, (Q,).
         true: the nearest positive, on ties the first in gallery order; -1 where there is none, (Q,).
         false: the hardest negative; -1 where there is none, (Q,).
@@ -55,9 +52,6 @@ class Outcomes:
             -1 without a margin, (Q,).
         weights: the part weights, summing to one, (n,).
         known: the queries whose truth is known, (Q,).
-        depth: number of tiles that were ranked for each query; None for all.
-        missed: the queries whose first true match an approximate search may have skipped, (Q,). Their `rank` holds `depth`, as
-            the true rank is unknown. None if the search is exact.
     """
 
     rank: Int64Array
@@ -69,8 +63,6 @@ class Outcomes:
     deciding_part: Int64Array
     weights: Float64Array
     known: BoolArray
-    depth: int | None = None
-    missed: BoolArray | None = None
 
     @property
     def failed(self) -> BoolArray:
@@ -91,36 +83,6 @@ class Outcomes:
 
     def __len__(self) -> int:
         return len(self.rank)
-
-
-def build(
-    queries: Float32Array,
-    gallery: Float32Array,
-    query_labels: npt.ArrayLike | None,
-    labels: npt.ArrayLike | None,
-    truth: Sequence[Truth] | None = None,
-    weights: npt.ArrayLike | None = None,
-    progress: Callable[[int, int], None] | None = None,
-) -> Outcomes:
-    """Compute the outcome of every query; see `metrics.retrieve` for ranks, memory, and errors.
-
-    Args:
-        queries, gallery: descriptors with parts of norm 1/sqrt(n), (Q, n, D) and (G, n, D).
-        query_labels, labels: the place of each, (Q,) and (G,), -1 for junk; not read where there is `truth`.
-        truth: true matches and junk of each query, in place of labels.
-        weights: part weights, see `scoring.part_weights`; equal by default.
-        progress: called after each block with the numbers of ranked and of all queries; an exception stops the work.
-
-    Raises:
-        InputError: when shapes do not fit, a value is not finite, a side is empty, or `truth` names an unknown tile.
-    """
-    if queries.ndim != 3 or gallery.ndim != 3 or queries.shape[1:] != gallery.shape[1:]:
-        raise InputError(
-            f"The descriptors are {queries.shape} and {gallery.shape}; expected (Q, n, D) and (G, n, D) with the same parts."
-        )
-    scaled = weight_factors(queries, weights)
-    ranking = metrics.retrieve(queries, query_labels, gallery, labels, truth, scaled, progress)
-    return outcomes_of(ranking, queries, gallery, weights, metrics.known_queries(truth))
 
 
 def weight_factors(descriptors: Float32Array, weights: npt.ArrayLike | None) -> Float64Array | None:
@@ -145,21 +107,14 @@ def outcomes_of(
         known: the queries whose truth is known, (Q,); None for all.
     """
     n = queries.shape[1]
-    parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * _normalised(n, weights))
-    return outcomes_from_parts(ranking, parts, weights, known)
-
-
-def outcomes_from_parts(
-    ranking: Retrieval, parts: Float64Array, weights: npt.ArrayLike | None = None, known: BoolArray | None = None
-) -> Outcomes:
-    """The outcomes of ranked queries whose margins are known part by part, (Q, n); for the rest see `outcomes_of`."""
-    used = _normalised(parts.shape[1], weights)
+    used = _normalised(n, weights)
+    parts = _part_margins(queries, gallery, ranking.true, ranking.false, 2 * n * used)
     margin = parts.sum(axis=1)
     deciding_part = np.where(ranking.first == 0, np.argmax(parts, axis=1), np.argmin(parts, axis=1))
     deciding_part = np.where(np.isnan(margin), -1, deciding_part)
     known = np.ones(len(parts), bool) if known is None else known
     ranks = ranking.first, ranking.best, ranking.true, ranking.false
-    return Outcomes(*ranks, parts, margin, deciding_part, used, known, ranking.depth)
+    return Outcomes(*ranks, parts, margin, deciding_part, used, known)
 
 
 def table(
@@ -175,8 +130,7 @@ def table(
 
     Columns, followed by those of the metadata:
         name: of the query.
-        rank: from 1; unknown without a true match; beyond the searched depth it is told as "> depth", or as "not returned" where
-            a search missed the tile; both count as depth + 1.
+        rank: from 1; unknown without a true match.
         margin: in d².
         part: the deciding part.
         truth, answer, false: names of the nearest positive, the nearest tile, and the hardest negative.
@@ -200,10 +154,9 @@ def table(
     # Position -1 stands for none. It indexes the last entry, which is empty.
     parts = np.array([*(part_names or [str(i + 1) for i in range(n)]), ""], object)
     tiles = np.array([*(tile.name for tile in gallery), ""], object)
-    missed = {} if outcomes.missed is None else dict.fromkeys(np.flatnonzero(outcomes.missed).tolist(), NOT_RETURNED)
     columns = [
         text_column("name", [query.name for query in queries]),
-        _rank_column("rank", outcomes.rank, outcomes.depth, missed),
+        _rank_column("rank", outcomes.rank),
         number_column("margin", outcomes.margin),
         *([] if n == 1 else [Column("part", "text", parts[outcomes.deciding_part])]),
         Column("truth", "text", tiles[outcomes.true]),
@@ -235,11 +188,11 @@ def reserved(truth: Sequence[Truth] | None, distances: bool, more: Sequence[Colu
     return [name for name in names if has.get(name, True)]
 
 
-def compared_ranks(table: Table, rank: Int64Array, depth: int | None = None) -> list[Column]:
+def compared_ranks(table: Table, rank: Int64Array) -> list[Column]:
     """Columns `rank A` and `rank B` of a table: its own ranks, and those of a second model.
 
     Args:
-        rank, depth: the second model's for the same queries, see `Outcomes`.
+        rank: the second model's for the same queries, see `Outcomes`.
 
     Raises:
         InputError: when there are not as many ranks as rows.
@@ -248,7 +201,7 @@ def compared_ranks(table: Table, rank: Int64Array, depth: int | None = None) -> 
         raise InputError(
             f"There are {len(table)} queries and {len(rank)} ranks of the second model; give two models on the same queries."
         )
-    return [replace(table.columns["rank"], name=RANK_A), _rank_column(RANK_B, rank, depth)]
+    return [replace(table.columns["rank"], name=RANK_A), _rank_column(RANK_B, rank)]
 
 
 def listed_columns(outcomes: Outcomes, truth: Sequence[Truth] | None) -> list[Column]:
@@ -283,10 +236,8 @@ def _normalised(n: int, weights: npt.ArrayLike | None) -> Float64Array:
     return used
 
 
-def _rank_column(
-    name: str, rank: Int64Array, depth: int | None = None, texts: Mapping[int, str] = MappingProxyType({})
-) -> Column:
-    return number_column(name, np.where(rank < 0, np.nan, rank + 1.0), limit=depth, texts=texts)
+def _rank_column(name: str, rank: Int64Array) -> Column:
+    return number_column(name, np.where(rank < 0, np.nan, rank + 1.0))
 
 
 def _distance(geometry: GalleryGeometry, outcomes: Outcomes) -> Column:

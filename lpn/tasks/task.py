@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, Self, cast
 
 import numpy.typing as npt
 
@@ -17,21 +16,22 @@ from lpn.core.errors import InputError
 from lpn.core.notebook_html import percentages
 from lpn.core.tables import Column, Table
 from lpn.core.views import View, views_of
-from lpn.datasets import Picture, Truth
+from lpn.datasets import Dataset, Picture, Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
 from lpn.models.contract import Contract
-from lpn.retrieval import Ranking, metrics, scoring
+from lpn.retrieval import Ranking, csls, metrics, scoring
 from lpn.retrieval.calibration import Calibration
+from lpn.retrieval.csls import CslsTerms
 from lpn.retrieval.metrics import Retrieval
 from lpn.tasks import notes, query_outcomes
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import Outcomes
+from lpn.tasks.ranking_cache import ResumableRanking
 
 if TYPE_CHECKING:
-    from lpn.retrieval.evaluate import Result
-    from lpn.retrieval.protocol import Protocol as EvaluationProtocol
+    from lpn.tasks.measure import Result
 
 
 # How a gallery is ranked: by descriptors as they are, by calibrated ones, and by calibrated ones under CSLS.
@@ -39,31 +39,27 @@ Scoring = Literal["plain", "calibrated", "csls"]
 SCORINGS: Final[tuple[Scoring, ...]] = ("plain", "calibrated", "csls")
 
 
-class RankUnderWeights(Protocol):
-    """Ranks a gallery for one described query; equal arguments return the same ranking again."""
+class LazyArray:
+    """A field for an array, or for a function that returns it; the function is called once, when the field is first read."""
 
-    def __call__(self, weights: Float32Array, also: int | None = None) -> Ranking:
-        """Rank under weights that sum to one, (n,).
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
 
-        Args:
-            also: gallery position of a tile that the ranking must hold, even if it lies beyond the searched depth.
-        """
-        ...
+    def __get__(self, task: Any, owner: type) -> Float32Array:
+        if task is None:
+            raise AttributeError(self._name)  # so the field has no default
+        value = vars(task)[self._name]
+        if callable(value):
+            value = vars(task)[self._name] = value()
+        return cast(Float32Array, value)
 
-
-class RankingOfAll(Protocol):
-    """The ranking of all queries of a task; not thread-safe."""
-
-    def finish(self, progress: Callable[[int, int], None]) -> Retrieval:
-        """Rank the queries that are not ranked yet; `progress` may raise an exception to stop, and the next call continues."""
-        ...
+    def __set__(self, task: Any, value: Float32Array | Callable[[], Float32Array]) -> None:
+        vars(task)[self._name] = value
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Task(ABC):
+class Task:
     """Queries and the gallery that they are searched in; `dataclasses.replace` gives the task under other part weights.
-
-    `GalleryTask` has its gallery in memory, `lpn.index.task.IndexTask` in an index.
 
     Attributes:
         name: such as "drone-to-satellite".
@@ -74,7 +70,7 @@ class Task(ABC):
         map_sizes: (h, w) of the feature map of each view.
         queries, gallery: the pictures.
         query_labels, gallery_labels: the place that each picture shows, (Q,) and (G,), -1 for junk.
-        query_descriptors: (Q, n, D), without part weights.
+        query_descriptors, gallery_descriptors: (Q, n, D) and (G, n, D), without part weights.
         truth: true matches and junk of each query, for data sets that list them; None if labels define the true matches.
         geometry: positions of the pictures; None without positions, such as those of a `geo.csv`.
         identity: digests of both sides' descriptors, for the key of the cached ranking; empty if a digest is missing.
@@ -84,6 +80,12 @@ class Task(ABC):
         calibration: what the pictures' zooms and the model's means come from; None without one.
         neighbours: of CSLS, see `lpn.retrieval.csls`; 0 ranks without it.
         no_map: why tiles have no positions on a map, as a sentence; empty if they have, or nothing can be said.
+        of_index: how the gallery was chosen from a larger index, in words; empty for a whole gallery.
+        clauses: how the descriptors were made, for the sentence of the protocol.
+        change: of the queries; its weather falls on the gallery where the queries are tiles and the gallery is not.
+        parts: the numbers, from 1, of the model's parts that are compared; empty for all.
+        describe: describes changed pictures of a view, (N, n, D); None for `model` and the user's cache.
+        dataset: the data set whose groups and metrics are measured; None for recall and AP alone.
     """
 
     name: str
@@ -97,7 +99,8 @@ class Task(ABC):
     gallery: Sequence[Picture]
     query_labels: Int64Array
     gallery_labels: Int64Array
-    query_descriptors: Float32Array
+    query_descriptors: LazyArray = LazyArray()
+    gallery_descriptors: LazyArray = LazyArray()
     truth: Sequence[Truth] | None = None
     geometry: GalleryGeometry | None = None
     identity: str = ""
@@ -107,6 +110,17 @@ class Task(ABC):
     calibration: Calibration | None = None
     neighbours: int = 0
     no_map: str = ""
+    of_index: str = ""
+    clauses: tuple[str, ...] = ("each part normalised",)
+    change: Change = UNCHANGED
+    parts: tuple[int, ...] = ()
+    describe: Callable[[Sequence[Picture], View, Change], Float32Array] | None = None
+    dataset: Dataset | None = None
+
+    def with_fields(self, **changes: Any) -> Self:
+        """Return the task with other fields, as `dataclasses.replace` does; descriptors that are not read yet stay so."""
+        unread = {one.name: partial(getattr, self, one.name) for one in fields(self) if "_descriptors" in one.name}
+        return replace(self, **{**unread, **changes})
 
     @property
     def scoring(self) -> Scoring:
@@ -131,7 +145,7 @@ class Task(ABC):
     @property
     def of_map(self) -> bool:
         """True if the tiles are pieces of a map, whatever took its picture."""
-        return len(self.gallery) > 0 and self.gallery[0].cut is not None
+        return len(self.gallery) > 0 and self.gallery[0].cut is not None and not self.gallery[0].missing
 
     @property
     def views(self) -> tuple[View, View]:
@@ -139,34 +153,15 @@ class Task(ABC):
         return views_of(self.name)
 
     @property
-    @abstractmethod
     def tiles(self) -> int:
-        """The number of searched tiles."""
+        """The number of gallery pictures."""
+        return len(self.gallery_descriptors)
 
     @property
-    @abstractmethod
-    def depth(self) -> int | None:
-        """The number of tiles whose order a ranking tells; None for all."""
-
-    @property
-    @abstractmethod
-    def approximate(self) -> bool:
-        """True if a search may leave out tiles that are nearer than those it returns."""
-
-    @property
-    @abstractmethod
-    def lists_gallery(self) -> bool:
-        """True if `gallery` is the whole gallery; False if it holds what searches returned, in their order."""
-
-    @property
-    @abstractmethod
     def gallery_description(self) -> str:
         """The gallery in words, such as "951 tiles"."""
-
-    @property
-    def no_truth(self) -> str:
-        """Why nothing can be measured where no query's truth is known, as a sentence."""
-        return f"The true place of no query of {self.data_name} is known, so nothing can be measured."
+        noun = "tiles" if self.gallery_view == "satellite" else "gallery pictures"
+        return f"{self.tiles:,} {noun}{self.of_index and f' {self.of_index}'}"
 
     @cached_property
     def query_names(self) -> list[str]:
@@ -183,36 +178,39 @@ class Task(ABC):
         """The part weights, summing to one, (n,)."""
         return scoring.part_weights(self.contract.n_parts, self.weights)
 
-    @abstractmethod
     def sides(self) -> tuple[Float32Array, Float32Array]:
-        """Return the descriptors of all queries and of the whole gallery, (Q, n, D) and (G, n, D).
-
-        Raises:
-            InputError: if the gallery is searched and not listed.
-        """
-
-    @property
-    def compared(self) -> tuple[Float32Array, Float32Array]:
-        """The descriptors that are ranked by inner product, see `sides`; CSLS appends one number to each part."""
-        return self.sides()
-
-    @abstractmethod
-    def ranking(self) -> RankingOfAll:
-        """A ranking of all queries under equal part weights that can be stopped and resumed."""
+        """Return the descriptors of all queries and of the whole gallery, (Q, n, D) and (G, n, D)."""
+        return self.query_descriptors, self.gallery_descriptors
 
     @cached_property
-    @abstractmethod
+    def compared(self) -> tuple[Float32Array, Float32Array]:
+        """The descriptors that are ranked by inner product, see `sides`; CSLS appends one number to each part."""
+        return csls.scaled(*self.sides(), self.neighbours) if self.neighbours else self.sides()
+
+    @property
+    def csls_tiles(self) -> Float32Array | None:
+        """The tiles' terms of CSLS, see `CslsTerms`, (G, n); None without it."""
+        return -self.contract.n_parts * self.compared[1][..., -1] if self.neighbours else None
+
+    def ranking(self) -> ResumableRanking:
+        """A ranking of all queries under equal part weights that can be stopped and resumed."""
+        return ResumableRanking(*self.compared, self.query_labels, self.gallery_labels, self.truth)
+
+    @cached_property
     def retrieved(self) -> Retrieval:
         """The ranking of the gallery for each query under the part weights."""
+        queries, gallery = self.compared
+        factors = query_outcomes.weight_factors(queries, self.weights)
+        return metrics.retrieve(queries, self.query_labels, gallery, self.gallery_labels, self.truth, factors)
 
     @cached_property
     def outcomes(self) -> Outcomes:
         """The outcome of each query under the part weights."""
         return self.outcomes_of(self.retrieved)
 
-    @abstractmethod
     def outcomes_of(self, ranking: Retrieval) -> Outcomes:
         """The outcomes of all queries, ranked under the task's weights."""
+        return query_outcomes.outcomes_of(ranking, *self.compared, self.weights, self.known)
 
     @cached_property
     def table(self) -> Table:
@@ -227,19 +225,26 @@ class Task(ABC):
 
     @cached_property
     def metrics(self) -> dict[str, float]:
-        """Recall and AP in percent under the part weights, see `metrics.evaluate`; NaN for AP of a search."""
+        """Recall and AP in percent under the part weights, see `metrics.evaluate`."""
         return self.retrieved.metrics(self.known)
 
-    def evaluate(self, protocol: EvaluationProtocol | None = None) -> Result:
-        """Evaluate the task, see `lpn.tasks.evaluation.evaluate_task`."""
-        from lpn.tasks.evaluation import evaluate_task
+    def evaluate(self) -> Result:
+        """Measure the task, see `lpn.tasks.measure.measure`."""
+        from lpn.tasks.measure import measure
 
-        return evaluate_task(self, protocol)
+        return measure(self)
 
     @property
     def known(self) -> BoolArray | None:
         """The queries whose truth is known, (Q,); None for all."""
         return metrics.known_queries(self.truth)
+
+    @property
+    def no_truth(self) -> str:
+        """Why nothing can be measured, as a sentence; empty if the truth of some query is known."""
+        if self.known is None or self.known.any():
+            return ""
+        return f"The true place of no query of {self.data_name} is known, so nothing can be measured."
 
     def without_truth(self, queries: Collection[int]) -> Self:
         """Return the task in which the truth of some queries is not known, so that they are not graded.
@@ -258,7 +263,7 @@ class Task(ABC):
 
     def check_truth(self) -> None:
         """Raise InputError unless the truth of some query is known."""
-        if self.known is not None and not self.known.any():
+        if self.no_truth:
             raise InputError(self.no_truth)
 
     def label_and_truth(self, query: int | None) -> tuple[int | None, Truth | None]:
@@ -266,27 +271,6 @@ class Task(ABC):
         if query is None:
             return None, None
         return int(self.query_labels[query]), None if self.truth is None else self.truth[query]
-
-    def current(self) -> Task:
-        """The task with labels and positions of all tiles that `gallery` has by now; only an index's gallery grows."""
-        return self
-
-    def without_picture(self, index: int) -> str:
-        """Why a tile's picture is not at hand, so that a placeholder stands for it, as a sentence; empty if it is."""
-        del index
-        return ""
-
-    @abstractmethod
-    def stored_descriptor(self, index: int) -> Float32Array:
-        """The descriptor of a gallery picture as it is searched, (n, D)."""
-
-    @abstractmethod
-    def tile_name(self, index: int) -> str:
-        """The name of a tile, by which `find_tile` finds it."""
-
-    @abstractmethod
-    def find_tile(self, name: str) -> int | None:
-        """The gallery position of a tile by its name, the first on ties; None if there is no such tile."""
 
     def search(self, query: int, weights: npt.ArrayLike | None = None, change: Change = UNCHANGED) -> Ranking:
         """Rank the gallery for one query.
@@ -298,7 +282,7 @@ class Task(ABC):
 
         Raises:
             InputError: if there is no such query, the weights are not its parts', or a change is asked of descriptors alone.
-            LPNError: if the picture or the index cannot be read.
+            LPNError: if the picture cannot be read.
         """
         if not 0 <= query < len(self.query_descriptors):
             raise InputError(
@@ -319,7 +303,6 @@ class Task(ABC):
         model, change = self.model.for_task(*self.views), change.for_picture(picture, picture.zoom)
         return retrieval.describe_picture(model, picture.load_cropped(), self.query_view, change).descriptor
 
-    @abstractmethod
     def start_search(
         self, query: int | None, descriptor: Float32Array, lengths: Float32Array | None = None
     ) -> RankUnderWeights:
@@ -328,23 +311,18 @@ class Task(ABC):
         Args:
             query: its position; None if it is not of the data set.
             lengths: see `Ranking`.
-
-        Returns:
-            The function that ranks the gallery under part weights.
         """
+        return RankUnderWeights(self, query, descriptor, lengths)
 
-    def ranks_under(
-        self, query: int | None, weights: Float32Array | None = None, also: int | None = None
-    ) -> Callable[[Float32Array], Ranking]:
+    def ranks_under(self, query: int | None, weights: Float32Array | None = None) -> Callable[[Float32Array], Ranking]:
         """A function that ranks the gallery for other descriptors (n, D) of a query, as a sweep needs.
 
         Args:
             query: its position; None if it is not of the data set.
             weights: part weights that sum to one, (n,); by default the task's.
-            also: see `RankUnderWeights`.
         """
         used = self.part_weights if weights is None else weights
-        return lambda descriptor: self.start_search(query, descriptor)(used, also)
+        return lambda descriptor: self.start_search(query, descriptor)(used)
 
     def _repr_html_(self) -> str:
         """The task in a notebook: recall and AP of all queries."""
@@ -352,6 +330,33 @@ class Task(ABC):
         figures = {title: self.metrics[name] for name, title in names.items()}
         caption = f"{self.data_name}, {self.name}: {len(self.queries):,} queries, {self.gallery_description}"
         return percentages(caption, "model", {self.model_name: figures})
+
+
+class RankUnderWeights:
+    """Ranks a gallery for one described query; the part cosines are computed once, and serve all weights."""
+
+    def __init__(self, task: Task, query: int | None, descriptor: Float32Array, lengths: Float32Array | None) -> None:
+        self._task, self._query, self._lengths = task, query, lengths
+        self._cosines = scoring.part_cosines(descriptor, task.gallery_descriptors)
+        # A region's score has no constants, and so none of CSLS.
+        tiles = None if lengths is not None else task.csls_tiles
+        self._csls = None if tiles is None else CslsTerms.of_query(self._cosines, tiles, task.neighbours)
+        self._last: tuple[bytes, Ranking] | None = None
+
+    def __call__(self, weights: Float32Array) -> Ranking:
+        """Rank under weights that sum to one, (n,); the weights of the last call return its ranking again."""
+        if self._last is None or self._last[0] != weights.tobytes():
+            label_and_truth = self._task.label_and_truth(self._query)
+            ranking = retrieval.rank(
+                self._cosines,
+                weights,
+                self._task.gallery_labels,
+                *label_and_truth,
+                lengths=self._lengths,
+                csls=self._csls,
+            )
+            self._last = weights.tobytes(), ranking
+        return self._last[1]
 
 
 def scored_key(name: str, scoring: Scoring) -> str:

@@ -21,7 +21,7 @@ from typing import cast
 
 import numpy as np
 
-from lpn.core.arrays import BoolArray, Float64Array, Int64Array
+from lpn.core.arrays import Float64Array, Int64Array
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference
 from lpn.core.texts import listed, ordinal
 from lpn.retrieval import Match, Ranking
@@ -84,9 +84,9 @@ def judge(ranking: Ranking, names: Sequence[str], noun: str = "part", error_m: f
         return Verdict(True, "Found: there is no wrong tile", "All tiles that are searched show the place.", answer)
     if rival is None:
         return _without_truth(ranking, answer)
-    words, gains = _Words(names, noun), _gains(ranking, answer, rival)
+    words, gains = _Words(names, noun), ranking.gains(answer.index, rival.index)
     found = Verdict(answer.true, "", "", answer, rival, gains)
-    counted = np.flatnonzero(_counted(ranking))
+    counted = np.flatnonzero(ranking.weights * (1 if ranking.lengths is None else ranking.lengths))
     if answer.true:
         headline, parts, sentence = _right(ranking, found, counted, words)
     else:
@@ -99,7 +99,7 @@ def _without_truth(ranking: Ranking, answer: Match) -> Verdict:
     """Compare an answer with the next tile where the truth is not known, or no tile is true."""
     rival = next(iter(ranking.top(2)[1:]), None)
     lead = None if rival is None else shown_difference(rival.distance2, answer.distance2)
-    gains = None if rival is None else _gains(ranking, answer, rival)
+    gains = None if rival is None else ranking.gains(answer.index, rival.index)
     if ranking.relevant is not None:
         why = "The gallery has no tile of this place, so no answer can be right."
         return Verdict(False, "No true tile", why, answer, rival, gains)
@@ -107,22 +107,16 @@ def _without_truth(ranking: Ranking, answer: Match) -> Verdict:
     return Verdict(None, "No truth is known", leads, answer, rival, gains)
 
 
-def _gains(ranking: Ranking, answer: Match, rival: Match) -> Float64Array:
-    ahead, behind = (ranking.similarities[match.index].astype(np.float64) for match in (answer, rival))
-    return cast(Float64Array, 2 * ranking.weights.astype(np.float64) * (ahead - behind))
-
-
-def _counted(ranking: Ranking) -> BoolArray:
-    return (ranking.weights > 0) & (True if ranking.lengths is None else ranking.lengths > 0)
-
-
 def _ranks_without(ranking: Ranking) -> Int64Array:
     """Return the rank of the nearest true tile without each part, (n,); a tie counts as if the true tile came first."""
     assert ranking.relevant is not None
-    true = ranking.relevant[ranking.order]
-    terms = ranking.weights.astype(np.float64) * ranking.similarities[ranking.order]
-    scores = terms.sum(axis=1, keepdims=True) - terms
-    return cast(Int64Array, 1 + (scores[~true] > scores[true].max(axis=0) + _EQUAL).sum(axis=0))
+    weights = np.where(np.eye(len(ranking.weights)), 0.0, ranking.weights[:, None])
+    scores = ranking.similarities @ weights
+    true, wrong = ranking.order[ranking.relevant[ranking.order]], np.zeros(len(scores), bool)
+    wrong[ranking.order] = True
+    wrong[true] = False
+    ahead = scores > scores[true].max(axis=0) + _EQUAL
+    return cast(Int64Array, 1 + np.array([np.count_nonzero(one & wrong) for one in ahead.T]))
 
 
 def _right(ranking: Ranking, found: Verdict, counted: Int64Array, words: _Words) -> tuple[str, tuple[int, ...], str]:
@@ -149,13 +143,8 @@ def _right(ranking: Ranking, found: Verdict, counted: Int64Array, words: _Words)
 
 def _wrong(found: Verdict, gains: Float64Array, counted: Int64Array, words: _Words) -> tuple[str, tuple[int, ...], str]:
     assert found.rival is not None
-    total, rank = float(gains.sum()), found.rival.rank_text
+    total = float(gains.sum())
     behind = f"The nearest true tile is {ordinal(found.rival.rank)}, {found.lead:.3f} behind the answer."
-    if found.rival.beyond:
-        behind = f"The nearest true tile is {found.lead:.3f} behind the answer; its rank is {rank}."
-        if total < 0:
-            leads = f"It would lead the answer by {-found.lead:.3f}: the index searches approximately."
-            return "Missed: the search did not return the true tile", (), leads
     if len(counted) == 1:
         return f"The truth lies {found.lead:.3f} farther than the answer", (), behind
     for bound in _BOUNDS[: 2 if total < _TIE else 3]:

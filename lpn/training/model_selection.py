@@ -14,10 +14,11 @@ from lpn.core.arrays import Float32Array
 from lpn.core.consoles import Console
 from lpn.core.views import View
 from lpn.datasets import Dataset, Picture
+from lpn.datasets.integrity import check_test_split
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model
 from lpn.retrieval import metrics
-from lpn.retrieval.evaluate import check_test_split, evaluate
+from lpn.tasks.opening import lazy_task
 from lpn.training.training_set import paired_pictures
 
 # The metrics of one epoch: a line of log.csv.
@@ -52,7 +53,7 @@ class TestSplit:
         zoom: of the pictures of each view, that of the training, see `Recipe.zoom`.
 
     Raises:
-        LPNError: when the split is incomplete or a picture of it is broken, see `lpn.retrieval.evaluate.check_test_split`.
+        LPNError: when the split is incomplete or a picture of it is broken, see `lpn.datasets.integrity.check_test_split`.
     """
 
     __test__ = False  # not a test, despite its name
@@ -76,7 +77,7 @@ class TestSplit:
             return cache[key]
 
         for task in self.tasks:
-            result = evaluate(model, self.dataset, task, read=cached)
+            result = lazy_task(model, self.dataset, task, cached).evaluate()
             recall = result.recall
             if console is not None:
                 console.print(

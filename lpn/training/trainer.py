@@ -94,7 +94,7 @@ class Trainer:
         if isinstance(source, Map):
             if evaluate_every or validate:
                 raise InputError(
-                    "A map has no places to test on; leave --evaluate-every and --validate out, and use lpn evaluate flight."
+                    "A map has no places to test on; leave --evaluate-every and --validate out, and use lpn locate."
                 )
             self.name, self.places = source.name, MapWindows(source, recipe, window_sizes)
         elif recipe.windows:

@@ -110,9 +110,9 @@ def started(
         program: what Python runs.
         port: any that is free by default, which the app takes by itself: nobody else can take it meanwhile.
     """
-    source = ["--data", data, "--model", model]
+    source = [data, "--model", model]
     if saved is not None:
-        source = ["published", "--data", data, "--saved", saved, "--n-parts", "4"]
+        source = [saved, "--data", data, "--n-parts", "4"]
     source += ["--beside", *beside] if beside else []
     inputs = [] if default else source
     command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port)]
@@ -348,7 +348,7 @@ class ExplorerPage:
 
     def explain(self) -> None:
         """Press Y, and open the evidence, which is not what comes first for a wrong answer."""
-        wrong = "Wrong" in self.verdict.inner_text()
+        wrong = "✗" in self.verdict.inner_text()
         self.key("y")
         if wrong:
             expect(self.page.get_by_role("tab", name="True or wrong")).to_have_attribute("aria-selected", "true")

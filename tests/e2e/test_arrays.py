@@ -30,8 +30,6 @@ def test_plain_arrays_are_explored_without_a_model(tmp_path: Path, new_page: Cal
     for row in range(0, 8, 2):  # the others are placeholders
         small_worlds.write(tmp_path / "test" / "g" / f"{row}.png", layouts.small(row))
     options = (
-        "arrays",
-        "--queries",
         str(tmp_path / "q.npy"),
         "--gallery",
         str(tmp_path / "g.npy"),

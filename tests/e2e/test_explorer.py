@@ -220,7 +220,7 @@ def test_a_picture_of_ones_own(explorer: ExplorerPage, tmp_path: Path) -> None:
     small_worlds.write(own, small_worlds.place(77))
     explorer.upload(own)
     explorer.expect_status("name", own.name)
-    expect(explorer.verdict).to_contain_text("Your picture")
+    expect(explorer.verdict).to_contain_text("Best match")
     expect(explorer.rows.first).to_contain_text("?")
     broken = tmp_path / "broken.png"
     broken.write_bytes(b"not a picture")

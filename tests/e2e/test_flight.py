@@ -728,7 +728,7 @@ def test_the_chip_of_a_flight_opens_its_window_as_large_as_the_stage(
 ) -> None:
     workspace = flight_app.workspace
     before = workspace.key, workspace.choices
-    others = {"flight": LazyWorkspace("a flight over its map", lambda _: workspace)}
+    others = {"flight": LazyWorkspace("a flight over its map", lambda: workspace)}
     app = App(open_model(data, model_file), "127.0.0.1", free_port(), None, "pairs", others)
     explorer = ExplorerPage(contexts(viewport={"width": 1024, "height": 600}).new_page())
     try:

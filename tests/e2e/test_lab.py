@@ -21,6 +21,7 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.query_outcomes import Outcomes
 from tests.e2e.conftest import ExplorerPage, RunningApp, deny_storage, started
 from tools.fixtures import small_worlds
+from tools.fixtures.tasks import descriptor_task
 
 WEATHERS = ("rain", "sun", "<b>fog</b>")
 
@@ -59,7 +60,7 @@ def truth(lab_app: RunningApp) -> tuple[Outcomes, Table]:
         descriptors.temporary_descriptors(model, entries, view)
         for entries, view in ((queries, "drone"), (gallery, "satellite"))
     ]
-    outcomes = query_outcomes.build(*described, datasets.labels_of(queries), datasets.labels_of(gallery))
+    outcomes = descriptor_task(*described, datasets.labels_of(queries), datasets.labels_of(gallery)).outcomes
     names = model.spec.partition("drone").names()
     return outcomes, query_outcomes.table(
         dataset.root, queries, gallery, outcomes, names, GalleryGeometry.of_dataset(dataset, queries, gallery)

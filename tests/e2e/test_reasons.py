@@ -15,8 +15,8 @@ from lpn import datasets, explain, load, retrieval
 from lpn.core import images
 from lpn.explain import sweeps
 from lpn.explain.counterfactual import smallest_change
+from lpn.tasks.changes import turned
 from lpn.tasks.opening import describe_task
-from lpn.tasks.turned import turned
 from tests.e2e.conftest import ExplorerPage, RunningApp, difference
 from tests.e2e.test_explorer import assert_shows, expected
 
@@ -129,7 +129,7 @@ def swappable(app: RunningApp) -> str:
 @pytest.mark.slow
 def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: ExplorerPage, app: RunningApp) -> None:
     explorer.page.get_by_role("button", name="Failure", exact=True).click()
-    expect(explorer.verdict).to_contain_text("Wrong")
+    expect(explorer.verdict).to_contain_text("✗")
     open_window(explorer)
     explorer.page.get_by_role("tab", name="True or wrong").click()
     versus = explorer.page.locator("#lpn-counterfactual")
@@ -142,7 +142,7 @@ def test_true_against_wrong_offers_weights_that_put_the_truth_first(explorer: Ex
     explorer.page.locator("#lpn-effect a").click()
     expect(explorer.page.locator("#lpn-effect")).to_contain_text(re.compile("it (helps|harms|neither)"))
     versus.locator(".chips a").click()
-    expect(explorer.verdict).to_contain_text("Found")
+    expect(explorer.verdict).to_contain_text("✓")
 
 
 @pytest.mark.slow
@@ -176,7 +176,8 @@ def test_a_profile_is_computed_to_the_end_and_the_whole_task_is_measured_with_tu
     task = describe_task(load(app.model), "lpn", datasets.open_dataset(app.data), "drone-to-satellite")
     figures = explorer.page.locator("#lpn-turned-figures .figure")
     expected_figures = [
-        f"{one.degrees:g}° {one.recall:.1f} ({one.ap:.1f})" for one in (turned(task, 0), turned(task, 90))
+        f"{one.change.rotate:g}° {one.metrics['recall@1']:.1f} ({one.metrics['ap']:.1f})"
+        for one in (task, turned(task, 90))
     ]
     expect(figures).to_have_text(expected_figures)
     # The sweep of the one query began as well, and its chart has a point for each turn.

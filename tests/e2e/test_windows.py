@@ -33,8 +33,7 @@ from lpn.live.outputs import LiveFix
 from lpn.live.run import live_answer
 from lpn.locate.located import LocatedFlight
 from lpn.retrieval import scoring
-from lpn.sources import Indexed, Published
-from lpn.sources.sources import ModelOptions
+from lpn.sources import SourceOptions
 from lpn.tasks.opening import calibrated, scored_tasks
 from lpn.tasks.task import SCORINGS
 from tests.conftest import MakeOnce
@@ -149,10 +148,12 @@ def windows(model_file: Path, make_once: MakeOnce, tmp_path_factory: pytest.Temp
         ):
             assert main([str(part) for part in command]) == 0
         save_result(saved, data, model_file)
-        index = Indexed(index=str(folder / "index"), model=ModelOptions(model=model_file), data=data, depth=12)
+        index = SourceOptions(source=str(folder / "index"), model=model_file, data=data)
         others = {
-            "index": LazyWorkspace("index", lambda _: open_source(index)),
-            "saved": LazyWorkspace("saved", lambda _: open_source(Published(saved=saved, data=data, n_parts=4))),
+            "index": LazyWorkspace("index", lambda: open_source(index)),
+            "saved": LazyWorkspace(
+                "saved", lambda: open_source(SourceOptions(source=str(saved), data=data, n_parts=4))
+            ),
         }
         app = App(open_model(data, model_file, calibrate=True), "127.0.0.1", free_port(), others=others)
         yield Windows(classic(f"http://127.0.0.1:{app.server.get_port()}"), data, model_file)

@@ -19,12 +19,12 @@ from explorer.app import App
 from explorer.client.services import WorkspaceServices
 from explorer.client.session import ClientSession
 from explorer.client.views import ClientViews
-from explorer.compute.background_jobs import ReportProgress
 from explorer.opening import open_model
 from explorer.stage.viewport import EDGE
 from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
+from lpn.core.progress import report_progress
 from tests.e2e.conftest import PATIENCE, ExplorerPage, box, classic
 from tools.fixtures.processes import free_port
 from tools.fixtures.websocket_client import WebSocketClient
@@ -47,12 +47,12 @@ def offer(data: Path, model_file: Path, one_part_model_file: Path, monkeypatch: 
     monkeypatch.setenv("LPN_CACHE", str(model_file.parent / "cache"))
     may_open = threading.Event()
 
-    def slowly(report: ReportProgress) -> Workspace:
-        report(3, 7)
+    def slowly() -> Workspace:
+        report_progress("Describing", 3, 7)
         assert may_open.wait(PATIENCE)
         return open_model(data, one_part_model_file)
 
-    def never(_: ReportProgress) -> Workspace:
+    def never() -> Workspace:
         raise DataError("The map is not there; give another.")
 
     others = {"whole": LazyWorkspace("whole pictures", slowly), "broken": LazyWorkspace("a broken map", never)}

@@ -6,7 +6,6 @@ import gc
 import re
 import threading
 import weakref
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -23,7 +22,7 @@ import lpn
 from explorer import opening, session_state
 from explorer.browse.feeds import Feeds
 from explorer.browse.query_list import entries
-from explorer.cli import ExploreFlight, ExploreNamed
+from explorer.cli import Explore
 from explorer.compute import own_photos
 from explorer.compute.own_photos import CameraPicture, OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
 from explorer.failure_lab import state as lab_state
@@ -40,7 +39,9 @@ from explorer.url_state import UrlState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.cli.main import main
 from lpn.core.arrays import UInt8Array
+from lpn.core.demo import DEMO
 from lpn.core.errors import DataError, InputError, PictureError
+from lpn.core.progress import report_progress
 from lpn.drawing.words import speaking
 from lpn.flights import Frame, write_flight
 from lpn.library.analyser import OwnPicture
@@ -51,7 +52,7 @@ from lpn.locate.task import TASK
 from lpn.maps import Map, Window
 from lpn.maps.named_window import WindowCut
 from lpn.maps.tag_placed import describe_placing
-from lpn.sources import Flown, Indexed, ModelOptions
+from lpn.sources import ModelOptions
 from tests.lpn.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.
@@ -77,11 +78,9 @@ def _state(workspace: Workspace, query: int) -> SessionState:
     return SessionState(TASK, workspace.contract.n_parts, query=query)
 
 
-def _register(
-    located: LocatedFlight, *_: Any, on_progress: Callable[[str, int, int], None], **__: Any
-) -> LocatedFlight:
+def _register(located: LocatedFlight, *_: Any, **__: Any) -> LocatedFlight:
     """Refuse all frames, as the registration would enter them."""
-    on_progress("registration", len(located.frames), len(located.frames))
+    report_progress("Registering frames", len(located.frames), len(located.frames))
     refused = StageRecord("refused", "Only 4 matches agree.", inliers=4)
     frames = [replace(frame, stages=frame.stages | {"registration": refused}) for frame in located.frames]
     return replace(located, frames=frames)
@@ -180,7 +179,7 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     task, known = workspace.tasks[TASK], len(FLOWN_PLACES) + 1 - len(UNKNOWN)
     assert f"{known} queries are graded" in " ".join(pages.header(workspace, task).split())
     analysis = StateAnalyser(workspace).analyse(_state(workspace, 0), 3)
-    assert answer_text.verdict(analysis, workspace)[:2] == (None, "Nearest tile")
+    assert answer_text.verdict(analysis, workspace)[:2] == (None, "Best match")
     assert [
         right is None
         for _, _, right in entries(workspace.rankings[TASK], [0, 2, 5], workspace.graded(workspace.rankings[TASK]))
@@ -223,9 +222,7 @@ def test_a_flight_whose_tags_lie_far_off_the_map_is_told_so_first(
     assert concluded[2].startswith(
         "The flight's GPS tags lie 1,929 km from this map, so the map is probably of another place."
     )
-    assert answer_text.verdict(analysis, workspace)[2].startswith(
-        "The flight's GPS tags lie 1,929 km from this map; the next"
-    )
+    assert answer_text.verdict(analysis, workspace)[2] == f"{look[2]} {analysis.verdict.sentence}"
 
 
 def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace: Workspace) -> None:
@@ -248,19 +245,19 @@ def test_without_positions_nothing_is_graded(files: tuple[Path, Path], workspace
     [
         (
             ["--map", "a.tif", "--model", "m.onnx"],
-            "lpn explore index, lpn explore flight, and lpn explore live have it",
+            "--map is of a source, and none is given; name it: lpn explore SOURCE.",
         ),
-        (["--no-register"], "lpn explore flight"),
+        ([str(DEMO), "--no-register"], "demo is a data set, and --no-register fits a flight; leave it out."),
         (
-            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--beside-kind", "dac"],
+            ["monday", "--map", "a.tif", "--model", "m.onnx", "--beside-kind", "dac"],
             "--beside-kind needs --beside",
         ),
         (
-            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--port", "0"],
+            ["monday", "--map", "a.tif", "--model", "m.onnx", "--port", "0"],
             "There is no file a.tif",
         ),
         (
-            ["flight", "--map", "a.tif", "--flight", "monday", "--model", "m.onnx", "--map-error", "-1"],
+            ["monday", "--map", "a.tif", "--model", "m.onnx", "--map-error", "-1"],
             "The map's error is -1 m; expected 0 or more metres.",
         ),
     ],
@@ -293,10 +290,12 @@ def test_the_kind_of_a_bare_checkpoint_is_named_for_a_flight_and_for_an_index(
 
     monkeypatch.setattr(lpn, "load", load)
     monkeypatch.setattr(explorer.app, "serve", lambda opened, *_: opened())
-    bare = ModelOptions(model=tmp_path / "bare.pth", kind="dac")
+    bare: dict[str, Any] = {"model": tmp_path / "bare.pth", "kind": "dac"}
+    (tmp_path / "index").mkdir()
+    (tmp_path / "index" / "index.json").touch()
     for command in (
-        ExploreFlight(source=Flown(map=files[0], flight=files[1], model=bare)),
-        ExploreNamed(source=Indexed(index=str(tmp_path / "index"), data=tmp_path, model=bare)),
+        Explore(source=str(files[1]), map=files[0], **bare),
+        Explore(source=str(tmp_path / "index"), data=tmp_path, **bare),
     ):
         with pytest.raises(InputError, match="It is not opened"):
             command.run()
@@ -500,7 +499,7 @@ def test_an_own_picture_whose_tag_lies_beyond_the_answer_is_elsewhere(workspace:
         assert f"Its GPS tag lies {off:.0f} m from the middle of this one" in sentence
         assert (headline == "Elsewhere by its GPS tag") == elsewhere
         assert ("the size of the piece and the errors of tags allow " in sentence) == elsewhere
-        assert ("elsewhere by its GPS tag" in answer_text.verdict(analysis, workspace)[1]) == elsewhere
+        assert (answer_text.verdict(analysis, workspace)[1] == "Elsewhere by its GPS tag") == elsewhere
 
 
 def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(

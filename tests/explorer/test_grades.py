@@ -30,7 +30,7 @@ from lpn.core.demo import DEMO_ANSWERS, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
 from lpn.drawing.words import speaking
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
-from lpn.sources import Flown
+from lpn.locate.source import FlightSource
 
 TASK = "drone-to-satellite"
 PATIENCE = 120.0
@@ -40,7 +40,7 @@ PHOTOS = 30
 
 
 def opened(basemap: Path, flight: Path) -> Workspace:
-    place = open_offered_flight(None, basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
+    place = open_offered_flight(basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
     assert place.registration is not None
     assert place.registration.wait(PATIENCE)
     return place
@@ -140,7 +140,7 @@ def test_two_models_are_compared_over_the_graded_photos(workspace: Workspace, mo
     first[[7, 9, 1]] = 1 - np.minimum(first[[7, 9, 1]], 1)  # two in doubt, and one that is right
     assert first[1] == 1
     other.rankings[TASK].result = replace(own, ranking=replace(own.ranking, first=first))
-    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("two", lambda _: other)])
+    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("two", lambda: other)])
     assert workspace.beside[0].open().wait(PATIENCE)
     comparison = ModelComparison(workspace, RequestContext(workspace.inference))
     analysis = StateAnalyser(workspace).analyse(SessionState(TASK, workspace.contract.n_parts, why=True), 10)
@@ -154,15 +154,15 @@ def test_reports_count_as_the_first_screen_does(
     workspace: Workspace, findings: Findings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     in_app = reports.of_selection(workspace, findings.task, list(range(PHOTOS)), "all")[1].decode()
-    locate = Flown.locate
+    locate = FlightSource.locate
     shipped: dict[str, Any] = {"overlap": OFFERED_OVERLAP, "shipped": DEMO_PLACE[0].with_name(DEMO_ANSWERS)}
 
-    def as_in_app(source: Flown, _: float | None, *args: Any) -> Any:
-        on_progress, names, weights = args
-        return locate(source, on_progress=on_progress, names=names, weights=weights, **shipped)
+    def as_in_app(source: FlightSource, _: float | None, *args: Any) -> Any:
+        names, weights = args
+        return locate(source, names=names, weights=weights, **shipped)
 
-    monkeypatch.setattr(Flown, "locate", as_in_app)
-    command = ["report", "flight", "--map", str(DEMO_PLACE[0]), "--flight", str(DEMO_PLACE[1])]
+    monkeypatch.setattr(FlightSource, "locate", as_in_app)
+    command = ["report", str(DEMO_PLACE[1]), "--map", str(DEMO_PLACE[0])]
     command += ["--model", str(DEMO_MODEL), "--out", str(tmp_path / "r.html")]
     assert main([*command, "--where", "seconds >= 0", "--matches", "1"]) == 0
     by_command = (tmp_path / "r.html").read_text()

@@ -27,7 +27,7 @@ from lpn.explain import sweeps
 from lpn.index import create_index
 from lpn.index.base import DescriptorKind
 from lpn.report import Options, build
-from lpn.sources import Indexed, ModelOptions
+from lpn.sources import SourceOptions
 from tools.fixtures import small_worlds
 from tools.fixtures.rankings import ranked_in
 from tools.fixtures.small_contracts import GATES, REGIONS, GateModel, PartsModel, RegionModel, WholeModel
@@ -58,7 +58,7 @@ def analysed(workspace: Workspace, task: str = TASK, **changes: Any) -> StateAna
 def test_parts_are_those_of_each_picture(regions: Workspace) -> None:
     analysis = analysed(regions)
     assert regions.part_names == list(REGIONS.part_names["drone"])
-    assert (regions.parts_word, regions.without_cells) == ("parts", "")
+    assert (regions.contract.part_noun, regions.without_cells) == ("part", "")
     for view, described in zip(analysis.task.views, (analysis.query, analysis.tile), strict=True):
         areas = regions.areas(view, described)
         assert areas is not None
@@ -121,17 +121,15 @@ def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, m
         [gallery[i].path.relative_to(data).as_posix() for i in range(len(gallery))], whole.task.gallery_descriptors
     )
     index.close()
-    opened = open_source(
-        Indexed(index=str(tmp_path / "index"), model=ModelOptions(model=Path("m.pth")), data=data, depth=10)
-    )
+    opened = open_source(SourceOptions(source=str(tmp_path / "index"), model=Path("m.pth"), data=data))
     assert list(opened.tasks) == [name]
     found = analysed(opened, name)
     assert [one.distance2 for one in found.matches] == pytest.approx([one.distance2 for one in whole.matches], abs=1e-5)
     # Plain pictures are queries of the task whose gallery it is.
     pictures = open_source(
-        Indexed(
-            index=str(tmp_path / "index"),
-            model=ModelOptions(model=Path("m.pth")),
+        SourceOptions(
+            source=str(tmp_path / "index"),
+            model=Path("m.pth"),
             data=data,
             pictures=data / "test" / "query_satellite",
         )
@@ -139,7 +137,7 @@ def test_an_index_of_a_gallery_by_role_is_explored(data: Path, tmp_path: Path, m
     assert list(pictures.tasks) == [name]
     create_index(tmp_path / "other", replace(kind, fingerprint="other")).close()
     with pytest.raises(StoreError, match="holds descriptors of model other"):
-        open_source(Indexed(index=str(tmp_path / "other"), model=ModelOptions(model=Path("m.pth")), data=data))
+        open_source(SourceOptions(source=str(tmp_path / "other"), model=Path("m.pth"), data=data))
 
 
 @pytest.mark.parametrize("plain", [True, False])

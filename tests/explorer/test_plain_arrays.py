@@ -14,7 +14,8 @@ from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn.analysis import breakdown
 from lpn.cli.main import main
-from lpn.sources import Arrays
+from lpn.core.demo import DEMO
+from lpn.sources import SourceOptions
 
 
 def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
@@ -28,7 +29,7 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
     ]
     (tmp_path / "paths.csv").write_text("\n".join(lines))
     workspace = open_source(
-        Arrays(queries=tmp_path / "q.npy", gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv"), "q2"
+        SourceOptions(source=str(tmp_path / "q.npy"), gallery=tmp_path / "g.npy", paths=tmp_path / "paths.csv"), "q2"
     )
     (task,) = workspace.tasks.values()
     assert workspace.first_query == 2
@@ -52,11 +53,12 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (["--paths", "paths.csv"], "lpn explore arrays"),
+        (["--paths", "paths.csv"], "--paths is of a source, and none is given"),
         (
-            ["arrays", "--gallery", "absent.npy", "--queries", "absent.npy"],
-            "no file of query descriptors at absent.npy",
+            [str(DEMO), "--paths", "paths.csv"],
+            "demo is a data set, and --paths fits arrays of descriptors; leave it out",
         ),
+        (["absent.npy", "--gallery", "absent.npy"], "no file of query descriptors at absent.npy"),
     ],
 )
 def test_options_that_do_not_fit_are_refused(

@@ -17,8 +17,8 @@ from lpn.datasets import open_dataset
 from lpn.library.analyser import OwnPicture
 from lpn.models.base import normalise
 from lpn.retrieval.saved import PublishedResult
-from lpn.sources import Published
-from lpn.tasks.published_task import published_task
+from lpn.sources import SourceOptions
+from lpn.tasks.saved import published_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -28,7 +28,7 @@ def workspace(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFac
     """A saved result with the descriptors of the other tests' model."""
     file = tmp_path_factory.mktemp("saved") / "pytorch_result.mat"
     save_result(file, data, model_file)
-    return open_source(Published(saved=file, data=data, n_parts=4))
+    return open_source(SourceOptions(source=str(file), data=data, n_parts=4))
 
 
 def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data: Path, model_file: Path) -> None:
@@ -68,13 +68,13 @@ def test_pictures_of_equal_files_are_told_apart_by_their_query(workspace: Worksp
 def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
     save_result(tmp_path / "r.mat", data, model_file, length=2.0)
     with pytest.raises(InputError, match="parts of norm"):
-        open_source(Published(saved=tmp_path / "r.mat", data=data))
+        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data))
     save_result(tmp_path / "r.mat", data, model_file)
     other = small_worlds.make_dataset(tmp_path / "other", train=1, test=2)
     with pytest.raises(DataError, match="give the data set"):
-        open_source(Published(saved=tmp_path / "r.mat", data=other))
+        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=other))
     with pytest.raises(InputError, match="no query x"):
-        open_source(Published(saved=tmp_path / "r.mat", data=data), "x")
+        open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data), "x")
 
 
 def random_result(root: Path, task: TaskName, seed: int = 0) -> PublishedResult:

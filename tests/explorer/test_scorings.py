@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import MagicMock, Mock
@@ -28,11 +28,12 @@ from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
-from lpn.datasets import labels_of, open_dataset
+from lpn.core.progress import listening, report_progress
+from lpn.datasets import Picture, labels_of, open_dataset
 from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
 from lpn.retrieval.csls import NEIGHBOURS
-from lpn.retrieval.sides import TaskPictures
+from lpn.tasks import opening
 from lpn.tasks.opening import calibrated
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
@@ -205,6 +206,10 @@ def test_links_bring_the_scoring_back_and_one_without_it_is_plain(workspace: Wor
     assert problems == ["scoring=best: it is ranked plain or calibrated or csls here."]
 
 
+def is_query(pictures: Sequence[Picture]) -> bool:
+    return pictures[0].path.parents[1].name.startswith("query")
+
+
 @pytest.mark.parametrize(
     ("calibrate", "csls", "expected"),
     [(None, 0, "plain"), (False, 0, "plain"), (True, 0, "calibrated"), (True, 5, "csls"), (None, 5, "csls")],
@@ -215,10 +220,10 @@ def test_labels_never_choose_the_scoring_that_opens(
     recalls = []
     for order in (slice(None), slice(None, None, -1), np.random.default_rng(3).permutation(22)):
         # The labels of the queries alone are in another order, so that other scorings are the best by them.
-        moved = lambda of, order=order: (of[0][order], of[1])  # noqa: E731
         with monkeypatch.context() as patch:
-            plain = TaskPictures.labels.fget
-            patch.setattr(TaskPictures, "labels", property(lambda one, plain=plain, moved=moved: moved(plain(one))))
+            patch.setattr(
+                opening, "labels_of", lambda of, order=order: labels_of(of)[order if is_query(of) else slice(None)]
+            )
             opened = open_model(wide, model_file, calibrate=calibrate, csls=csls)
         assert opened.default_scoring(TASK) == expected
         shown = opened.rankings[state_of(opened, opened.default_scoring(TASK)).ranking_key]
@@ -235,9 +240,7 @@ def test_the_demo_opens_by_the_calibration_that_ships_whatever_the_labels(
     assert opened.default_scoring(TASK) == expected
     recalls = {one.scoring: round(one.recall or 0, 1) for one in scorings.choices(opened.rankings, TASK)}
     assert recalls == {"plain": 70.1, "calibrated": 84.7, "csls": 87.0}
-    monkeypatch.setattr(
-        TaskPictures, "labels", property(lambda of: (labels_of(of.queries)[::-1], labels_of(of.gallery)))
-    )
+    monkeypatch.setattr(opening, "labels_of", lambda of: labels_of(of)[:: -1 if is_query(of) else 1])
     reversed_labels = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
     assert reversed_labels.default_scoring(TASK) == expected
     assert [one.ready for one in scorings.choices(reversed_labels.rankings, TASK)] == [True] * 3
@@ -299,7 +302,7 @@ def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace:
 def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
     workspace: Workspace, wide: Path, one_part_model_file: Path
 ) -> None:
-    second = LazyWorkspace("the other", lambda _: open_model(wide, one_part_model_file))
+    second = LazyWorkspace("the other", lambda: open_model(wide, one_part_model_file))
     workspace.beside = [second]
     try:
         assert second.open().wait(PATIENCE)
@@ -345,12 +348,13 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
 ) -> None:
     write_places(tmp_path / "places", 22)
     counts: list[tuple[int, int]] = []
-    calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"), lambda *count: counts.append(count))
+    with listening(lambda _, *count: counts.append(count)):
+        calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"))
     assert counts[-1] == (22, 22)
 
-    def endless(_: object, __: object, on_progress: Callable[[int, int], None]) -> None:
+    def endless(*_: object) -> None:
         while True:
-            on_progress(3, 22)
+            report_progress("Describing", 3, 22)
 
     monkeypatch.setattr("explorer.opening.calibrated", endless)
     opened, client = open_model(tmp_path / "places", model_file), object()

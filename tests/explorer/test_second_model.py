@@ -24,9 +24,9 @@ from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.sources import Data, ModelOptions
+from lpn.sources import ModelOptions
+from lpn.tasks.changes import changed
+from lpn.tasks.opening import lazy_task
 from lpn.tasks.task import Task
 from tests.explorer.explain_window.test_window import WindowGui, make_window
 from tools.fixtures import small_worlds
@@ -138,9 +138,7 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr("lpn.maps.open_map", lacking)
     files = tmp_path, tmp_path, tmp_path / "model.onnx"
-    flight = explorer.opening.offered(
-        "a flight", files, lambda report: explorer.opening.open_offered_flight(report, *files)
-    )
+    flight = explorer.opening.offered("a flight", files, lambda: explorer.opening.open_offered_flight(*files))
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
@@ -166,7 +164,7 @@ def test_the_demo_offers_its_baseline_where_the_file_is_there(
     monkeypatch.setattr(explorer.cli, "DEMO_BASELINE", baseline)
     monkeypatch.setattr(explorer.opening, "open_model", lambda *arguments: given.append(arguments))
     other = tmp_path / "other.onnx"
-    for options in (Explore(), Explore(model=other), Explore(data=tmp_path, model=other)):
+    for options in (Explore(), Explore(model=other), Explore(source=str(tmp_path), model=other)):
         options.opens_data()()
     assert [arguments[4] for arguments in given] == [baseline if there else None, None, None]
 
@@ -180,7 +178,7 @@ def test_the_kinds_of_both_models_may_be_named(
     weights = tmp_path / "weights.pth"
     torch.save(state, weights)
     (tmp_path / "opts.yaml").write_text("h: 32\nw: 32\n")
-    Explore(data=data, model=weights, kind="camp", beside=(weights,), beside_kind=("dac",)).run()
+    Explore(source=str(data), model=weights, kind="camp", beside=(weights,), beside_kind=("dac",)).run()
     (workspace,) = opened
     assert workspace.contract.method == "CAMP"
     (second,) = workspace.beside
@@ -189,17 +187,19 @@ def test_the_kinds_of_both_models_may_be_named(
     assert second.workspace is not None
     assert second.workspace.contract.method == "DAC"
     with pytest.raises(ModelFileError, match="--kind dac or --kind camp, of a second model with --beside-kind"):
-        Explore(data=data, model=model_file, beside=(weights,)).run()
+        Explore(source=str(data), model=model_file, beside=(weights,)).run()
     with pytest.raises(InputError, match="--kind needs --model"):
-        Explore(data=tmp_path, kind="camp").run()
+        Explore(source=str(tmp_path), kind="camp").run()
     with pytest.raises(InputError, match="--pooling needs --model"):
         Explore(pooling="mean").run()
-    source = Data(data=data, model=ModelOptions(model=model_file))
     with pytest.raises(
         InputError, match="Found 1 kind for 2 models of --beside; give one for each in their order, or auto"
     ):
-        Explore(data=tmp_path, model=model_file, beside=(weights, model_file), beside_kind=("dac",)).run()
-    for command in (Explore(data=tmp_path, beside_kind=("dac",)), FailuresCommand(source=source, beside_kind="dac")):
+        Explore(source=str(tmp_path), model=model_file, beside=(weights, model_file), beside_kind=("dac",)).run()
+    for command in (
+        Explore(source=str(tmp_path), beside_kind=("dac",)),
+        FailuresCommand(source=str(data), model=model_file, beside_kind="dac"),
+    ):
         with pytest.raises(InputError, match="--beside-kind needs --beside"):
             command.run()
 
@@ -211,23 +211,22 @@ def test_tokens_of_one_file_are_pooled_in_two_ways_beside_a_model(
     monkeypatch.setattr(explorer.app, "serve", lambda open_workspace, *_: opened.append(open_workspace()))
     weights = SMALL_VITS["DINOv2 of torch.hub"].write(tmp_path, (24, 24))
     both = ("rings:3", "mean")
-    Explore(data=data, model=model_file, beside=(weights, weights), beside_pooling=both).run()
-    Explore(data=data, model=weights, pooling="gem").run()
+    Explore(source=str(data), model=model_file, beside=(weights, weights), beside_pooling=both).run()
+    Explore(source=str(data), model=weights, pooling="gem").run()
     first, last = opened[0].beside
     assert [first.label, last.label] == ["weights.pth, rings:3", "weights.pth, mean"]
     wait_until(lambda: first.workspace is not None)
     assert first.workspace is not None
     assert (first.workspace.contract.n_parts, first.workspace.contract.level) == (3, "exact")
     assert opened[1].contract.method == "DINOv2 ViT/4, gem"
-    source = Data(data=data, model=ModelOptions(model=model_file))
     refused: dict[str, Explore | FailuresCommand] = {
         "Found 1 pooling for 2 models of --beside": Explore(
-            data=tmp_path, model=model_file, beside=(weights, weights), beside_pooling=("mean",)
+            source=str(tmp_path), model=model_file, beside=(weights, weights), beside_pooling=("mean",)
         ),
-        "--pooling needs --model": Explore(data=tmp_path, pooling="mean"),
-        "--beside-pooling needs --beside": FailuresCommand(source=source, beside_pooling="mean"),
+        "--pooling needs --model": Explore(source=str(tmp_path), pooling="mean"),
+        "--beside-pooling needs --beside": FailuresCommand(source=str(data), model=model_file, beside_pooling="mean"),
         "is given twice": Explore(
-            data=data, model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)
+            source=str(data), model=weights, pooling="mean", beside=(weights,), beside_pooling=("mean",)
         ),
     }
     for message, command in refused.items():
@@ -285,7 +284,7 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert analysis.query.descriptor == pytest.approx(task.query_descriptors[1], abs=1e-5)
     plain = StateAnalyser(workspace).analyse(replace(state, weather="dark"), 3)
     assert [match.index for match in analysis.matches] == [match.index for match in plain.matches]
-    result = evaluate(lpn.load(model_file), open_dataset(data), task.name, Protocol(change))
+    result = changed(lazy_task(lpn.load(model_file), open_dataset(data), task.name), change).evaluate()
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])

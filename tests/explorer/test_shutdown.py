@@ -82,7 +82,7 @@ class Explorer(Process):
         with socket.socket() as probe:
             probe.bind(("127.0.0.1", 0))
             self.port = probe.getsockname()[1]
-        given: list[object] = ["explore", "--data", data, "--model", model, "--port", self.port]
+        given: list[object] = ["explore", data, "--model", model, "--port", self.port]
         super().__init__(given, cache, before, **environment)
 
     @contextlib.contextmanager

@@ -22,7 +22,7 @@ def app(tmp_path: Path, model_file: Path, monkeypatch: pytest.MonkeyPatch) -> It
     """An app that offers the same places twice."""
     monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
     data = small_worlds.make_dataset(tmp_path / "places", train=1, test=3)
-    others = {"again": LazyWorkspace("once more", lambda _: open_model(data, model_file))}
+    others = {"again": LazyWorkspace("once more", lambda: open_model(data, model_file))}
     served = App(open_model(data, model_file), "127.0.0.1", 0, None, "once", others)
     yield served
     served.close()

@@ -85,25 +85,37 @@ def fly(folder: Path) -> tuple[str, str]:
 
 
 COMMANDS = {
-    "failures": (["--data", "{data}", "--model", "{model}", "--where", "weather ~ rain", "--csv", "{out}.csv"], 0),
-    "evaluate": (["--data", "{data}", "--model", "{model}"], 0),
+    "failures": (["{data}", "--model", "{model}", "--where", "weather ~ rain", "--csv", "{out}.csv"], 0),
+    "evaluate": (["{data}", "--model", "{model}"], 0),
     "doctor --data": (["--data", "{data}"], 1),
     "doctor --model": (["--data", "{data}", "--model", "{model}"], 0),
     "doctor opts.yaml": (["--model", "{broken}/net.pth"], 2),
     "compare": (
         [
+            "{data}",
+            "--model",
             "{model}",
             "{second}",
-            "--data",
-            "{data}",
             "--table",
             "{out}.tex",
         ],
         0,
     ),
-    "report": (["--data", "{data}", "--model", "{model}", "--query", "{query}", "--out", "{out}.html"], 0),
-    "sweep": (
-        ["--data", "{data}", "--model", "{model}", "--query", "{query}", "--step", "180", "--csv", "{out}.csv"],
+    "report": (["{data}", "--model", "{model}", "--query", "{query}", "--out", "{out}.html"], 0),
+    "explain --over": (
+        [
+            "{data}",
+            "--model",
+            "{model}",
+            "--query",
+            "{query}",
+            "--over",
+            "rotation",
+            "--step",
+            "180",
+            "--csv",
+            "{out}.csv",
+        ],
         0,
     ),
     "doctor": (["{models}"], 1),
@@ -203,10 +215,10 @@ def on_terminal(code: str) -> tuple[int, str]:
 
 
 def test_a_stop_shows_the_cursor_that_a_bar_hid() -> None:
-    opened = "from lpn.core import consoles, shutdown\nwith consoles.plain_streams():\n "
+    opened = "from lpn.core import consoles, progress, shutdown\nwith consoles.plain_streams():\n "
     assert on_terminal(f"{opened}shutdown.exit_now(3)") == (3, "\x1b[?25h" * 2)
     status, received = on_terminal(
-        f"{opened}with consoles.counting_bar('Reading') as bar: bar(1, 3); shutdown.exit_now(4)"
+        f"{opened}with consoles.progress_bars(): progress.report_progress('Reading', 1, 3); shutdown.exit_now(4)"
     )
     assert status == 4
     assert received.endswith("\x1b[?25h" * 2)
@@ -234,15 +246,16 @@ def test_a_terminal_gets_bars_and_spinners_whole_and_no_command_of_a_name() -> N
     code = """
 import logging, sys
 from lpn.core import consoles, log
+from lpn.core.progress import report_progress
 with consoles.plain_streams(), log.log_to_stderr("info"):
-    with consoles.stage_bars() as report:
-        report("tiles\x1b]0;title\x07", 1, 3)
+    with consoles.progress_bars():
+        report_progress("Describing tiles\x1b]0;title\x07", 1, 3)
         print("out \x1b[2J")
         print("err \x1b[2J", file=sys.stderr)
         logging.getLogger("lpn.x").info("a line of the log")
-        report("tiles\x1b]0;title\x07", 2, 3)
-    with consoles.counting_bar("Reading") as bar:
-        bar(2, 3)
+        report_progress("Describing tiles\x1b]0;title\x07", 2, 3)
+    with consoles.progress_bars():
+        report_progress("Reading", 2, 3)
     with consoles.terminal().status("Opening"):
         pass
 """

@@ -22,9 +22,10 @@ root, folder = sys.argv[1:]
 query = next(Path(root).glob("test/query_drone/*/*.png"))
 model = lpn.load("city-lpn")
 assert model.part_embeddings(model.prepare(lpn.load_picture(query), "drone")[None], "drone").shape[1] == model.n_parts
-given = ["--data", root, "--model", "city-lpn"]
+given = [root, "--model", "city-lpn"]
 assert main(["evaluate", *given, "--task", "drone-to-satellite"]) == 0
-assert main(["sweep", *given, "--query", query.parent.name, "--step", "90", "--png", f"{folder}/sweep.png"]) == 0
+swept = ["--over", "rotation", "--query", query.parent.name, "--step", "90", "--png", f"{folder}/sweep.png"]
+assert main(["explain", *given, *swept]) == 0
 assert main(["report", *given, "--query", query.parent.name, "--out", f"{folder}/report.html"]) == 0
 main(["doctor"])
 App(open_model(Path(root), Path("city-lpn")), "127.0.0.1", 0).close()

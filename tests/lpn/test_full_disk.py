@@ -75,7 +75,7 @@ def test_the_commands_that_write_files_for_others_say_so(
     table = disk / "failures.csv"
     table.write_text("an older table")
     fill(disk)
-    given = ["failures", "--data", str(data), "--model", str(model_file), "--csv", str(table)]
+    given = ["failures", str(data), "--model", str(model_file), "--csv", str(table)]
     assert main.main(given) == 2
     shown = capsys.readouterr().err
     assert shown.count("\n") == 1

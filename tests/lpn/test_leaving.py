@@ -18,17 +18,19 @@ import numpy as np
 import pytest
 
 import lpn
-from lpn.analysis.model_table import compare, rank_model
+from lpn.analysis.model_table import compare
 from lpn.analysis.named_views import ChosenQueries, NamedView, read_views, save_view
 from lpn.cli import main
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import InputError
 from lpn.core.files import printable
+from lpn.core.text_tables import markdown_page
 from lpn.datasets import open_dataset
 from lpn.flights import Flight, Frame, open_flight, write_flight
 from lpn.locate.corrections import Correction, read_corrections, set_correction
 from lpn.locate.tracks import TrackPoint, write_track
 from lpn.tasks import notes
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds
 
 # Names that Linux allows, and notes.
@@ -205,7 +207,7 @@ def places(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_path: Path) -> None:
-    given = ["--data", str(places), "--model", str(model_file)]
+    given = [str(places), "--model", str(model_file)]
     assert main.main(["failures", *given, "--csv", str(tmp_path / "a.csv")]) == 0
     rows = _table((tmp_path / "a.csv").read_bytes())
     assert {len(row) for row in rows} == {len(rows[0])}
@@ -215,20 +217,23 @@ def test_tables_and_reports_of_such_names(places: Path, model_file: Path, tmp_pa
     assert {unescape(row[rows[0].index("note")]) for row in rows[1:]} == {"", TEXTS[6]}
     model = tmp_path / "=1+1 <b>|&.onnx"
     shutil.copy(model_file, model)
-    assert main.main(["report", "--data", str(places), "--model", str(model), "--out", str(tmp_path / "a.html")]) == 0
+    assert main.main(["report", str(places), "--model", str(model), "--out", str(tmp_path / "a.html")]) == 0
     page = _Text((tmp_path / "a.html").read_text("utf-8"))
     assert "script" not in page.tags
     assert not page.handlers
     assert TEXTS[6] in page.text
     figures = tmp_path / "a.json"
-    assert main.main(["compare", str(model), str(model_file), "--data", str(places), "--json", str(figures)]) == 0
+    assert main.main(["compare", str(places), "--model", str(model), str(model_file), "--json", str(figures)]) == 0
     assert msgspec.json.decode(figures.read_bytes())["models"][0]["name"] == model.name
     dataset = open_dataset(places)
     table = compare(
-        [rank_model(lpn.load(file), file.name, dataset, "drone-to-satellite") for file in (model, model_file)]
+        [
+            lazy_task(lpn.load(file), dataset, "drone-to-satellite", model_name=file.name).evaluate().ranked()
+            for file in (model, model_file)
+        ]
     )
     assert _table(table.to_csv())[1][0] == f"'{model.name}"
-    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in table.to_markdown()
+    assert "| =1+1 &lt;b&gt;\\|&amp;.onnx |" in markdown_page(table.printed)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems allow no such name")

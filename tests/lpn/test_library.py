@@ -58,8 +58,6 @@ def test_the_library_s_page_is_one_screen() -> None:
 
 def test_help_of_the_library_runs_as_it_says(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(desk)
-    lpn.Gallery.of_folder("tiles", "city-lpn")  # before the examples, which would have the progress bar in their output
-    lpn.evaluate("city-lpn", "ROOT", "drone-to-satellite")
     examples = doctest.DocTestParser().get_doctest(str(lpn.__doc__), {}, "lpn", None, None)
     said: list[str] = []
     outcome = doctest.DocTestRunner().run(examples, out=said.append)

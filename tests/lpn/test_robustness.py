@@ -155,7 +155,7 @@ def test_one_place_is_too_few_to_train_on_and_says_nothing_when_tested(
     assert "at least two" in said(
         ["train", "--data", root, "--out", str(tmp_path / "run"), "--recipe", "small", "--from-scratch"], capsys
     )
-    assert main.main(["evaluate", "--data", root, "--model", str(model_file)]) == 0
+    assert main.main(["evaluate", root, "--model", str(model_file)]) == 0
     assert "one place only" in caplog.text
 
 
@@ -346,7 +346,7 @@ def test_a_port_in_use_is_one_sentence(capsys: pytest.CaptureFixture[str], model
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        given = ["explore", "--data", str(data), "--model", str(model_file), "--port", str(port)]
+        given = ["explore", str(data), "--model", str(model_file), "--port", str(port)]
         assert f"Port {port} on 127.0.0.1 is in use; give another" in said(given, capsys)
     assert "cannot be listened on" in said([*given[:-1], "99999"], capsys)
 
@@ -397,7 +397,7 @@ def test_a_place_that_cannot_be_written_is_one_sentence_before_any_work(
         "export in 8 bits": ["--model", model, "--compute", "int8", "--data", str(data), "--out", f"{there}.onnx"],
         "train": ["--data", str(data), "--out", there, "--recipe", "small", "--batch", "2", "--from-scratch"],
         "index": ["--descriptors", str(store), "--out", there],
-        "evaluate": ["--model", model, "--data", str(data), "--json", f"{there}.json"],
+        "evaluate": ["--model", model, str(data), "--json", f"{there}.json"],
     }[command]
     assert "cannot be written" in said([command.split()[0], *given], capsys)
     assert not os.path.exists(there)  # noqa: PTH110

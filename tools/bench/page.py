@@ -172,7 +172,7 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
             data, model = small_worlds.make_dataset(folder / "places"), small_worlds.make_model(folder, size=256)
         counts = folder / "counts"
         environment = {**os.environ, "LPN_CACHE": str(folder / "cache"), "LPN_BENCH_COUNTS": str(counts)}
-        options = ["explore", "--data", str(data), "--model", str(model), "--port"]
+        options = ["explore", str(data), "--model", str(model), "--port"]
         command = [sys.executable, "-m", "lpn", *options]
         with ServerProcess([*command, str(free_port())], environment) as cold:
             pass

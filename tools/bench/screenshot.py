@@ -143,7 +143,7 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
         beside = DEMO_MODEL if shot.vit else DEMO_BASELINE if shot.beside else None
         command = [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())]
         command += ["--query", shot.query] if shot.query else []
-        command += [] if shot.address else ["--data", str(DEMO), "--model", model]
+        command += [] if shot.address else [str(DEMO), "--model", model]
         command += ["--pooling", "rings:4"] if shot.vit else []
         command += [] if beside is None else ["--beside", str(beside)]
         with ServerProcess(command, dict(os.environ)) as app:

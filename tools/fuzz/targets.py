@@ -162,7 +162,7 @@ def stores(folder: Path) -> list[FuzzCase]:
 def tables(folder: Path) -> list[FuzzCase]:
     """geo.csv, pairs.csv, metadata.csv, a person's notes, and the lists of the published data sets."""
     from lpn.datasets import open_dataset
-    from lpn.datasets.geo import find_positions, match, read_positions
+    from lpn.datasets.geo import Positions, read_positions
     from lpn.datasets.metadata import columns
     from lpn.tasks.notes import read_notes, set_note
     from tools.fixtures import layouts, small_worlds
@@ -185,8 +185,8 @@ def tables(folder: Path) -> list[FuzzCase]:
         assert read_notes(notes) == after == before | {"d/4.png": after["d/4.png"]}
 
     def placed(data: bytes) -> None:
-        found = read_positions(data)
-        _ = match(found, queries), find_positions(found, queries)
+        found = Positions(folder, read_positions(data))
+        _ = found.match(queries), found.below(queries)
 
     def dataset(root: Path, name: str, *seeds: bytes) -> FuzzCase:
         def read() -> None:
@@ -219,8 +219,8 @@ def results(folder: Path) -> list[FuzzCase]:
     from scipy.io import savemat
 
     from lpn.models.base import normalise
-    from lpn.retrieval.saved import load_arrays, load_saved
-    from lpn.tasks.array_task import array_task
+    from lpn.retrieval.saved import load_saved
+    from lpn.tasks.saved import array_task
 
     rng = np.random.default_rng(0)
     query, gallery = (normalise(rng.standard_normal((count, 2, 3)).astype(np.float32)) for count in (3, 4))
@@ -239,7 +239,7 @@ def results(folder: Path) -> list[FuzzCase]:
         saved.append(mat.read_bytes())
 
     def compared(query: Path) -> None:
-        _ = array_task(load_arrays(query, g, paths), "q").metrics
+        _ = array_task(query, g, paths).metrics
 
     def pack(data: bytes) -> bytes:
         """A MATLAB file with a variable in packed form."""

@@ -43,7 +43,7 @@ def rendered_flight() -> Figures:
     with resumable("rendered") as folder:
         write_positions(basemap.with_name("truth.csv"), folder / "positions.csv")
         run_lpn(
-            "evaluate", "flight", "--map", basemap, "--flight", flight, "--no-corrections",
+            "locate", "--map", basemap, "--flight", flight, "--no-corrections",
             "--positions", folder / "positions.csv", "--json", folder / "errors.json",
         )  # fmt: skip
         return rendered_figures(json.loads((folder / "errors.json").read_bytes()))
@@ -59,7 +59,7 @@ def write_positions(truth: Path, out: Path) -> None:
 
 
 def rendered_figures(measured: Mapping[str, Any]) -> Figures:
-    """Reduce the JSON of `lpn evaluate flight` to figures."""
+    """Reduce the JSON of `lpn locate` to figures."""
     (points,) = measured["surveyed"].values()
     figures: dict[str, Value] = {"photos": measured["frames"], "placed": points["camera"]["photos"]}
     for name, point in (("camera", "camera"), ("middle", "ground")):

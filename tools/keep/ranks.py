@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tools.keep.measures import Figures, Measure, Value, at_least, equal, reported, within
 
 if TYPE_CHECKING:
-    from lpn.tasks.gallery_task import GalleryTask
+    from lpn.tasks.task import Task
 
 # Scores of two runs agree to this, and the order of two tiles is certain where their scores differ by twice as much.
 SCORE = 1e-6
@@ -36,7 +36,7 @@ def ranks() -> Figures:
     return figures
 
 
-def demo_tasks() -> list[GalleryTask]:
+def demo_tasks() -> list[Task]:
     """Open the demo's first task under each scoring, plain first."""
     from lpn import load, open_dataset
     from lpn.core.demo import DEMO, DEMO_MODEL

@@ -49,7 +49,7 @@ def _measured(data: Path, folder: Path, seed: int) -> dict[str, float]:
     for reading, options in READINGS.items():
         for task in TASKS:
             told = ("--task", task, *options, "--json", measures)
-            run_lpn("evaluate", "--data", data, "--model", out / "last.safetensors", *told)
+            run_lpn("evaluate", data, "--model", out / "last.safetensors", *told)
             found[f"{reading} {task}"] = round(json.loads(measures.read_bytes())["recall@1"], 2)
     return found
 

@@ -66,7 +66,7 @@ class Soak:
             check_writable(self.out)
         print("Starting the explorer, and a model and descriptors to check its answers by", file=sys.stderr)
         reference, record = Reference(self.data or DEMO, self.model or DEMO / "lpn.onnx"), Record()
-        options = [] if self.data is None else ["--data", self.data, "--model", self.model]
+        options = [] if self.data is None else [self.data, "--model", self.model]
         command = ["explore", *options, "--port", free_port()]
         with tempfile.TemporaryDirectory() as folder, Process(command, Path(folder) / "cache") as server:
             try:

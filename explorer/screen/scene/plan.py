@@ -10,9 +10,9 @@ import numpy as np
 from explorer.screen.scene import shapes
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import LPNError
+from lpn.core.lists import read_json
 from lpn.datasets import geo
 from lpn.datasets.geo import Position
-from lpn.datasets.lists import read_json
 from lpn.datasets.rendered import PLAN
 
 log = logging.getLogger(__name__)

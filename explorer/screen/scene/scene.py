@@ -170,7 +170,7 @@ class Scene:
         corner = middle + half * np.sign(axes[:2, 0] - axes[:2, 2])
         self._image(
             f"{name}/rank",
-            shapes.badge(match.rank_text, colour),
+            shapes.badge(str(match.rank), colour),
             (0.24 * 2 * half, 0.135 * 2 * half),
             np.array([*corner, 0.2 * half]),
             axes,

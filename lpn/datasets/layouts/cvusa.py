@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from lpn.core.errors import DataError
+from lpn.core.lists import read_rows
 from lpn.datasets.base import Dataset, PictureRow, sizes
 from lpn.datasets.listed_paths import listed_path
-from lpn.datasets.lists import read_rows
 
 _SPLITS = {"train": "splits/train-19zl.csv", "test": "splits/val-19zl.csv"}
 _NUMBER = re.compile(r"\d{1,15}$")

@@ -17,11 +17,11 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import numbered_lines
 from lpn.datasets import geo
 from lpn.datasets.base import Picture, PositionProtocol, sizes
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
-from lpn.datasets.lists import numbered_lines
 
 LISTS = ("Dense_GPS_ALL.txt", "Dense_GPS_train.txt", "Dense_GPS_test.txt")
 _HEIGHT = re.compile(r"H(\d+)(_old)?\.\w+", re.IGNORECASE)

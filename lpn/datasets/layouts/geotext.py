@@ -17,10 +17,10 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import read_json
 from lpn.datasets.base import Dataset, PictureRow, sizes
 from lpn.datasets.layouts.university import place_pictures
 from lpn.datasets.listed_paths import FilesBelow, listed_path
-from lpn.datasets.lists import read_json
 
 _LISTS = ("test_951_version.json", "test_24G_version.json")
 _QUERY, _DISTRACTORS = "test/query(701)", "test/gallery_no_train(250)"

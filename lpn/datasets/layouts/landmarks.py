@@ -17,9 +17,9 @@ from typing import NamedTuple
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import numbered_lines
 from lpn.datasets.base import Dataset, PictureRow, Size, files_below
 from lpn.datasets.integrity import picture_errors
-from lpn.datasets.lists import numbered_lines
 
 PREFIX = "oxc1_"
 TASK = "street-to-street"

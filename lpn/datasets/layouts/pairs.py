@@ -17,11 +17,11 @@ from typing import NamedTuple
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import read_text, table
 from lpn.core.views import VIEWS
 from lpn.datasets import geo
 from lpn.datasets.base import Dataset, PictureRow
 from lpn.datasets.listed_paths import listed_path
-from lpn.datasets.lists import read_text, table
 
 NAME = "pairs.csv"
 

@@ -19,10 +19,10 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import read_text
 from lpn.datasets.base import Dataset, Picture, PictureRow, sizes
 from lpn.datasets.layouts.university import place_pictures
 from lpn.datasets.listed_paths import hidden_name
-from lpn.datasets.lists import read_text
 
 HEIGHTS = ("150", "200", "250", "300")
 INDEX = "indexs.yaml"

@@ -24,10 +24,10 @@ import numpy as np
 from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import read_json
 from lpn.datasets import geo
 from lpn.datasets.base import Dataset, Picture, PictureRow, PositionProtocol, Size, files_below
 from lpn.datasets.listed_paths import fold, listed_path, name_of
-from lpn.datasets.lists import read_json
 
 # Side of GTA-UAV's map in pixels, and metres of a pixel.
 _MAP_PIXELS, _METRES = 24_576, 0.45

@@ -19,10 +19,10 @@ from pathlib import Path
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
+from lpn.core.lists import numbered_lines
 from lpn.datasets import geo
 from lpn.datasets.base import Dataset, Picture, PictureRow, sizes
 from lpn.datasets.listed_paths import fold, listed_path, name_of
-from lpn.datasets.lists import numbered_lines
 
 CITIES = ("Chicago", "NewYork", "SanFrancisco", "Seattle")
 _SPLITS = ("splits", "splits__corrected")

@@ -19,10 +19,10 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.images import SUFFIXES
+from lpn.core.lists import numbered_lines, read_json
 from lpn.core.tables import Column, number_column
 from lpn.datasets.base import Dataset, Picture, PictureRow
 from lpn.datasets.listed_paths import fold, listed_path, name_of
-from lpn.datasets.lists import numbered_lines, read_json
 
 _SUFFIXES = {"terrain": "", "city": "_country", "mix": "_all"}
 # The released commands name the lists in both folders.

@@ -85,8 +85,8 @@ def build_sues(entries: Entries) -> PublishedParts:
         entry = next((f"{own.prefix}{key}" for key in own.state), "nothing")
         raise ModelFileError(
             f"{entries.name} is a baseline of SUES-200 that is not read (its CBAM, or another; found {entry}); "
-            f"expected one of {', '.join(_NETWORKS)} with one head. Its descriptors open as plain arrays (lpn explore arrays "
-            "--queries q.npy --gallery g.npy)."
+            f"expected one of {', '.join(_NETWORKS)} with one head. Its descriptors open as plain arrays (lpn explore "
+            "q.npy --gallery g.npy)."
         )
     size = size_of(entries, (384, 384))
     channels = entries.shape("classifier.add_block.0.weight", 2)[1]

@@ -344,7 +344,7 @@ def test_a_position_tells_the_distance_to_each_tile(page: Page, workspace: Works
     page.own.take("here.jpg", photo(3, (46, 7)))
     analysis = StateAnalyser(workspace).analyse(page.state, 3)
     tile = geometry.tiles[analysis.matches[0].index]
-    expected = geo.metres_between(geo.radians([Position(46, 7)]), geo.radians([tile]))
+    expected = geo.metres([Position(46, 7)], [tile])
     assert analysis.errors_m is not None
     np.testing.assert_allclose(analysis.errors_m[analysis.matches[0].index], expected)
     assert f"Its GPS tag lies {float(expected[0]):,.0f} m from" in answer_text.verdict(analysis, workspace)[2]

@@ -58,7 +58,7 @@ from lpn.library.analyser import OwnPicture
 from lpn.models.base import Model
 from lpn.models.contract import ForwardPass
 from lpn.retrieval import scoring
-from lpn.sources import Published
+from lpn.sources import SourceOptions
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 from tools.fixtures.waiting import TIMEOUT, wait_until
@@ -476,7 +476,7 @@ def test_a_saved_result_without_a_network_serves_several_browsers(
     places: Path, model_file: Path, tmp_path: Path
 ) -> None:
     save_result(tmp_path / "r.mat", places, model_file)
-    served = App(open_source(Published(saved=tmp_path / "r.mat", data=places, n_parts=4)), "127.0.0.1", 0)
+    served = App(open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=places, n_parts=4)), "127.0.0.1", 0)
     try:
         with Browser(url(served)) as one, Browser(url(served)) as other:
             for browser, query in ((one, 3), (other, 5)):

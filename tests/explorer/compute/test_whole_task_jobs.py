@@ -15,7 +15,10 @@ from explorer.compute.weight_figures import WeightFigures
 from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.analysis.part_weights import WeightedTask
-from lpn.tasks.turned import TurnedFigures, turned
+from lpn.core.progress import report_progress
+from lpn.drawing.charts import TaskRecall
+from lpn.tasks.changes import turned
+from lpn.tasks.task import Task
 from tools.fixtures import small_worlds
 from tools.fixtures.waiting import TIMEOUT
 
@@ -98,7 +101,8 @@ def test_turned_queries_pass_through_the_queue_and_are_kept(workspace: Workspace
     assert job.error is None
     assert (job.done, job.total) == (26, 26)
     assert [one.degrees for one in jobs.known(TASK)] == [0, 90, 270]
-    assert jobs.known(TASK)[1] == turned(workspace.tasks[TASK], 90)
+    expected = turned(workspace.tasks[TASK], 90).metrics
+    assert jobs.known(TASK)[1] == TaskRecall(90, expected["recall@1"], expected["ap"])
     again = jobs.join(object(), TASK, (90,))
     assert again.wait(TIMEOUT)
     assert again.total == 0
@@ -109,12 +113,12 @@ def test_one_job_turns_queries_at_a_time_and_equal_ones_are_shared(
 ) -> None:
     started, go_on, running = threading.Event(), threading.Event(), []
 
-    def slow(_: Any, degrees: float, progress: Any) -> TurnedFigures:
+    def slow(task: Task, degrees: float) -> Task:
         running.append(degrees)
         started.set()
         while not go_on.wait(0.01):
-            progress(0, 13)
-        return TurnedFigures(degrees, 1, 1, 13)
+            report_progress("Describing", 0, 13)
+        return task
 
     monkeypatch.setattr(turned_jobs, "turned", slow)
     jobs, first, second, third = turned_of(workspace), object(), object(), object()

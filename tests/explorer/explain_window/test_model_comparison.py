@@ -20,6 +20,7 @@ from explorer.url_state import UrlState
 from explorer.web.messages import decode
 from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
 from lpn.core.errors import InputError
+from lpn.core.progress import report_progress
 from lpn.drawing import charts
 from lpn.drawing.charts import ModelPoint
 from lpn.drawing.words import speaking
@@ -150,8 +151,8 @@ def test_models_open_one_at_a_time_and_the_chosen_one_first(data: Path, model_fi
     started: list[str] = []
 
     def failing(name: str) -> LazyWorkspace:
-        def opens(report: Any) -> Workspace:
-            report(3, 7)
+        def opens() -> Workspace:
+            report_progress("Describing", 3, 7)
             started.append(name)
             raise InputError(f"{name} is broken.")
 
@@ -176,7 +177,7 @@ def test_models_open_one_at_a_time_and_the_chosen_one_first(data: Path, model_fi
 
 def test_a_model_without_cells_and_one_of_other_views_say_so_in_a_sentence(data: Path) -> None:
     opened = open_model(data, RegionModel())
-    opened.beside = [LazyWorkspace("parts", lambda _: open_model(data, PartsModel(RegionModel())))]
+    opened.beside = [LazyWorkspace("parts", lambda: open_model(data, PartsModel(RegionModel())))]
     comparison = ModelComparison(opened, RequestContext(opened.inference))
     analysis = analysed(opened)
     settled(comparison, analysis.state)

@@ -22,6 +22,7 @@ from explorer import session_state
 from explorer.client.services import WorkspaceServices
 from explorer.compute.request_context import RequestContext
 from explorer.explain_window import activation, comparison, evidence, messages, region, sweep_page
+from explorer.explain_window import window as window_module
 from explorer.explain_window.messages import ExplainMessage
 from explorer.explain_window.sweep_request import SweepRequest
 from explorer.explain_window.window import ExplainWindow
@@ -37,7 +38,7 @@ from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.drawing import verdicts
 from lpn.drawing.words import speaking
-from lpn.explain import counterfactual, sweeps
+from lpn.explain import sweeps
 from lpn.explain.counterfactual import Effect
 from lpn.library.analyser import OwnPicture
 from tools.fixtures import small_worlds
@@ -513,10 +514,10 @@ def test_an_effect_is_computed_from_one_pair_and_stored_for_that_pair_only(
 
     def effect(*arguments: Any) -> Effect:
         explain_window.show(new)
-        computed.append(arguments[2])
+        computed.append(arguments[0].weights)
         return Effect(50.0, 40.0, np.array([1]), np.array([2, 3]), 13)
 
-    monkeypatch.setattr(counterfactual, "effect", effect)
+    monkeypatch.setattr(window_module, "effect_on", effect)
     explain_window.announce()
     explain_window.show(old)
     explain_window.receive(messages.RequestEffect())

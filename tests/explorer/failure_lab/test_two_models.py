@@ -40,7 +40,7 @@ from tools.fixtures.waiting import wait_until
 def two(workspace: Workspace) -> Workspace:
     """A model whose parts are regions of each picture (A), beside one whose parts are gates (B)."""
     opened = open_model(workspace.root, RegionModel())
-    opened.beside = [LazyWorkspace("gates", lambda _: open_model(workspace.root, GateModel()))]
+    opened.beside = [LazyWorkspace("gates", lambda: open_model(workspace.root, GateModel()))]
     assert opened.beside[0].open().wait(120)
     return opened
 
@@ -147,7 +147,7 @@ def test_ranks_are_those_of_the_model_that_is_compared(workspace: Workspace) -> 
     opened = open_model(workspace.root, RegionModel())
     others = GateModel(), GateModel(seed=7)
     opened.beside = [
-        LazyWorkspace(name, lambda _, model=model: open_model(workspace.root, model))  # type: ignore[misc]
+        LazyWorkspace(name, lambda model=model: open_model(workspace.root, model))  # type: ignore[misc]
         for name, model in zip(("one", "two"), others, strict=True)
     ]
     assert all(one.open().wait(120) for one in opened.beside)
@@ -189,7 +189,7 @@ def test_a_filter_on_the_ranks_of_one_model_is_refused_until_those_of_the_next_a
     waiting: Workspace, held: tuple[Event, Event]
 ) -> None:
     held[1].set()
-    waiting.beside = [*waiting.beside, LazyWorkspace("the next", lambda _: open_model(waiting.root, GateModel(seed=7)))]
+    waiting.beside = [*waiting.beside, LazyWorkspace("the next", lambda: open_model(waiting.root, GateModel(seed=7)))]
     window, gui, analysis = window_of(waiting)
     wait_until(lambda: "rank B" in gui.shown("lpn-lab-table"))
     window.receive(messages.SetFilter("rank B > 1"))
@@ -226,7 +226,7 @@ def held(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Event, Event]]:
 @pytest.fixture
 def waiting(workspace: Workspace) -> Iterator[Workspace]:
     """The laboratory's workspace of an LPN, ranked, which offers a second model on request."""
-    workspace.beside = [LazyWorkspace("the other", lambda _: open_model(workspace.root, GateModel()))]
+    workspace.beside = [LazyWorkspace("the other", lambda: open_model(workspace.root, GateModel()))]
     yield workspace
     workspace.beside = []
 
@@ -281,7 +281,7 @@ def test_the_last_browser_that_leaves_cancels_the_ranking(
 def test_a_second_model_that_cannot_be_opened_says_why(
     workspace: Workspace, service: FailureLab, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    second = LazyWorkspace("the other", lambda _: open_model(workspace.root, Path("other.onnx")))
+    second = LazyWorkspace("the other", lambda: open_model(workspace.root, Path("other.onnx")))
     monkeypatch.setattr(workspace, "beside", [second])
     service.open_second()
     assert second.open().wait(120)

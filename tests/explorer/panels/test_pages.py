@@ -19,7 +19,7 @@ from explorer.web import style
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.drawing import captions, theme
 from lpn.drawing.words import speaking
-from lpn.sources import Published
+from lpn.sources import SourceOptions
 from tools.fixtures import small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -79,9 +79,9 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
     mapped = open_model(small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "mapped")), model_file)
     assert any("shows the map" in caption for caption in tour_captions(mapped))
     save_result(tmp_path / "r.mat", data, model_file)
-    saved = tour_captions(open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4)))
+    saved = tour_captions(open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data, n_parts=4)))
     assert len(saved) == 5
-    keys = pages.keys(open_source(Published(saved=tmp_path / "r.mat", data=data, n_parts=4)))
+    keys = pages.keys(open_source(SourceOptions(source=str(tmp_path / "r.mat"), data=data, n_parts=4)))
     assert "Ctrl K" in keys
     assert not any(word in keys for word in ("turn 5°", "upright", "why", "my own picture"))
     assert not any(word in caption for caption in saved for word in ("place by place", "turn it", "your own"))
@@ -90,8 +90,9 @@ def test_the_tour_has_five_steps_and_speaks_of_nothing_that_is_missing(
 def test_the_verdict_has_the_sign_of_its_answer(workspace: Workspace) -> None:
     name, ranking = next(iter(workspace.rankings.items()))
     for query, rank in enumerate(ranking.ranks):
-        html = pages.verdict(StateAnalyser(workspace).analyse(SessionState(name, 4, query=query), 5), workspace)
-        assert ("✓ Found" if rank == 0 else "✗ Wrong") in html
+        analysis = StateAnalyser(workspace).analyse(SessionState(name, 4, query=query), 5)
+        html = pages.verdict(analysis, workspace)
+        assert f"{'✓' if rank == 0 else '✗'} {analysis.verdict.headline}<" in html
 
 
 def test_what_alters_the_ranking_stands_beside_the_verdict_and_is_undone(workspace: Workspace) -> None:

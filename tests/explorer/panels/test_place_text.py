@@ -79,7 +79,7 @@ def test_the_judge_of_right_answers_is_named() -> None:
     place = workspace_of(DEMO_FLIGHT)
     place.flight.retrieval = SimpleNamespace(sizes=np.array([99.2, 99.2]))
     place.flight.late_tags = None
-    task = cast(Any, SimpleNamespace(lists_gallery=True))
+    task = cast(Any, SimpleNamespace(of_map=True))
     said = "Right is a piece, 99 m wide, on which the photo's middle lies; its GPS tag is the judge."
     assert (place_text.criterion(place, task), place_text.season(place)) == (
         said,

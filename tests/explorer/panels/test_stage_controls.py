@@ -72,7 +72,7 @@ def test_a_tile_that_the_verdict_does_not_speak_of_is_compared_with_the_answer(
     compared = StateAnalyser(workspace).analyse(replace(first.state, selected=other.index), 10)
     bars, lead, _ = part_bars(compared, workspace.part_names)
     assert lead is not None
-    assert lead.total == pytest.approx(other.distance2 - first.matches[0].distance2, abs=1e-5)
+    assert lead.terms.sum() == pytest.approx(other.distance2 - first.matches[0].distance2, abs=1e-5)
     assert [part for part, bar in enumerate(bars) if bar.decisive] == verdicts.leading_parts(lead.terms)
 
 

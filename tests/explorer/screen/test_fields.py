@@ -56,12 +56,12 @@ def test_an_opened_page_has_no_address_but_its_query(workspace: Workspace, opene
         ("angle", [3], "expected a number"),
         ("task", "moon-to-mars", "expected drone-to-satellite or satellite-to-drone"),
         ("model", "2", "expected 0 or 1"),
-        ("query", 8, "expected a query such as 0002"),
-        ("query", -1, "expected a query"),
-        ("query", True, "expected a query"),
-        ("query", "<img>", "expected a query"),
-        ("compare", 99, "expected the name of a tile"),
-        ("compare", "nowhere", "expected the name of a tile"),
+        ("query", 8, "names are such as 0002"),
+        ("query", -1, "no such picture"),
+        ("query", True, "no such picture"),
+        ("query", "<img>", "no such picture"),
+        ("compare", 99, "no such picture"),
+        ("compare", "nowhere", "no such picture"),
         ("weights", [1, 2], "expected 4 numbers from 0 to 2"),
         ("weights", [0, 0, 0, 0], "not all 0"),
         ("weights", [1, 1, 1, 3], "expected a number from 0 to 2"),
@@ -100,6 +100,18 @@ def test_another_task_begins_with_its_first_query(workspace: Workspace, opened: 
     assert (state.query, problems) == (0, [])
     named, _ = fields.changed(opened, {"query": "0004", "task": "satellite-to-drone"}, workspace)
     assert (named.task, named.query) == ("satellite-to-drone", 2), "the task tells the query's names"
+
+
+def test_a_picture_whose_name_is_another_s_too_is_written_by_its_position(
+    workspace: Workspace, opened: ScreenState, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = workspace.tasks[opened.task]
+    twins = [replace(picture, name="twin") for picture in task.queries]
+    monkeypatch.setitem(workspace.tasks, opened.task, replace(task, queries=twins))
+    assert fields.to_address(replace(opened, query=0), workspace) == "query=twin"
+    address = fields.to_address(replace(opened, query=2), workspace)
+    assert address == "query=~2"
+    assert fields.from_address(address, workspace)[0].query == 2
 
 
 def test_equal_weights_are_none(workspace: Workspace, opened: ScreenState) -> None:

@@ -16,7 +16,7 @@ from explorer.server.auth import (
     make_authenticator,
     same_origin,
 )
-from lpn.cli import by_source
+from lpn.cli.parsing import parse
 from lpn.core.errors import InputError
 
 TOKEN = "correct horse battery"
@@ -181,5 +181,5 @@ def test_no_text_of_the_rules_shows_a_secret() -> None:
 
 
 def test_each_allow_host_adds_a_name() -> None:
-    options = by_source.parse(Explore, ["--allow-host", "a.example", "--allow-host", "b.example"], "lpn explore")
-    assert options.serve.allow_host == ("a.example", "b.example")
+    options = parse(Explore, ["--allow-host", "a.example", "--allow-host", "b.example"], "lpn explore")
+    assert options.allow_host == ("a.example", "b.example")

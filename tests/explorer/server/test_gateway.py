@@ -64,8 +64,7 @@ def app(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[
         data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
         workspace = open_model(data, model_file)
         for ranking in workspace.rankings.values():
-            if ranking.automatic:
-                ranking.wait(workspace, lambda *_: None)
+            ranking.wait(workspace, lambda *_: None)
         served = App(workspace, "127.0.0.1", 0)
         yield served
         served.close()

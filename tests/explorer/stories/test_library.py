@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from explorer.cli import StoryCommand
+from explorer.cli import StoryList
 from explorer.stories import library
 from explorer.stories.story import MOST_STEPS, Step, Story
 from lpn.core.demo import DEMO, DEMO_FLIGHT, DEMO_PLACE
@@ -127,19 +127,19 @@ def test_stories_of_the_demo_are_saved_in_the_user_s_folder(tmp_path: Path) -> N
 
 def test_the_command_lists_the_stories(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write(tmp_path, ONE, Story("Empty"))
-    StoryCommand(data=tmp_path).run()
+    StoryList(source=tmp_path).run()
     assert capsys.readouterr().out == "Ünë <b>  (1 steps)\nEmpty  (0 steps)\n"
     (tmp_path / "stories.json").write_text("[")
-    StoryCommand(data=tmp_path).run()
+    StoryList(source=tmp_path).run()
     assert "is not a file of stories" in capsys.readouterr().err
-    with pytest.raises(InputError, match=r"There is no folder .*missing'; give that of a data set with --data"):
-        StoryCommand(data=tmp_path / "missing").run()
+    with pytest.raises(InputError, match=r"There is no folder .*missing'; give that of a data set or flight"):
+        StoryList(source=tmp_path / "missing").run()
 
 
 def test_the_command_lists_the_stories_of_all_that_ships(capsys: pytest.CaptureFixture[str]) -> None:
     library.keep(DEMO_PLACE[1], ONE.steps[0], None)
     library.keep(DEMO_FLIGHT[1], ONE.steps[0], None)
-    StoryCommand().run()
+    StoryList().run()
     *city, place, flight = capsys.readouterr().out.splitlines()
     assert city == [f"{name}  ({n} steps, a computer-generated city)" for name, n in _SHIPPED.items()]
     assert place == "Story 1  (1 steps, a real flight)"
@@ -149,7 +149,7 @@ def test_the_command_lists_the_stories_of_all_that_ships(capsys: pytest.CaptureF
 def test_the_command_says_in_one_line_that_there_is_no_story(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    StoryCommand(data=tmp_path).run()
+    StoryList(source=tmp_path).run()
     said = capsys.readouterr().out
     assert said == "There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.\n"
 
@@ -161,6 +161,6 @@ def test_the_command_says_once_what_hinders_all(
         raise OutputError("There is no home.")
 
     monkeypatch.setattr(library, "own_file", homeless)
-    StoryCommand().run()
+    StoryList().run()
     said = capsys.readouterr()
     assert (said.err, len(said.out.splitlines())) == ("lpn: There is no home.\n", len(_SHIPPED))

@@ -42,27 +42,6 @@ def test_a_lead_is_compared_with_those_of_all_right_answers(outcomes: Outcomes) 
     assert answer_context.describe_lead(few, 0.6) == ""
 
 
-def test_a_failure_names_the_kind_of_picture_that_fails_most(outcomes: Outcomes) -> None:
-    altitude = number_column("altitude", np.where(np.arange(COUNT) >= 70, 240.0, 100.0), "m")
-    twins = text_column("twins", ["yes" if i >= 78 else "no" for i in range(COUNT)])
-    assert (
-        answer_context.describe_failure(outcomes, table(altitude), 90)
-        == "This picture's altitude is 240 m; 67 % of such pictures fail (20 % of all do)."
-    )
-    twin = answer_context.describe_failure(outcomes, table(altitude, twins), 90)
-    assert twin == ("Among pictures of buildings with a twin elsewhere, like this one, 91 % fail (20 % of all do).")
-    assert answer_context.describe_failure(outcomes, table(altitude, twins), 3) == "", "its kind fails seldom"
-    assert answer_context.describe_failure(outcomes, table(), 90) == "", "nothing else is known"
-    kind = text_column("kind", ["dormitory" if i >= 70 else "hall" for i in range(COUNT)])
-    assert answer_context.describe_failure(outcomes, table(kind), 90) == (
-        "This picture's kind is dormitory; 67 % of such pictures fail (20 % of all do)."
-    )
-    height = number_column("height", np.arange(COUNT), "m")
-    assert answer_context.describe_failure(outcomes, table(height), 90) == (
-        "This picture's height is in the range 80 to 99 m; 100 % of such pictures fail (20 % of all do)."
-    )
-
-
 def retrieval(first: np.ndarray, gap: np.ndarray) -> Retrieval:
     return Retrieval(first, first, first, gap, gap, 10)
 

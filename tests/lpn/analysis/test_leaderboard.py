@@ -10,15 +10,13 @@ from pathlib import Path
 import pytest
 
 import lpn
-from lpn.analysis.leaderboard import Leaderboard, ModelFacts, task_leaderboard
-from lpn.analysis.text_tables import latex_page
+from lpn.analysis.leaderboard import Leaderboard, ModelFacts, leaderboard
 from lpn.cli.main import main
+from lpn.core.text_tables import latex_page, markdown_page
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS
-from lpn.report import build_leaderboard
-from lpn.retrieval.protocol import Protocol
-from lpn.sources import Data, ModelOptions
-from lpn.sources.opened import open_first_task
+from lpn.report import table_page
+from lpn.sources import SourceOptions, open_source
 from tools.fixtures import small_worlds
 
 TASK = "drone-to-satellite"
@@ -32,7 +30,7 @@ def page(
     files = [str(folder / name) for name in ("page.md", "page.json")]
     models = [str(model_file), str(one_part_model_file)]
     options = ["--turns", "90", "--weathers", "--resamples", "20", "--page", files[0], "--json", files[1]]
-    assert main(["compare", *models, "--data", str(data), *options]) == 0
+    assert main(["compare", str(data), "--model", *models, *options]) == 0
     return Path(files[0]).read_text("utf-8"), json.loads(Path(files[1]).read_text("utf-8"))
 
 
@@ -42,12 +40,8 @@ def test_each_measure_is_that_of_the_model_alone(page: tuple[str, dict], model_f
     name, model, dataset = model_file.name, lpn.load(model_file), lpn.open_dataset(data)
     name = next(one for one in values["models"] if name.removesuffix(".onnx") in one)
     alone = {
-        key: lpn.evaluate(model, dataset, TASK, protocol)
-        for key, protocol in (
-            ("all", Protocol()),
-            ("2", Protocol(parts=(2,))),
-            ("90.0", Protocol(Change(rotate=90.0))),
-        )
+        key: lpn.evaluate(model, dataset, TASK, **changes)
+        for key, changes in (("all", {}), ("2", {"parts": (2,)}), ("90.0", {"change": Change(rotate=90.0)}))
     }
     figures = {key: [result.recall["1"], result.ap] for key, result in alone.items()}
     assert values["parts"][TASK][name]["all"] == figures["all"]
@@ -67,17 +61,17 @@ def test_a_page_is_ranked_as_its_options_say(model_file: Path, one_part_model_fi
     out, files = tmp_path / "page.json", [str(model_file), str(one_part_model_file)]
     options = ["--calibrate", "--csls", "3", "--turns", "90", "--resamples", "20"]
     pages = ["--page", str(tmp_path / "page.md"), "--json", str(out)]
-    assert main(["compare", *files, "--data", str(data), *options, *pages]) == 0
+    assert main(["compare", str(data), "--model", *files, *options, *pages]) == 0
     values = json.loads(out.read_text("utf-8"))
     stem = model_file.name.removesuffix(".onnx")
     name = next(one for one in values["models"] if stem in one)
     assert all(one.endswith(", calibrated, CSLS") for one in values["models"])
-    for figures, protocol in (
-        (values["parts"][TASK][name]["all"], Protocol()),
-        (values["parts"][TASK][name]["2"], Protocol(parts=(2,))),
-        (values["turns"][TASK][name]["90.0"], Protocol(Change(rotate=90.0))),
+    for figures, changes in (
+        (values["parts"][TASK][name]["all"], {}),
+        (values["parts"][TASK][name]["2"], {"parts": (2,)}),
+        (values["turns"][TASK][name]["90.0"], {"change": Change(rotate=90.0)}),
     ):
-        alone = lpn.evaluate(model_file, data, TASK, protocol, calibrate=True, csls=3)
+        alone = lpn.evaluate(model_file, data, TASK, **changes, calibrate=True, csls=3)
         assert figures == [alone.recall["1"], alone.ap]
     assert values["models"][name]["megabytes"] == model_file.stat().st_size / 1e6
     table = next(one for one in values["tables"] if one["task"] == TASK)
@@ -88,11 +82,13 @@ def test_a_page_is_ranked_as_its_options_say(model_file: Path, one_part_model_fi
 
 def test_a_page_of_one_opened_task_has_the_figures_of_the_data_set(model_file: Path, data: Path) -> None:
     model, dataset = lpn.load(model_file), lpn.open_dataset(data)
-    task = open_first_task(Data(data=data, model=ModelOptions(model=model_file)))
+    task = open_source(SourceOptions(source=str(data), model=model_file)).task
     tasks = {"a": task, "b": replace(task, weights=(1, 0, 0, 0))}
-    board = task_leaderboard("data", dict.fromkeys(tasks, model), {}, tasks, resamples=20)
-    for part, protocol in (("all", Protocol()), ("2", Protocol(parts=(2,)))):
-        result = lpn.evaluate(model, dataset, TASK, protocol)
+    models = dict.fromkeys(tasks, model)
+    board = leaderboard("data", models, {}, [TASK], lambda name, _: tasks[name], resamples=20, groups=("LPN", "LPN"))
+    assert board.tables[0].groups == {"LPN": [0, 1]}
+    for part, parts in (("all", None), ("2", (2,))):
+        result = lpn.evaluate(model, dataset, TASK, parts=parts)
         assert board.parts[TASK]["a"][part] == pytest.approx((result.recall["1"], result.ap))
     assert board.parts[TASK]["a"]["all"] != board.parts[TASK]["a"]["2"]
     assert board.parts[TASK]["a"] == board.parts[TASK]["b"]
@@ -112,12 +108,12 @@ def test_a_page_of_html_has_the_tables_of_the_markdown_and_escapes_names() -> No
     facts = ModelFacts("LPN", "exact", (64, 64), 8, None, 1.0, 1.0)
     turns = {TASK: {"<b>.onnx": {90.0: (50.0, 62.5)}}}
     board = Leaderboard("a|b", {"<b>.onnx": facts}, [], {}, turns, {})
-    page = build_leaderboard(board).decode()
+    page = table_page(board.title, board.printed).decode()
     assert page.count('<th scope="row">&lt;b&gt;.onnx</th>') == 2
     assert '<td class="r">50.00 / 62.50</td>' in page
-    assert "| &lt;b&gt;.onnx | 50.00 / 62.50 |" in board.to_markdown()
+    assert "| &lt;b&gt;.onnx | 50.00 / 62.50 |" in markdown_page(board.printed, board.title)
     assert not re.search(r"<script|https?:|<b>", page)
-    _, _, latex = latex_page(board.sections()).partition("Turned queries")
+    _, _, latex = latex_page(board.printed).partition("Turned queries")
     assert r"\textless{}b\textgreater{}.onnx & 50.00 / 62.50 \\" in latex
 
 
@@ -134,6 +130,6 @@ def test_options_that_do_not_go_together_are_refused(
     options: list[str], message: str, model_file: Path, data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given = [option.format(tmp_path) for option in options]
-    assert main(["compare", str(model_file), "--data", str(data), *given]) == 2
+    assert main(["compare", str(data), "--model", str(model_file), *given]) == 2
     assert message in " ".join(capsys.readouterr().err.split())
     assert not list(tmp_path.iterdir())

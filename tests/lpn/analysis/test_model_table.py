@@ -6,21 +6,25 @@ import csv
 import io
 import itertools
 import json
-import math
+import statistics
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import binomtest, chi2
+from scipy.stats import ttest_ind
 
-from lpn.analysis.model_table import RankedModel, compare, intervals, mcnemar, rank_published
+from lpn.analysis.model_table import compare
+from lpn.analysis.statistics import holm, intervals, randomization_test
 from lpn.cli.main import main
 from lpn.core.errors import InputError
+from lpn.core.text_tables import markdown_page
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
 from lpn.retrieval.saved import PublishedResult
+from lpn.tasks.measure import RankedModel
+from lpn.tasks.saved import saved_task
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -40,64 +44,29 @@ def ranked(name: str, seed: int, queries: int = 30, places: int = 12, gallery: i
     )
 
 
-@pytest.mark.parametrize(("b", "c"), [(0, 0), (0, 1), (3, 3), (5, 1), (24, 4), (20, 6), (400, 350)])
-def test_mcnemar_is_the_binomial_test_where_few_differ(b: int, c: int) -> None:
-    p, exact = mcnemar(b, c)
-    assert exact
-    assert p == pytest.approx(1.0 if b + c == 0 else binomtest(min(b, c), b + c, 0.5).pvalue)
-    if b + c <= 6:
-        outcomes = [sum(draw) for draw in itertools.product((0, 1), repeat=b + c)]
-        as_far = [abs(2 * heads - (b + c)) >= abs(b - c) for heads in outcomes]
-        assert p == pytest.approx(sum(as_far) / len(outcomes))
-
-
-@pytest.mark.parametrize(("b", "c"), [(501, 500), (700, 600), (5000, 4000)])
-def test_mcnemar_is_chi_square_where_many_differ(b: int, c: int) -> None:
-    p, exact = mcnemar(b, c)
-    assert not exact
-    assert p == pytest.approx(chi2.sf((abs(b - c) - 1) ** 2 / (b + c), 1))
-    assert p == pytest.approx(binomtest(c, b + c, 0.5).pvalue, rel=0.02)
-
-
-def test_intervals_draw_places_with_all_their_queries() -> None:
-    rng = np.random.default_rng(5)
-    labels = np.array([7, 7, 7, 2, 2, 9, 4, 4, 4, 4])
-    values = (rng.random((2, 10)) < 0.5).astype(float)
-    found = intervals(values, labels, seed=3, resamples=200)
-    draws = np.random.default_rng(3)
-    places = [2, 4, 7, 9]
-    means = []
-    for _ in range(200):
-        chosen = [places[i] for i in draws.integers(4, size=4)]
-        rows = [row for place in chosen for row in np.flatnonzero(labels == place)]
-        means.append(values[:, rows].mean(axis=1))
-    for estimate, row, of_row in zip(found, values, np.array(means).T, strict=True):
-        assert estimate.value == pytest.approx(100 * row.mean())
-        assert (estimate.low, estimate.high) == pytest.approx(tuple(100 * np.quantile(of_row, (0.025, 0.975))))
-
-
-def test_intervals_hold_a_known_share() -> None:
-    hits = (np.arange(400) % 4 == 0).astype(float)
-    (estimate,) = intervals(hits[None], np.arange(400), seed=0, resamples=2000)
-    half = 100 * 1.96 * math.sqrt(0.25 * 0.75 / 400)
-    assert (estimate.value, estimate.low, estimate.high) == pytest.approx((25, 25 - half, 25 + half), abs=0.6)
-
-
 def test_a_comparison_counts_what_only_one_model_finds() -> None:
     models = [ranked("a.onnx", 1), ranked("b.onnx", 2), ranked("c.mat", 3)]
     shuffled = np.random.default_rng(0).permutation(30)
     models[1] = models[1].in_order([f"q{i}" for i in shuffled])
     found = compare(models, seed=4, resamples=50)
-    assert [(test.first, test.second) for test in found.tests] == [
-        ("a.onnx", "b.onnx"),
-        ("a.onnx", "c.mat"),
-        ("b.onnx", "c.mat"),
-    ]
+    pairs = [("a.onnx", "b.onnx"), ("a.onnx", "c.mat"), ("b.onnx", "c.mat")]
+    assert [(test.first, test.second) for test in found.tests] == 2 * pairs
+    assert [test.figure for test in found.tests] == 3 * ["R@1"] + 3 * ["AP"]
     hits = [{query for query, first in zip(one.queries, one.first, strict=True) if first == 0} for one in models]
-    for test, (a, b) in zip(found.tests, itertools.combinations(hits, 2), strict=True):
-        assert (test.only_first, test.only_second, test.both) == (len(a - b), len(b - a), len(a & b))
-        assert test.neither == 30 - len(a | b)
-        assert test.p == mcnemar(len(a - b), len(b - a))[0]
+    for test, (a, b) in zip(found.tests[:3], itertools.combinations(hits, 2), strict=True):
+        assert (test.first_better, test.second_better) == (len(a - b), len(b - a))
+        assert test.difference.value == pytest.approx(100 * (len(a) - len(b)) / 30)
+    for of_figure, key in ((found.tests[:3], "R@1"), (found.tests[3:], "AP")):
+        values = [(one.first == 0) * 1.0 if key == "R@1" else one.precision for one in found.models]
+        differences = np.stack([a - b for a, b in itertools.combinations(values, 2)])
+        p = randomization_test(differences, found.models[0].labels, 4)
+        assert [test.p for test in of_figure] == p
+        assert [test.holm for test in of_figure] == holm(p)
+        for test, row in zip(of_figure, differences, strict=True):
+            assert (test.first_better, test.second_better) == ((row > 0).sum(), (row < 0).sum())
+            (alone,) = intervals(row[None], found.models[0].labels, 4, 50)
+            assert vars(test.difference) == pytest.approx(vars(alone))
+            assert (test.seeds_p, test.seeds_holm) == (None, None)
     for one, figures in zip(models, found.figures, strict=True):
         assert list(figures) == ["R@1", "R@5", "R@10", "AP"]
         for depth in (1, 5, 10):
@@ -109,13 +78,69 @@ def test_a_comparison_counts_what_only_one_model_finds() -> None:
     again = compare(models, seed=4, resamples=50)
     assert again.to_dict() == found.to_dict()
     rows = list(csv.DictReader(io.StringIO(found.to_csv().decode())))
-    assert [row["model"] for row in rows] == ["a.onnx", "b.onnx", "c.mat"]
-    assert rows[1]["only this, not a.onnx"] == str(found.tests[0].only_second)
-    assert float(rows[2]["R@5 low"]) == pytest.approx(found.figures[2]["R@5"].low, abs=1e-4)
-    page = found.to_markdown()
+    assert [row["model"] for row in rows if not row["against"]] == [*4 * ["a.onnx"], *4 * ["b.onnx"], *4 * ["c.mat"]]
+    (low,) = (row["low"] for row in rows if (row["model"], row["against"], row["figure"]) == ("c.mat", "", "R@5"))
+    assert float(low) == pytest.approx(found.figures[2]["R@5"].low, abs=1e-4)
+    tested = [row for row in rows if row["against"]]
+    assert [(row["model"], row["against"], row["figure"]) for row in tested] == [
+        (test.first, test.second, test.figure) for test in found.tests
+    ]
+    for row, test in zip(tested, found.tests, strict=True):
+        numbers = (test.difference.value, test.p, test.holm)
+        assert [float(row[key]) for key in ("value", "p", "Holm's p")] == pytest.approx(numbers, rel=1e-5)
+        assert (row["sd"], row["seeds' p"]) == ("", "")
+    page = markdown_page(found.printed)
     assert f"| a.onnx | {found.figures[0]['R@1']} |" in page
-    assert f"| a.onnx | b.onnx | {found.tests[0].only_first} | {found.tests[0].only_second} |" in page
+    test = found.tests[0]
+    assert f"| a.onnx | b.onnx | R@1 | {test.difference} | {test.first_better} | {test.second_better} |" in page
     assert "seed 4" in page
+
+
+def test_runs_of_one_method_are_a_group_with_mean_and_deviation() -> None:
+    runs = [
+        ranked(f"{method}{seed}.onnx", seed) for method, seeds in (("a", (1, 2, 3)), ("b", (4, 5))) for seed in seeds
+    ]
+    single = ranked("c.onnx", 6)
+    found = compare([*runs, single], seed=2, resamples=30, groups=("A", "A", "A", "B", "B", "C"))
+    recalls = [100 * float(np.mean(one.first == 0)) for one in runs]
+    precisions = [100 * float(one.precision.mean()) for one in runs]
+    for figure, values in (("R@1", recalls), ("AP", precisions)):
+        for group, of_group in enumerate((values[:3], values[3:])):
+            estimate = found.figures[group][figure]
+            assert estimate.value == pytest.approx(statistics.mean(of_group))
+            assert estimate.sd == pytest.approx(statistics.stdev(of_group))
+        assert found.figures[2][figure].sd is None
+        # The interval is that of the mean of the runs over places: it does not cover the seeds.
+        means = [np.mean([(one.first == 0) if figure == "R@1" else one.precision for one in of], 0) for of in
+                 (runs[:3], runs[3:])]  # fmt: skip
+        (interval,) = intervals(means[0][None], runs[0].labels, 2, 30)
+        assert replace(found.figures[0][figure], sd=None) == interval
+        first, *others = (test for test in found.tests if test.figure == figure)
+        assert (first.first, first.second) == ("A", "B")
+        assert first.difference.value == pytest.approx(statistics.mean(values[:3]) - statistics.mean(values[3:]))
+        assert first.p == randomization_test((means[0] - means[1])[None], runs[0].labels, 2)[0]
+        assert first.seeds_p == pytest.approx(ttest_ind(values[:3], values[3:], equal_var=False).pvalue, rel=1e-4)
+        assert first.seeds_holm == first.seeds_p  # the only pair of two groups with several runs
+        assert [(test.second, test.seeds_p) for test in others] == [("C", None), ("C", None)]
+    values = found.to_dict()["models"]
+    assert values[0]["runs"]["names"] == ["a1.onnx", "a2.onnx", "a3.onnx"]
+    assert values[0]["runs"]["AP"] == pytest.approx(precisions[:3])
+    assert "runs" not in values[2]
+    page = markdown_page(found.printed)
+    assert f"| A | {found.figures[0]['R@1']} |" in page
+    assert f" ± {statistics.stdev(recalls[:3]):.2f} (" in page
+    assert "seeds' p" in page
+    rows = list(csv.DictReader(io.StringIO(found.to_csv().decode())))
+    assert float(rows[0]["sd"]) == pytest.approx(statistics.stdev(recalls[:3]), rel=1e-5)
+
+
+def test_one_group_has_figures_and_no_tests_and_each_model_takes_a_group() -> None:
+    runs = [ranked(f"{seed}.onnx", seed) for seed in (1, 2)]
+    found = compare(runs, resamples=5, groups=("LPN", "LPN"))
+    assert (list(found.groups), found.tests, len(found.printed)) == (["LPN"], [], 1)
+    assert "p is of" not in found.sentence
+    with pytest.raises(InputError, match="Found 1 group for 2 models; name the group of each model in their order"):
+        compare(runs, groups=("LPN",))
 
 
 def test_repeated_queries_are_each_counted_and_never_mixed() -> None:
@@ -124,7 +149,7 @@ def test_repeated_queries_are_each_counted_and_never_mixed() -> None:
     other = replace(one, name="other", first=np.array([5, 0, 5, 5]))
     found = compare([one, other], resamples=10)
     assert [figures["R@1"].value for figures in found.figures] == [25.0, 25.0]
-    assert (found.tests[0].only_first, found.tests[0].only_second) == (1, 1)
+    assert (found.tests[0].first_better, found.tests[0].second_better) == (1, 1)
     with pytest.raises(InputError, match="a is among them more than once"):
         compare([one, replace(other, queries=("a", "b", "a", "c"))])
     with pytest.raises(InputError, match="not the same"):
@@ -162,40 +187,82 @@ def test_models_and_saved_results_compare_on_one_gallery(
     second.parent.mkdir()
     second.write_bytes(model_file.read_bytes())
     figures = tmp_path / "table.json"
-    options = ["--data", str(root), "--json", str(figures)]
-    assert main(["compare", str(model_file), str(second), *options]) == 0
+    options = ["--json", str(figures)]
+    assert main(["compare", str(root), "--model", str(model_file), str(second), *options]) == 0
     found = json.loads(figures.read_text())
     assert (found["gallery"], found["queries"], found["bootstrap"]["seed"]) == ("full gallery, 6", 5, 0)
     assert found["models"][0]["AP"] == found["models"][1]["AP"]
-    assert (found["tests"][0]["only_first"], found["tests"][0]["p"]) == (0, 1.0)
+    assert (found["tests"][0]["first_better"], found["tests"][0]["p"]) == (0, 1.0)
     assert [one["name"] for one in found["models"]] == [f"{model_file.parent.name}/model.onnx", "other/model.onnx"]
-    assert main(["compare", str(model_file), str(second), "--data", str(root), "--gallery", "without-distractors"]) == 0
+    assert main(["compare", str(root), "--model", str(model_file), str(second), "--without-distractors"]) == 0
     assert "without distractors, 5" in capsys.readouterr().out
     save_result(tmp_path / "result.mat", root, model_file)
-    tables = {kind: tmp_path / f"table.{kind}" for kind in ("md", "csv", "tex")}
+    tables = {kind: tmp_path / f"table.{kind}" for kind in ("md", "csv", "tex", "html")}
     for table in tables.values():
-        assert main(["compare", str(model_file), str(tmp_path / "result.mat"), *options, "--table", str(table)]) == 0
+        assert (
+            main(
+                [
+                    "compare",
+                    str(root),
+                    str(tmp_path / "result.mat"),
+                    "--model",
+                    str(model_file),
+                    *options,
+                    "--table",
+                    str(table),
+                ]
+            )
+            == 0
+        )
     found = json.loads(figures.read_text())
     assert [one["name"] for one in found["models"]] == ["model.onnx", "result.mat"]
-    assert (found["tests"][0]["only_first"], found["tests"][0]["only_second"]) == (0, 0)
-    assert tables["csv"].read_text("utf-8-sig").splitlines()[2].startswith("result.mat,")
-    assert "| model.onnx | result.mat | 0 | 0 |" in tables["md"].read_text()
+    assert (found["tests"][0]["first_better"], found["tests"][0]["second_better"]) == (0, 0)
+    assert tables["csv"].read_text("utf-8-sig").splitlines()[5].startswith("result.mat,")
+    assert "| model.onnx | result.mat | R@1 | 0.00 (0.00 to 0.00) | 0 | 0 | 1 | 1 |" in tables["md"].read_text()
     assert tables["tex"].read_text().count(r"\begin{tabular}") == 2
+    assert tables["html"].read_text().count('<th scope="row">model.onnx</th>') == 3
     dataset = open_dataset(root)
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")[1:]
     drawn = np.random.default_rng(0).standard_normal((11, 1, 8)).astype(np.float32)
     paths = tuple(tuple(str(picture.path) for picture in pictures) for pictures in (queries, gallery))
     labels = tuple(np.array([picture.label for picture in pictures]) for pictures in (queries, gallery))
     saved = PublishedResult("r.mat", drawn[:5], labels[0], drawn[5:10], labels[1], *paths)
-    smaller = rank_published(saved, "r.mat", dataset)
+    smaller = saved_task(saved, dataset).evaluate().ranked()
     assert smaller.gallery_name == "full gallery, 5"
     whole = replace(smaller, name="m", gallery_name="full gallery, 6", gallery=smaller.gallery | {"x"})
     with pytest.raises(InputError, match="do not compare"):
         compare([whole, smaller])
     assert (
-        main(["compare", str(model_file), str(tmp_path / "result.mat"), *options, "--task", "satellite-to-drone"]) == 2
+        main(
+            [
+                "compare",
+                str(root),
+                str(tmp_path / "result.mat"),
+                "--model",
+                str(model_file),
+                *options,
+                "--task",
+                "satellite-to-drone",
+            ]
+        )
+        == 2
     )
-    assert "expected satellite-to-drone" in capsys.readouterr().err
+    assert "compare models on one task" in capsys.readouterr().err
+
+
+def test_the_command_takes_the_group_of_each_model(
+    data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    models, table = [str(model_file), str(one_part_model_file)], tmp_path / "table.json"
+    given = ["--resamples", "5", "--json", str(table)]
+    assert main(["compare", str(data), "--model", *models, *given, "--group", "ours", "ours"]) == 0
+    found = json.loads(table.read_text())
+    assert [one["name"] for one in found["models"]] == ["ours"]
+    assert len(found["models"][0]["runs"]["R@1"]) == 2
+    assert found["models"][0]["R@1"]["sd"] == pytest.approx(statistics.stdev(found["models"][0]["runs"]["R@1"]))
+    assert " ± " in capsys.readouterr().out
+    assert main(["compare", str(data), "--model", *models, *given, "--group", "ours"]) == 2
+    assert "Found 1 group for 2 models" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("make", [layouts.vigor, layouts.gta])
@@ -217,7 +284,7 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     labels = [np.arange(len(side)) for side in sides]
     rows = perfect[orders[0]], tiles[orders[1]]
     saved = PublishedResult("r.mat", rows[0], labels[0], rows[1], labels[1], paths[0], paths[1])
-    found = rank_published(saved, "r.mat", dataset)
+    found = saved_task(saved, dataset).evaluate().ranked()
     assert found.first.tolist() == [0] * len(sides[0])
     assert found.labels.tolist() == [sides[0][i].label for i in orders[0]]
     fewer = replace(
@@ -225,10 +292,10 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     )
     kept = orders[1][1:]
     expected = [0 if set(truth[i].good) & set(kept) else -1 for i in orders[0]]
-    assert rank_published(fewer, "fewer.mat", dataset).first.tolist() == expected
+    assert saved_task(fewer, dataset).evaluate().ranked().first.tolist() == expected
     twice = replace(saved, gallery_paths=(paths[1][1], *paths[1][1:]))
     with pytest.raises(InputError, match="twice"):
-        rank_published(twice, "twice.mat", dataset)
+        saved_task(twice, dataset).evaluate().ranked()
 
 
 def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:
@@ -242,8 +309,6 @@ def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:
     files = [[str(tmp_path / f"{name}-{side}.npy") for name in "ab"] for side in ("queries", "gallery")]
     arguments = [
         "compare",
-        "arrays",
-        "--queries",
         *files[0],
         "--gallery",
         *files[1],

@@ -91,7 +91,7 @@ def test_an_effect_has_the_figures_of_evaluate_and_counts_the_queries_that_chang
     for parts in ((1, 2), (4,)):
         effect = measured.effect(weights_of(parts, 4))
         chosen = ",".join(map(str, parts))
-        main.main(["evaluate", "--model", str(model_file), "--data", str(data), "--parts", chosen, "--json", str(out)])
+        main.main(["evaluate", "--model", str(model_file), str(data), "--parts", chosen, "--json", str(out)])
         expected = json.loads(out.read_text())
         assert [effect.recall, effect.ap] == pytest.approx([expected["recall@1"], expected["ap"]])
         whole = task.metrics

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
-from lpn.analysis.wrong_answers import most_alike, share_of_larger_leads, worst_first
+from lpn.analysis.wrong_answers import worst_first
 from lpn.core.tables import Table, number_column, text_column
 from lpn.tasks.query_outcomes import Outcomes
 
@@ -30,20 +29,3 @@ def test_the_farthest_answer_comes_first_and_then_the_last_right_one() -> None:
     assert worst_first(found, Table(names, [of_metadata])).tolist() == [2, 4, 1, 5, 3]
     unknown = replace(found, known=np.array([True, True, False, True, True, True]))
     assert 2 not in worst_first(unknown, Table(names, []))
-
-
-def test_a_close_answer_is_one_that_most_leads_exceed() -> None:
-    leads = [i / 100 for i in range(40)]
-    known = outcomes([0] * 40 + [1], [*leads, -0.035])
-    assert share_of_larger_leads(known, 0.035) == pytest.approx(36 / 40)
-    assert share_of_larger_leads(outcomes([0, 1], [0.1, -0.1]), 0.0) is None, "one lead tells nothing"
-
-
-def test_the_place_that_looks_most_alike_is_another_place() -> None:
-    gallery = np.zeros((5, 2, 2), np.float32)
-    gallery[:, 0, 0] = [0.7, 0.7, 0.5, 0.6, 0.7]
-    gallery[:, 1, 0] = [0.7, 0.6, 0.7, 0.1, 0.7]
-    labels = np.array([4, 4, 5, 6, -1])
-    assert most_alike(gallery, labels, 0) == 5, "neither its own place nor junk"
-    assert most_alike(gallery, labels, 0, [1, 0]) == 6
-    assert most_alike(gallery[:2], labels[:2], 0) is None

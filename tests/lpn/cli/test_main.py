@@ -26,13 +26,13 @@ def without_torch(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 def test_evaluate_writes_the_promised_keys(data: Path, model_file: Path, tmp_path: Path) -> None:
     out = tmp_path / "deep" / "figures.json"
-    common = ["evaluate", "--data", str(data), "--model", str(model_file), "--json", str(out)]
+    common = ["evaluate", str(data), "--model", str(model_file), "--json", str(out)]
     assert main.main(common) == 0
     whole = json.loads(out.read_text())
     assert list(whole) == [
         *("recall@1", "recall@5", "recall@10", "recall@1%", "ap"),
         *("queries", "gallery", "galleries", "groups", "task", "rotate", "shift", "scale", "weather", "parts"),
-        *("branch", "averaged", "calibration", "csls", "cropped", "junk", "protocol", "seconds"),
+        *("calibration", "csls", "cropped", "junk", "protocol", "seconds"),
     ]
     assert (whole["task"], whole["parts"], whole["queries"]) == ("drone-to-satellite", [1, 2, 3, 4], 14)
     changes = ["--rotate", "90", "--shift", "-3", "--scale", "1.5"]
@@ -50,14 +50,14 @@ def test_without_a_model_the_one_that_ships_is_measured_and_named(
     figures = []
     for options, said in (([], True), (["--model", "city-lpn"], False)):
         out = tmp_path / f"{len(options)}.json"
-        assert main.main(["evaluate", "--data", str(data), *options, "--json", str(out)]) == 0
+        assert main.main(["evaluate", str(data), *options, "--json", str(out)]) == 0
         printed = capsys.readouterr()
         assert ("The model is city-lpn, which ships and knows a rendered city alone" in printed.err) is said
         assert "city-lpn (LPN" in printed.out
         figures.append({key: value for key, value in json.loads(out.read_text()).items() if key != "seconds"})
     assert figures[0] == figures[1]
     capsys.readouterr()
-    opens = Explore(data=data).opens_data()
+    opens = Explore(source=str(data)).opens_data()
     assert isinstance(opens, partial)
     assert opens.args[1] == Path("city-lpn")
     assert "The model is city-lpn" in capsys.readouterr().err
@@ -67,14 +67,14 @@ def test_torch_and_onnx_models_evaluate_alike(data: Path, model_file: Path, tmp_
     figures = []
     for file in (model_file, model_file.with_suffix(".safetensors")):
         out = tmp_path / f"{file.suffix}.json"
-        assert main.main(["evaluate", "--data", str(data), "--model", str(file), "--json", str(out)]) == 0
+        assert main.main(["evaluate", str(data), "--model", str(file), "--json", str(out)]) == 0
         figures.append({k: v for k, v in json.loads(out.read_text()).items() if k != "seconds"})
     assert figures[0] == figures[1]
 
 
 def test_everything_but_training_works_without_torch(data: Path, model_file: Path, tmp_path: Path) -> None:
     assert without_torch("--help").returncode == 0
-    done = without_torch("evaluate", "--data", data, "--model", model_file)
+    done = without_torch("evaluate", data, "--model", model_file)
     assert done.returncode == 0, done.stderr
     images = data / "test" / "query_drone"
     done = without_torch(
@@ -84,7 +84,7 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
     assert open_store(tmp_path / "s").descriptors.shape == (14, 4, 512)
     for arguments in (
         ("train", "--data", data, "--out", tmp_path / "run"),
-        ("evaluate", "--data", data, "--model", model_file.with_suffix(".safetensors")),
+        ("evaluate", data, "--model", model_file.with_suffix(".safetensors")),
         ("export", "--model", model_file.with_suffix(".safetensors"), "--out", tmp_path / "m.onnx"),
     ):
         done = without_torch(*arguments)
@@ -96,31 +96,39 @@ def test_everything_but_training_works_without_torch(data: Path, model_file: Pat
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["evaluate", "--data", "absent", "--model", "MODEL"], "no data set folder at absent"),
-        (["evaluate", "--data", "DATA", "--model", "absent.onnx"], "no model file at absent.onnx"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--parts", "1,9"], "parts 1 to 4"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--parts", "a"], "numbers from 1"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--rotate", "nan"], "rotation is nan"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--scale", "0"], "scale is 0"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--shift", "-64"], "64 wide"),
+        (["evaluate", "absent", "--model", "MODEL"], "no data set folder at absent"),
+        (["evaluate", "DATA", "--model", "absent.onnx"], "no model file at absent.onnx"),
+        (["evaluate", "DATA", "--model", "MODEL", "--parts", "1,9"], "parts 1 to 4"),
+        (["evaluate", "DATA", "--model", "MODEL", "--parts", "a"], "numbers from 1"),
+        (["evaluate", "DATA", "--model", "MODEL", "--rotate", "nan"], "rotation is nan"),
+        (["evaluate", "DATA", "--model", "MODEL", "--scale", "0"], "scale is 0"),
+        (["evaluate", "DATA", "--model", "MODEL", "--shift", "-64"], "64 wide"),
         (
-            ["evaluate", "--data", "DATA", "--model", "MODEL", "--n-parts", "4"],
-            "lpn evaluate published and lpn evaluate arrays have it",
+            ["evaluate", "DATA", "--model", "MODEL", "--n-parts", "4"],
+            "is a data set, and --n-parts fits a result of the published test code and arrays of descriptors; leave it out",
         ),
-        (["evaluate", "--data", "DATA", "--saved", "x.mat"], "lpn evaluate published"),
-        (["evaluate", "--data", "DATA", "--centre"], "lpn evaluate published and lpn evaluate arrays have it"),
-        (["evaluate", "published", "--saved", "x.mat"], "no saved result at x.mat"),
-        (["evaluate", "published", "--saved", "x.mat", "--n-parts", "0"], "number of parts is 0"),
-        (["explore", "published", "--saved", "x.mat", "--data", "DATA"], "no saved result at x.mat"),
         (
-            ["evaluate", "--data", "DATA", "--model", "MODEL", "--task", "street-to-satellite"],
+            ["evaluate", "DATA", "--map", "x.tif"],
+            "is a data set, and --map fits an index of a map's windows and a flight",
+        ),
+        (["evaluate", "DATA", "--centre"], "is a data set, and --centre fits"),
+        (
+            ["evaluate", "--model", "MODEL"],
+            "There is no SOURCE; give its path first: that of an index of a map's windows, ",
+        ),
+        (["evaluate", "index", "--index", "x"], "the source, which says itself what it is: lpn evaluate SOURCE"),
+        (["evaluate", "x.mat"], "no saved result at x.mat"),
+        (["evaluate", "x.mat", "--n-parts", "0"], "number of parts is 0"),
+        (["explore", "x.mat", "--data", "DATA"], "no saved result at x.mat"),
+        (
+            ["evaluate", "DATA", "--model", "MODEL", "--task", "street-to-satellite"],
             "offers drone-to-satellite",
         ),
         (["export", "--model", "MODEL", "--out", "x.onnx"], "already"),
         (["describe", "--model", "MODEL", "--images", "DATA", "--view", "street", "--out", "s"], "no 'street' view"),
         (["train", "--data", "DATA", "--out", "run", "--recipe", "secret"], "no recipe 'secret'"),
-        (["explore", "--data", "DATA", "--model", "MODEL", "--port", "99999"], "Port 99999"),
-        (["evaluate", "--data", "DATA", "--model", "MODEL", "--json", "."], "cannot be written"),
+        (["explore", "DATA", "--model", "MODEL", "--port", "99999"], "Port 99999"),
+        (["evaluate", "DATA", "--model", "MODEL", "--json", "."], "cannot be written"),
         (
             ["describe", "--model", "MODEL", "--images", "DATA", "--view", "drone", "--out", "MODEL"],
             "cannot be written",
@@ -165,12 +173,12 @@ def test_train_takes_its_defaults_from_the_named_recipe(
     exporting = ["export", "--model", str(tmp_path / "run" / "last.safetensors"), "--out", str(tmp_path / "m.onnx")]
     assert main.main(exporting) == 0
     assert capsys.readouterr().err == ""
-    assert main.main(["evaluate", "--data", str(root), "--model", str(tmp_path / "m.onnx")]) == 0
+    assert main.main(["evaluate", str(root), "--model", str(tmp_path / "m.onnx")]) == 0
     assert "n = 2, 64 x 64" in capsys.readouterr().out
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="closed pipes are POSIX's")
-@pytest.mark.parametrize("arguments", ["--help", "search --help", "doctor", "evaluate --data none --model none.pth"])
+@pytest.mark.parametrize("arguments", ["--help", "search --help", "doctor", "evaluate none --model none.pth"])
 def test_a_closed_pipe_ends_a_command_in_silence(arguments: str) -> None:
     """One that prints, that prints by Rich, that prints tyro's help, and that prints an error."""
     reader, writer = os.pipe()
@@ -192,6 +200,6 @@ def test_the_words_of_an_option_are_listed_in_their_order_and_without_none(capsy
         ("--weather", "hail", [*WEATHERS, "all"]),
     ):
         with pytest.raises(SystemExit):
-            main.main(["evaluate", "--data", "d", "--model", "m", option, value])
+            main.main(["evaluate", "d", "--model", "m", option, value])
         said = " ".join(capsys.readouterr().err.replace("│", " ").split())
         assert f"Expected one of ({', '.join(map(repr, words))})." in said

@@ -11,10 +11,10 @@ from lpn.core.errors import InputError
 from lpn.core.files import check_ending
 
 PAIR = ["explain", "--model", "none.onnx", "--query", "a.jpg", "--match", "b.jpg"]
-MODEL = ["--data", "none", "--model", "none.onnx"]
-COMPARED = ["compare", "none.onnx", "other.onnx", "--data", "none"]
+MODEL = ["none", "--model", "none.onnx"]
+COMPARED = ["compare", "none", "--model", "none.onnx", "other.onnx"]
 FLOWN = ["--map", "none.tif", "--flight", "none"]
-SURVEYED = ["evaluate", "flight", *FLOWN, "--positions", "survey.csv"]
+SURVEYED = ["locate", *FLOWN, "--positions", "survey.csv"]
 SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.jpg", "--view", "drone"]
 
 
@@ -23,8 +23,8 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
     [
         *((PAIR, "--png", name, ".png") for name in ("out.pdf", "out.svg", "out.jpg", "out")),
         (PAIR, "--json", "why.csv", ".json"),
-        (["sweep", *MODEL, "--query", "0001/01"], "--csv", "t.json", ".csv"),
-        (["sweep", *MODEL, "--query", "0001/01"], "--png", "t.pdf", ".png"),
+        (["explain", *MODEL, "--over", "rotation", "--query", "0001/01"], "--csv", "t.json", ".csv"),
+        (["explain", *MODEL, "--over", "rotation", "--query", "0001/01"], "--png", "t.pdf", ".png"),
         (["failures", *MODEL], "--csv", "f.xlsx", ".csv"),
         (["report", *MODEL], "--out", "r.pdf", ".html or .htm"),
         (["models"], "--json", "m.txt", ".json"),
@@ -33,14 +33,24 @@ SEARCH = ["search", "--index", "none", "--model", "none.onnx", "--picture", "a.j
         (["evaluate", *MODEL], "--json", "e.csv", ".json"),
         (["evaluate", *MODEL, "--weather", "all"], "--json", "e.csv", ".json"),
         (["evaluate", *MODEL], "--per-query", "q.json", ".csv"),
-        (["evaluate", "flight", *FLOWN], "--json", "e.csv", ".json"),
+        (["locate", *FLOWN], "--json", "e.csv", ".json"),
         (SURVEYED, "--residuals", "r.json", ".csv"),
         (COMPARED, "--json", "t.csv", ".json"),
-        (COMPARED, "--table", "t.html", ".md, .tex, or .csv"),
-        (["compare", "published", "a.mat", "b.mat", "--data", "none"], "--table", "t.html", ".md, .tex, or .csv"),
-        (COMPARED, "--page", "page.pdf", ".md, or .tex"),
-        (["compare", "flight", "none.onnx", "other.onnx", *FLOWN], "--table", "t.html", ".md, .tex, or .csv"),
-        (["compare", "flight", "none.onnx", "other.onnx", *FLOWN], "--page", "page.docx", ".md"),
+        (COMPARED, "--table", "t.pdf", ".md, .tex, .csv, .html, or .htm"),
+        (
+            ["compare", "a.mat", "b.mat", "--data", "none"],
+            "--table",
+            "t.pdf",
+            ".md, .tex, .csv, .html, or .htm",
+        ),
+        (COMPARED, "--page", "page.pdf", ".md, .tex, .csv, .html, or .htm"),
+        (
+            ["compare", "none", "--map", "none.tif", "--model", "none.onnx", "other.onnx"],
+            "--table",
+            "t.pdf",
+            ".md, .tex, .csv, .html, or .htm",
+        ),
+        (["compare", "none", "--map", "none.tif", "--model", "none.onnx", "other.onnx"], "--page", "page.docx", ".md"),
         (["locate", *FLOWN], "--out", "track.shp", ".geojson, .gpx, .kml, or .csv"),
         (["export", "--model", "none.pth"], "--out", "model.pt", ".onnx"),
     ],

@@ -297,7 +297,7 @@ def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
         describe(model_file, folder, done, worker=Dying)
     with pytest.raises(StoreError, match="their run has not ended"):
         open_shards(done)
-    assert main.main(["gather", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
+    assert main.main(["describe", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
     assert not (tmp_path / "s").exists()
     assert describe(model_file, folder, done).computed > 0
     rows = np.array(list(held(done).values()))
@@ -495,7 +495,7 @@ def test_commands_say_what_they_did(
     said = capsys.readouterr().out
     assert f"{out} holds 40 descriptors, 40 of them computed now." in said
     assert "1 pictures could not be described; broken.csv there names them" in said
-    assert main.main(["gather", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
+    assert main.main(["describe", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
     assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
     (folder / "1" / "text.jpg").unlink()
     store = descriptors.open_store(tmp_path / "store")

@@ -109,7 +109,7 @@ def test_gather_makes_a_store_of_one_state_or_none(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     out = tmp_path / "store"
-    given = ["gather", "--shards", str(folder), "--out", str(out)]
+    given = ["describe", "--shards", str(folder), "--out", str(out)]
 
     def check(items: Sequence[ShardItem]) -> None:
         expected = sorted(items, key=lambda item: item.row.file)
@@ -127,7 +127,7 @@ def test_gather_makes_a_store_of_one_state_or_none(
         assert not (out / "manifest.json").exists()
     else:
         check(WAS)
-    assert main.main(["gather", "--shards", str(folder), "--out", str(tmp_path / "other")]) == 2
+    assert main.main(["describe", "--shards", str(folder), "--out", str(tmp_path / "other")]) == 2
     assert "has not ended" in capsys.readouterr().err
     end(folder)
     assert main.main(given) == 0

@@ -229,7 +229,7 @@ def test_a_late_shard_of_an_ended_run_is_refused_until_a_run_mends_it(
     mine = {item.row.file for item in pictures(20) if place.plan().partition(item.row.file) == 1}
     late(place, what, 1)
     for _ in range(2):
-        assert main.main(["gather", "--shards", str(place.folder), "--out", str(tmp_path / "store")]) == 2
+        assert main.main(["describe", "--shards", str(place.folder), "--out", str(tmp_path / "store")]) == 2
         said = capsys.readouterr().err
         assert "are not all those of the run that ended last" in said
         assert "run lpn describe --engine ray again" in said
@@ -240,7 +240,7 @@ def test_a_late_shard_of_an_ended_run_is_refused_until_a_run_mends_it(
     after = place.states()
     assert {name for name in after if after[name] != before[name]} == {shard_name(1), PLAN, "broken.csv"}
     place.check(pictures(20))
-    assert main.main(["gather", "--shards", str(place.folder), "--out", str(tmp_path / "store")]) == 0
+    assert main.main(["describe", "--shards", str(place.folder), "--out", str(tmp_path / "store")]) == 0
 
 
 def test_a_plan_that_says_finished_over_shards_of_a_killed_run_is_refused_until_a_run_mends_it(place: Place) -> None:

@@ -13,6 +13,7 @@ import pytest
 
 from lpn import descriptors
 from lpn.cli import main
+from lpn.cli.parsing import modes
 from lpn.core import shutdown
 from lpn.core.files import write_atomic
 from lpn.core.shutdown import StopSignals, uninterrupted, writes_finished
@@ -201,7 +202,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
     def interrupted(_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main.COMMANDS["doctor"], "run", interrupted)
+    monkeypatch.setattr(main.commands()["doctor"], "run", interrupted)
     assert main.main(["doctor"]) == 130
     assert [signal.getsignal(number) for number in shutdown.SIGNALS] == before
 
@@ -210,7 +211,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
     ("arguments", "said"),
     [
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
-        (["gather", "--shards", "s", "--out", "OUT"], "What OUT has by now is kept; the same command goes on."),
+        (["describe", "--shards", "s", "--out", "OUT"], "What OUT has by now is kept; the same command goes on."),
         (["export", "--model", "m", "--out", "OUT"], "Nothing is half-written; give the same command again."),
     ],
 )
@@ -220,6 +221,8 @@ def test_every_command_says_how_to_go_on(
     def interrupted(_: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(main.COMMANDS[arguments[0]], "run", interrupted)
+    command = main.commands()[arguments[0]]
+    chosen = next((mode for option, mode in modes(command).items() if option in arguments), command)
+    monkeypatch.setattr(chosen, "run", interrupted)
     assert main.main(arguments) == 130
     assert capsys.readouterr().err.startswith(f"lpn: Stopped. {said}")

@@ -37,15 +37,6 @@ def test_sorting_is_stable_and_puts_the_unknown_last(table: Table) -> None:
     assert table.sort(rows[:0], "name").tolist() == []
 
 
-def test_a_number_above_the_limit_is_told_as_such_and_sorted_and_filtered_as_a_number() -> None:
-    column = number_column("rank", [3, 101, np.nan, 100], limit=100)
-    made = Table(["a", "b", "c", "d"], [text_column("name", "abcd"), column])
-    assert [column.text(row) for row in range(4)] == ["3", "> 100", "", "100"]
-    assert made.filter(made.rows(), "rank > 3").tolist() == [1, 3]
-    assert made.sort(made.rows(), "rank", descending=True).tolist() == [1, 3, 0, 2]
-    assert "b,> 100" in made.to_csv(made.rows()).decode()
-
-
 @pytest.mark.parametrize(
     ("where", "expected"),
     [

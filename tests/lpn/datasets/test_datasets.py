@@ -135,7 +135,7 @@ def test_a_world_is_told_from_university_1652(data: Path, tmp_path: Path) -> Non
 
 def test_a_data_set_in_a_folder_below_is_pointed_to(tmp_path: Path) -> None:
     layouts.cvusa(tmp_path / "release")
-    with pytest.raises(DataError, match=r"data sets in folders of its own: release; give --data .*/release"):
+    with pytest.raises(DataError, match=r"data sets in folders of its own: release; give .*/release"):
         open_dataset(tmp_path)
 
 

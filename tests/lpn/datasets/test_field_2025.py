@@ -15,8 +15,8 @@ from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
 from lpn.datasets.layouts.univ import UniV
 from lpn.doctor.dataset_check import check_dataset
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.tasks.changes import averaged
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts
 from tools.fixtures.small_contracts import PartsModel, RegionModel
 
@@ -80,7 +80,9 @@ def test_the_lists_of_world_uav_are_no_larger_than_its_queries_and_gallery(tmp_p
 
 def test_world_uav_is_ranked_within_each_region_and_averaged_over_regions(tmp_path: Path) -> None:
     root, model = layouts.world_uav(tmp_path / "World-UAV"), PartsModel(RegionModel())
-    mix, alone = (evaluate(model, open_dataset(root / name), "drone-to-satellite") for name in ("mix", "city"))
+    mix, alone = (
+        lazy_task(model, open_dataset(root / name), "drone-to-satellite").evaluate() for name in ("mix", "city")
+    )
     assert (mix.group_name, list(mix.groups)) == ("region", ["Country/Spain/b", "Terrain/Desert/a"])
     city = mix.groups["Country/Spain/b"][0]
     assert (city.queries, city.recall["1"]) == (12, alone.recall["1"])
@@ -176,7 +178,7 @@ def test_a_list_that_univ_lacks_is_named_when_a_model_has_no_task(
 ) -> None:
     root = layouts.univ(tmp_path / "univ")
     shutil.rmtree(root / "45" / "2fps" / "test" / "query_satellite")
-    assert main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main(["evaluate", str(root), "--model", str(model_file)]) == 2
     assert (
         "mend what is missing there (query_satellite, query_drone), or choose another data set"
         in capsys.readouterr().err
@@ -209,7 +211,7 @@ def test_univ_has_videos_by_angle_and_rate_and_shares_tiles(tmp_path: Path, capl
 
 def test_videos_of_univ_are_queries_when_their_frames_are_averaged(tmp_path: Path) -> None:
     dataset = open_dataset(layouts.univ(tmp_path / "UniV") / "30" / "5fps")
-    result = evaluate(PartsModel(RegionModel()), dataset, "drone-to-satellite", Protocol(average=True))
+    result = averaged(lazy_task(PartsModel(RegionModel()), dataset, "drone-to-satellite")).evaluate()
     assert (result.queries, result.gallery) == (2, 3)
 
 
@@ -228,11 +230,9 @@ def test_univ_without_query_folders_says_how_to_make_them(tmp_path: Path) -> Non
 
 def test_a_folder_inside_univ_names_the_one_to_give(tmp_path: Path) -> None:
     root = layouts.univ(tmp_path / "UniV")
-    with pytest.raises(
-        DataError, match=r"holds data sets in folders of its own: 10fps, 2fps, 5fps; give --data .*/45/10fps"
-    ):
+    with pytest.raises(DataError, match=r"holds data sets in folders of its own: 10fps, 2fps, 5fps; give .*/45/10fps"):
         open_dataset(root / "45")
-    with pytest.raises(DataError, match=r"is the part test of a data set; give --data .*/45/2fps"):
+    with pytest.raises(DataError, match=r"is the part test of a data set; give .*/45/2fps"):
         open_dataset(root / "45" / "2fps" / "test")
 
 

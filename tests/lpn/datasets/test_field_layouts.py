@@ -12,9 +12,9 @@ import pytest
 
 from lpn.core.errors import DataError
 from lpn.datasets import open_dataset
+from lpn.datasets.integrity import check_test_split
 from lpn.datasets.layouts.denseuav import DenseUAV
 from lpn.doctor.dataset_check import check_dataset
-from lpn.retrieval.evaluate import check_test_split
 from tools.fixtures import layouts, small_worlds
 
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyproj
 import pytest
 
 from lpn.cli import main
@@ -25,8 +26,19 @@ def test_distances_are_those_on_the_ground() -> None:
     along = geo.metres([hangzhou, beijing, Position(0, 179.9995)], [beijing, beijing, Position(0, -179.9995)])
     assert along[0] == pytest.approx(1_123_000, rel=0.01)
     assert along[1] == 0
-    assert along[2] == pytest.approx(geo.EARTH_RADIUS * np.radians(0.001))
-    assert geo.metres([Position(0, 0)], [pole])[0] == pytest.approx(geo.EARTH_RADIUS * np.pi / 2)
+    assert along[2] == pytest.approx(0.001 * geo.metres_per_degree(0)[1])
+    assert geo.metres([Position(0, 0)], [pole])[0] == pytest.approx(10_001_965.729)  # a quarter of WGS 84's meridian
+
+
+def test_geodesic_is_that_of_the_ellipsoid() -> None:
+    rng = np.random.default_rng(0)
+    a = np.stack([rng.uniform(-80, 80, 300), rng.uniform(-180, 180, 300)], axis=1)
+    b = a + rng.uniform(-1, 1, a.shape) * rng.choice([1e-6, 1e-3, 1, 9], (300, 1))
+    b[0], a[1], b[1] = a[0], (0, 10), (0, 11)  # the same point, and two on the equator
+    expected = pyproj.Geod(ellps="WGS84").inv(a[:, 1], a[:, 0], b[:, 1], b[:, 0])[2]
+    np.testing.assert_allclose(geo.geodesic(a, b), expected, rtol=1e-9, atol=1e-4)
+    opposite = geo.geodesic([0.0, 0.0], [0.3, 179.7])
+    assert opposite == pytest.approx(pyproj.Geod(ellps="WGS84").inv(0.0, 0.0, 179.7, 0.3)[2], rel=6e-3)
 
 
 def test_the_plane_keeps_distances_near_its_origin() -> None:
@@ -35,7 +47,7 @@ def test_the_plane_keeps_distances_near_its_origin() -> None:
     places = [Position(48 + a, 11.5 + b) for a, b in rng.uniform(-0.05, 0.05, (50, 2))]
     plane = geo.on_plane(places, origin)
     assert plane.shape == (50, 2)
-    np.testing.assert_allclose(np.hypot(*plane.T), geo.metres(places, [origin] * 50), rtol=4e-3)  # a sphere's
+    np.testing.assert_allclose(np.hypot(*plane.T), geo.metres(places, [origin] * 50), rtol=1e-3)
     assert geo.on_plane([Position(48.01, 11.5)], origin)[0] == pytest.approx([0, 1112], abs=1)
 
 
@@ -53,15 +65,16 @@ def test_names_of_a_folder_further_down_find_their_positions() -> None:
         return {path: geo.Position(i, 0) for i, path in enumerate(paths)}
 
     def matched(known: dict[str, geo.Position], *names: str) -> list[float | None]:
-        return [None if place is None else place.latitude for place in geo.match(known, names)]
+        return [None if place is None else place.latitude for place in Positions(Path(), known).match(names)]
 
     assert matched(found("a.png", "b/a.png"), "a.png", "b/a.png", "c.png") == [0, 1, None]
     assert matched(found("x/y/a.png", "z/a.png", "x/y/b/a.png"), "a.png", "b/a.png") == [0, 2]
     assert matched(found("x/a.png", "a.png"), "a.png") == [1]  # the file's own folder
     assert matched({}, "a.png") == [None]
     with pytest.raises(InputError, match="below both x/ and y/, at other places"):
-        geo.match(found("x/a.png", "y/a.png"), ["a.png"])
-    assert geo.match(dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2)), ["a.png"]) == [geo.Position(1, 2)]
+        Positions(Path(), found("x/a.png", "y/a.png")).match(["a.png"])
+    alike = dict.fromkeys(("x/a.png", "y/a.png"), geo.Position(1, 2))
+    assert Positions(Path(), alike).match(["a.png"]) == [geo.Position(1, 2)]
 
 
 def test_a_camera_stands_behind_what_it_shows() -> None:
@@ -130,12 +143,12 @@ def test_evaluation_says_how_many_metres_the_answers_are_off(
     lines = ["path,latitude,longitude", *rows]
     write(root, "\n".join(lines) + "\n")
     out = tmp_path / "figures.json"
-    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file), "--json", str(out)]) == 0
+    assert main.main(["evaluate", str(root), "--model", str(model_file), "--json", str(out)]) == 0
     figures = json.loads(out.read_text())
     assert figures["within 25 m"] == figures["within 100 m"] == figures["recall@1"]
-    step = geo.EARTH_RADIUS * np.radians(0.001)
+    step = 0.001 * geo.metres_per_degree(0)[0]
     assert figures["median error m"] / step == pytest.approx(round(figures["median error m"] / step), abs=1e-6)
     assert "the median error of the top match is" in capsys.readouterr().out.replace("\n", " ")
     write(root, "\n".join(line for line in lines if "gallery_satellite/0003" not in line) + "\n")
-    assert main.main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main.main(["evaluate", str(root), "--model", str(model_file)]) == 2
     assert "geo.csv has no position for 1 of" in capsys.readouterr().err

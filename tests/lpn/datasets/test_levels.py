@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from rich.console import Console
@@ -12,7 +13,8 @@ from rich.console import Console
 from lpn.cli import main
 from lpn.core.errors import DataError
 from lpn.datasets import levels, open_dataset
-from lpn.retrieval.sides import TaskPictures
+from lpn.models.base import Model
+from lpn.tasks.opening import lazy_task
 from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
@@ -47,17 +49,17 @@ def test_a_part_of_a_data_set_names_its_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make: Callable[[Path], Path], part: str
 ) -> None:
     root = make(tmp_path / "release")
-    assert refusal(root / part) == f"{root / part} is the part {part} of a data set; give --data {root}."
+    assert refusal(root / part) == f"{root / part} is the part {part} of a data set; give {root}."
     monkeypatch.chdir(tmp_path)
-    assert refusal(f"release/{part}") == f"release/{part} is the part {part} of a data set; give --data release."
+    assert refusal(f"release/{part}") == f"release/{part} is the part {part} of a data set; give release."
     monkeypatch.chdir(root / part)
-    assert refusal(".") == f". is the part {part} of a data set; give --data {root}."
+    assert refusal(".") == f". is the part {part} of a data set; give {root}."
 
 
 def test_the_raw_drone_folder_of_sues_names_its_folder(tmp_path: Path) -> None:
     root = layouts.sues_raw(tmp_path / "sues")
     (drone,) = (folder.name for folder in root.iterdir() if "drone" in folder.name)
-    assert refusal(root / drone).endswith(f"give --data {root}.")
+    assert refusal(root / drone).endswith(f"give {root}.")
 
 
 @pytest.mark.parametrize("around", ["", "University-Release", "downloads/University-Release"])
@@ -70,7 +72,7 @@ def test_a_folder_around_a_data_set_names_the_one_inside(tmp_path: Path, around:
     for name in ("Thumbs.db", "desktop.ini", "._University-Release", "readme.txt"):
         (top / name).write_bytes(b"\0")
     inside = root.relative_to(top).as_posix()
-    assert refusal(top) == f"{top} holds data sets in folders of its own: {inside}; give --data {root}."
+    assert refusal(top) == f"{top} holds data sets in folders of its own: {inside}; give {root}."
 
 
 def test_what_systems_leave_in_a_data_set_is_no_part_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -107,9 +109,9 @@ def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
     dataset = open_dataset(place)
     assert dataset.kind == "folder"
     part = "0004 is the part test/query_drone/0004 of a data set"
-    expected = f"{part}, and has no queries and gallery of its own; give --data {root}."
+    expected = f"{part}, and has no queries and gallery of its own; give {root}."
     with pytest.raises(DataError) as caught:
-        TaskPictures.of(dataset, "drone-to-satellite")
+        lazy_task(Mock(Model), dataset, "drone-to-satellite")
     assert str(caught.value) == str(dataset.no_task()) == expected
     assert main.main(["doctor", "--data", str(place)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
@@ -130,8 +132,7 @@ def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
 def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
     root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
     assert (
-        refusal(root / "pairs.csv")
-        == f"{root / 'pairs.csv'} is a file; expected a data set's folder, so give --data {root}."
+        refusal(root / "pairs.csv") == f"{root / 'pairs.csv'} is a file; expected a data set's folder, so give {root}."
     )
     absent = tmp_path / "University-Release"
     assert refusal(absent) == f"There is no data set folder at {absent}; check the path."
@@ -155,7 +156,7 @@ def test_a_release_in_a_folder_with_spaces_and_further_files_is_read(tmp_path: P
     root = layouts.cvusa(tmp_path / "CVPR subset-selected")
     (root / "all.csv").write_text("1,2\n")
     assert open_dataset(root).kind == "CVUSA"
-    assert refusal(tmp_path).endswith(f"give --data {root}.")
+    assert refusal(tmp_path).endswith(f"give {root}.")
 
 
 def test_a_list_in_another_encoding_is_refused(tmp_path: Path) -> None:

@@ -75,7 +75,7 @@ def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureF
     assert (report.title, len(report.left_out)) == ("in Plots's layout", 2)
     (plots / "photos" / "low").mkdir()
     for path in (plots / "photos" / "low", plots.parent):
-        with pytest.raises(DataError, match=f"give --data {plots}"):
+        with pytest.raises(DataError, match=f"give {plots}"):
             open_dataset(path)
 
 

@@ -14,8 +14,8 @@ from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.checkpoints import TorchModel
 from lpn.models.network import LPN
 from lpn.models.spec import ModelSpec
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.tasks.changes import turned
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds
 
 
@@ -136,5 +136,5 @@ def test_stores_of_turned_panoramas_are_told_from_those_of_turned_pictures(tmp_p
     assert not np.allclose(found[True], found[False], atol=1e-3)
     again = descriptors.cached_descriptors(model, queries, "street", Change(rotate=90, around=True))
     np.testing.assert_array_equal(found[True], again)
-    protocol = Protocol(Change(rotate=90))
-    assert "columns moved around" in evaluate(model, dataset, "street-to-satellite", protocol).sentence
+    task = turned(lazy_task(model, dataset, "street-to-satellite"), 90)
+    assert "columns moved around" in task.evaluate().sentence

@@ -121,7 +121,7 @@ def test_what_lists_of_queries_refuse_is_found(
 ) -> None:
     root = small_worlds.make_dataset(tmp_path / "places", train=2, test=2)
     (root / name).write_text(text)
-    assert main.main(["failures", "--data", str(root), "--model", str(model_file)]) == 2
+    assert main.main(["failures", str(root), "--model", str(model_file)]) == 2
     refused = capsys.readouterr().err
     assert said in refused
     status, found = doctor(root, tmp_path)

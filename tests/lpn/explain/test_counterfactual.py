@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,12 +11,11 @@ from scipy.optimize import linprog, minimize
 from lpn import retrieval
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.datasets import Truth
 from lpn.explain import counterfactual
 from lpn.explain._least_distance import shortest
 from lpn.explain.counterfactual import Reweighting
 from lpn.models.base import normalise
-from lpn.retrieval import Ranking, inner_products, metrics, scoring
+from lpn.retrieval import Ranking, metrics, scoring
 
 
 def ranked(cosines: object, weights: object = None, true: tuple[int, ...] = (0,)) -> Ranking:
@@ -55,15 +53,12 @@ def test_the_parts_of_a_margin_sum_to_the_difference_of_scores_and_distances() -
     query, gallery = described(1, 1, 4)[0], described(2, 30, 4)
     ranking = retrieval.rank(scoring.part_cosines(query, gallery), scoring.part_weights(4, [2, 1, 0, 0.5]))
     for a, b in ((3, 8), (8, 3)):
-        found = counterfactual.margin(ranking, a, b)
+        found = ranking.gains(a, b)
         one, other = ranking.find(a), ranking.find(b)
-        assert found.parts.shape == (4,)
-        assert found.total == pytest.approx(2 * (one.score - other.score), abs=1e-6)
-        assert found.parts.sum() == pytest.approx(other.distance2 - one.distance2, abs=1e-6)
-        np.testing.assert_allclose(found.parts, other.contributions - one.contributions, atol=1e-6)
-        assert found.parts[2] == 0
-    with pytest.raises(InputError, match="no gallery picture 30"):
-        counterfactual.margin(ranking, 3, 30)
+        assert found.shape == (4,)
+        assert found.sum() == pytest.approx(other.distance2 - one.distance2, abs=1e-6)
+        np.testing.assert_allclose(found, other.contributions - one.contributions, atol=1e-6)
+        assert found[2] == 0
 
 
 @given(st.integers(0, 10_000))
@@ -197,45 +192,6 @@ def test_the_least_distance_to_half_spaces() -> None:
     np.testing.assert_array_equal(shortest(rows, -np.ones(3), 1.0), [0, 0])
     assert shortest(rows, least, 2.0) is None
     assert shortest(np.array([[1.0], [-1.0]]), np.array([1.0, 1.0]), 1e3) is None
-
-
-@pytest.mark.parametrize("listed", [False, True])
-def test_the_effect_on_a_data_set_is_that_of_each_query_ranked(listed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 30 * 4)  # several blocks
-    rng = np.random.default_rng(3)
-    gallery = described(4, 30, 3)
-    labels, of_query = rng.integers(-1, 12, 30), rng.integers(0, 12, 25)
-    mates = [np.flatnonzero(labels == label) for label in of_query]
-    query = normalise(np.stack([gallery[m[0] if len(m) else 0] for m in mates]) + 3 * described(5, 25, 3))
-    truth = [Truth(m, np.flatnonzero(labels == metrics.JUNK)) for m in mates] if listed else None
-    before, after = [2, 0.1, 0.4], [0.1, 2, 0.5]
-    args = (None, None, truth) if listed else (of_query, labels, None)
-    found = counterfactual.effect(query, gallery, before, after, *args)
-    hits = []
-    for weights in (before, after):
-        tops = [
-            retrieval.rank(
-                scoring.part_cosines(q, gallery), scoring.part_weights(3, weights), labels, int(label)
-            ).match(0)
-            for q, label in zip(query, of_query, strict=True)
-        ]
-        hits.append(np.array([top.true for top in tops]))
-    assert (found.before, found.after) == pytest.approx(tuple(100 * h.mean() for h in hits))
-    np.testing.assert_array_equal(found.gained, np.flatnonzero(hits[1] & ~hits[0]))
-    np.testing.assert_array_equal(found.lost, np.flatnonzero(hits[0] & ~hits[1]))
-    assert len(found.gained) > 0
-    assert len(found.lost) > 0
-    assert found.helps == (found.after > found.before)
-    known = metrics.retrieve(counterfactual.weighted_queries(query, before), of_query, gallery, labels).first
-    again = counterfactual.effect(query, gallery, None, after, *args, first=known)
-    np.testing.assert_array_equal(again.lost, found.lost)
-    if truth is not None:
-        blind = replace(truth[0], good=truth[0].good[:0], known=False)
-        graded = counterfactual.effect(query, gallery, before, after, None, None, [blind, *truth[1:]])
-        assert graded.queries == 24
-        assert (graded.before, graded.after) == pytest.approx(tuple(100 * h[1:].mean() for h in hits))
-    with pytest.raises(InputError, match="3 known ranks for 25 queries"):
-        counterfactual.effect(query, gallery, None, after, *args, first=known[:3])
 
 
 def test_a_part_that_sees_nothing_of_the_query_ranks_nothing() -> None:

@@ -206,7 +206,7 @@ def test_the_command_prints_a_table_and_writes_csv_and_png(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     table, curve = tmp_path / "out" / "sweep.csv", tmp_path / "sweep.png"
-    common = ["sweep", "--data", str(data), "--model", str(model_file), "--query", "0009"]
+    common = ["explain", str(data), "--model", str(model_file), "--query", "0009"]
     files = ["--csv", str(table), "--png", str(curve)]
     assert main.main([*common, "--over", "zoom", "--step", "1.4", "--weights", "1,1,0,0", *files]) == 0
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
@@ -215,7 +215,7 @@ def test_the_command_prints_a_table_and_writes_csv_and_png(
     said = capsys.readouterr().out
     assert "The true match scores highest" in said
     assert all(row["rank"] in said for row in rows)
-    assert main.main([*common, "--step", "90"]) == 0
+    assert main.main([*common, "--over", "rotation", "--step", "90"]) == 0
     assert "clockwise from north" in capsys.readouterr().out
     assert main.main([*common, "--over", "weather", "--reach", "0.5", *files]) == 0
     rows = list(csv.DictReader(io.StringIO(table.read_text())))
@@ -237,7 +237,7 @@ def test_the_command_prints_a_table_and_writes_csv_and_png(
 def test_the_command_refuses_in_one_sentence(
     data: Path, model_file: Path, capsys: pytest.CaptureFixture[str], more: list[str], said: str
 ) -> None:
-    assert main.main(["sweep", "--data", str(data), "--model", str(model_file), *more]) == 2
+    assert main.main(["explain", str(data), "--model", str(model_file), "--over", "rotation", *more]) == 2
     assert said in capsys.readouterr().err
 
 

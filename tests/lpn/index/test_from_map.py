@@ -11,6 +11,7 @@ import pytest
 import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
+from lpn.core.progress import listening
 from lpn.index import DescriptorKind, create_index, open_index
 from lpn.index.from_map import index_windows
 from lpn.locate.map_windows import describe_windows
@@ -27,7 +28,7 @@ def town(tmp_path: Path) -> Map:
 def test_windows_are_those_of_a_described_store(town: Map, model_file: Path, tmp_path: Path) -> None:
     model = lpn.load(model_file)
     named = NamedWindow.all_of(town.pyramid([40.0, 60.0], 0.5), town.frame)
-    rounded, names = [one.on(town.frame) for one in named], [one.name for one in named]
+    rounded, names = NamedWindow.all_on(named, town.frame), [one.name for one in named]
     store = describe_windows(model, town, rounded, tmp_path / "store", names=names)
     out = tmp_path / "index"
     command = ["index", "--map", str(tmp_path / "town.tif"), "--model", str(model_file), "--size", "40", "60"]
@@ -56,7 +57,8 @@ def test_a_killed_run_goes_on_with_the_windows_that_are_missing(town: Map, tmp_p
         before, resumed = len(described), True
         assert index.count() == before >= 20
         progress: list[tuple[int, int]] = []
-        added = index_windows(index, town, describe, [40.0], 0.5, lambda *counts: progress.append(counts), block=8)
+        with listening(lambda _, *counts: progress.append(counts)):
+            added = index_windows(index, town, describe, [40.0], 0.5, block=8)
         windows = town.pyramid([40.0])
         assert len(described) == before + added == index.count() == len(windows) == town.count_pyramid([40.0])
         assert progress[0] == (0, len(windows))

@@ -6,6 +6,7 @@ import itertools
 import json
 import re
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 import lpn
 from lpn.cli import main
 from lpn.core.errors import LPNError
+from lpn.explain import SideEvidence
 from tools.fixtures import small_worlds
 
 
@@ -52,6 +54,23 @@ def test_numbers_are_those_of_the_command_line(
     np.testing.assert_allclose(
         evidence.weighted_cosines, [part["weighted_cosine"] for part in explained["parts"]], atol=1e-5
     )
+
+
+def test_shares_and_heat_are_arrays_that_add_up(gallery: lpn.Gallery) -> None:
+    answer = gallery.search(small_worlds.place(9), weights=[1, 1, 0, 2])
+    assert (answer.shares.shape, answer.shares.dtype) == ((14, 4), np.float32)
+    np.testing.assert_allclose(answer.shares.sum(axis=1), [match.distance2 for match in answer.top(14)], atol=1e-5)
+    evidence = answer.evidence(rank=2)
+    sides: tuple[tuple[Literal["query", "tile"], SideEvidence], ...] = (
+        ("query", evidence.query),
+        ("tile", evidence.tile),
+    )
+    for name, side in sides:
+        heat = answer.heat(2, name)
+        assert (heat.shape, heat.dtype) == (side.cells.shape, np.float32)
+        parts = heat.sum(axis=(1, 2)) + side.constants * evidence.weights
+        np.testing.assert_allclose(parts, evidence.weighted_cosines, atol=1e-5)
+        assert parts.sum() == pytest.approx(answer.top(2)[1].score, abs=1e-5)
 
 
 def test_a_second_gallery_of_the_folder_describes_nothing(

@@ -11,8 +11,9 @@ import cv2
 import numpy as np
 import pytest
 
-from lpn.cli.locate import locate_files
+from lpn.cli.locate import LocateCommand
 from lpn.core.arrays import Float32Array
+from lpn.core.consoles import Console
 from lpn.core.errors import InputError, StoreError
 from lpn.flights import Flight, Frame
 from lpn.flights.base import HeadingSource
@@ -23,7 +24,6 @@ from lpn.index.from_map import index_windows as fill_index
 from lpn.index.from_map import window_describer
 from lpn.locate import index_windows
 from lpn.locate.index_windows import WindowIndex
-from lpn.locate.options import LocateOptions
 from lpn.locate.retrieval import retrieve
 from lpn.maps import Map, NamedWindow, Window
 from tests.lpn.locate.scenery import GridModel, ground_to_photo, land, photo_of, small_flight, write_map
@@ -151,7 +151,7 @@ def test_windows_of_another_overlap_or_size_do_not_stand_for_those_that_lack(
     where = tmp_path / "sizes"
     windows = NamedWindow.all_of(town.pyramid([40.0], 0.5), town.frame)
     with create_index(where, KIND) as index:
-        rounded = [one.on(town.frame) for one in windows]
+        rounded = NamedWindow.all_on(windows, town.frame)
         index.add([one.name for one in windows], window_describer(GridModel(), town)(rounded))  # type: ignore[arg-type]
     _fill(where, town, [60.0], stop=8, block=8)
     assert _partial(where, town) == ["The index holds 89 of some 117"]
@@ -167,7 +167,7 @@ def test_windows_that_lie_close_together_do_not_make_an_estimate_grow_without_en
 ) -> None:
     named = NamedWindow.all_of([Window(0.1 * i, 0.0, 60.0) for i in range(5)], town.frame)
     with create_index(tmp_path / "index", KIND) as index:
-        close = [one.on(town.frame) for one in named]
+        close = NamedWindow.all_on(named, town.frame)
         index.add([one.name for one in named], window_describer(GridModel(), town)(close))  # type: ignore[arg-type]
     monkeypatch.setattr(index_windows, "_MOST_ESTIMATED", 1000)
     (told,) = _partial(tmp_path / "index", town)
@@ -220,7 +220,7 @@ def test_of_an_index_too_large_to_return_all_the_nearest_windows_are_compared(
 def test_an_index_needs_a_model_and_takes_no_sizes(tmp_path: Path) -> None:
     for model, sizes in ((None, None), (tmp_path / "lpn.onnx", (60.0,))):
         with pytest.raises(InputError, match="give --index with --model and without --size"):
-            locate_files(tmp_path, tmp_path, model, None, "auto", LocateOptions(sizes=sizes), None, True, "index")
+            LocateCommand(map=tmp_path, flight=tmp_path, model=model, size=sizes, index="index").located(Console())
 
 
 @pytest.mark.parametrize(("told", "most"), [(None, None), (90.0, None), (None, 60)])

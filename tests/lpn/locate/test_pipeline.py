@@ -19,6 +19,7 @@ from lpn.cli.main import main
 from lpn.core.consoles import wide_console
 from lpn.core.errors import DataError, InputError
 from lpn.core.homography import apply_homography, corner_pixels
+from lpn.datasets.geo import geodesic
 from lpn.flights import Flight, Frame, footprint
 from lpn.flights.base import HeadingSource
 from lpn.flights.cut import cut_square
@@ -38,7 +39,6 @@ from lpn.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
 from lpn.locate.tags import tags_on_map
 from lpn.locate.tracks import TrackPoint
 from lpn.maps import Map, Window, open_map
-from lpn.retrieval.field_metrics import geodesic
 from tests.lpn.locate.scenery import (
     CORNER,
     RESOLUTION,
@@ -939,16 +939,16 @@ def test_the_commands_write_a_track_and_measures(
     assert "by hand" not in capsys.readouterr().out
     assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
     assert "named track.shp" in capsys.readouterr().err
-    assert main(["evaluate", "flight", *where, "--map-error", "-1"]) == 2
+    assert main(["locate", *where, "--map-error", "-1"]) == 2
     assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
     survey = tmp_path / "survey.csv"
     eastings = town.frame.utm(PLACES[:2]).tolist()
     survey.write_text("photo,easting,northing\n" + "".join(f"{i},{e - 1},{n}\n" for i, (e, n) in enumerate(eastings)))
     compared = ["--positions", str(survey), "--no-corrections"]
-    assert main(["evaluate", "flight", *where, *compared]) == 2
+    assert main(["locate", *where, *compared]) == 2
     assert "without their CRS" in capsys.readouterr().err
     compared += ["--crs", "32632", "--residuals", str(tmp_path / "residuals.csv"), "--json", str(tmp_path / "all.json")]
-    assert main(["evaluate", "flight", *where, *compared]) == 0
+    assert main(["locate", *where, *compared]) == 0
     assert "Against surveyed positions" in capsys.readouterr().out
     errors = json.loads((tmp_path / "all.json").read_text())["surveyed"]["registration"]["camera"]
     assert errors["bias_east"] == pytest.approx(1.0, abs=0.6)
@@ -957,16 +957,13 @@ def test_the_commands_write_a_track_and_measures(
         pipeline, "locate", lambda *_: pytest.fail("the flight was located before its survey was checked")
     )
     survey.write_text(survey.read_text() + "x.png,5,5\n0.png,5,5\n")
-    assert main(["evaluate", "flight", *where, *compared]) == 2
+    assert main(["locate", *where, *compared]) == 2
     assert "has two surveyed positions of its camera" in capsys.readouterr().err
     same = ["--positions", str(survey), "--residuals", str(tmp_path / "flight" / ".." / "survey.csv")]
-    assert main(["evaluate", "flight", *where, *same]) == 2
+    assert main(["locate", *where, *same]) == 2
     assert "--positions and --residuals both name" in capsys.readouterr().err
-    assert main(["evaluate", "flight", *where, "--crs", "32632"]) == 2
+    assert main(["locate", *where, "--crs", "32632"]) == 2
     assert "--crs belongs to --positions" in capsys.readouterr().err
-    for alone in (["--no-register"], ["--map-error", "2"]):
-        assert main(["evaluate", *alone]) == 2
-        assert "lpn evaluate flight" in capsys.readouterr().err
 
 
 def test_the_best_guesses_of_a_track_are_counted() -> None:
@@ -991,7 +988,7 @@ def test_the_command_says_beside_the_track_how_many_points_are_guesses(
 ) -> None:
     located = locate(town, flight, None, SIFT)
     located.frames[0].stages = {"retrieval": StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)}
-    monkeypatch.setattr("lpn.cli.locate.locate_files", lambda *_: located)
+    monkeypatch.setattr("lpn.cli.locate.LocateCommand.located", lambda *_: (None, located))
     track = tmp_path / "track.geojson"
     assert main(["locate", "--map", "town", "--flight", "monday", "--best", "--out", str(track)]) == 0
     printed = " ".join(capsys.readouterr().out.split())
@@ -1025,17 +1022,17 @@ def test_a_kind_reaches_each_model(
     bare = ["--model", "bare.pth", "--kind", "dac"]
     for arguments in (
         ["locate", *where, *bare, "--out", str(tmp_path / "track.csv")],
-        ["evaluate", "flight", *where, *bare],
+        ["locate", *where, *bare],
         ["doctor", *bare],
-        ["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac", "auto"],
+        ["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac", "auto"],
     ):
         assert main(arguments) == 2
         assert "It is not opened" in capsys.readouterr().err
     assert kinds == ["dac"] * 4
     for arguments, message in (
-        (["compare", "bare.pth", "lpn.onnx", "--data", str(data), "--kind", "dac"], "Found 1 kind for 2 models"),
+        (["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac"], "Found 1 kind for 2 models"),
         (["doctor", "--kind", "dac"], "--kind needs --model"),
-        (["evaluate", "flight", *where, "--kind", "dac"], "--kind needs --model"),
+        (["locate", *where, "--kind", "dac"], "--kind needs --model"),
     ):
         assert main(arguments) == 2
         assert message in " ".join(capsys.readouterr().err.split())
@@ -1049,7 +1046,7 @@ def test_a_flight_is_evaluated_by_its_tags(
 
     write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
     where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
-    assert main(["evaluate", "flight", *where, "--json", str(tmp_path / "measures.json")]) == 0
+    assert main(["locate", *where, "--json", str(tmp_path / "measures.json")]) == 0
     assert "registration" in capsys.readouterr().out
     measured = json.loads((tmp_path / "measures.json").read_text())
     assert measured["notes"] == ["Radii of registrations hold 1.5 m for the error of the map itself."]

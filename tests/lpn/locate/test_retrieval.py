@@ -11,6 +11,7 @@ import pytest
 
 from lpn.core.arrays import UInt8Array
 from lpn.core.images import load_picture
+from lpn.core.progress import listening
 from lpn.flights import Flight, Frame
 from lpn.flights.cut import FrameReader, cut_size, cut_square
 from lpn.locate.retrieval import MapRetrieval, retrieve, whitening_of
@@ -142,12 +143,12 @@ def test_a_stopped_retrieval_goes_on_where_it_was(town: Map, tmp_path: Path) -> 
     flight = _flight(tmp_path / "photos", [(-40.0, 10.0), (30.0, -35.0)])
 
     def stop(stage: str, done: int, total: int) -> None:
-        if stage == "windows" and done > total / 2:
+        if stage == "Describing windows" and done > total / 2:
             raise KeyboardInterrupt
 
     first, second = GridModel(), GridModel()
-    with pytest.raises(KeyboardInterrupt):
-        retrieve(first, town, flight, overlap=0.88, on_progress=stop)  # type: ignore[arg-type]
+    with pytest.raises(KeyboardInterrupt), listening(stop):
+        retrieve(first, town, flight, overlap=0.88)  # type: ignore[arg-type]
     resumed = _retrieved(second, town, flight)
     windows = len(resumed.windows)
     assert windows / 2 < first.described < windows

@@ -14,6 +14,7 @@ import lpn
 from explorer.opening import OFFERED_OVERLAP
 from lpn.cli.locate import print_summary
 from lpn.core.demo import DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
+from lpn.core.progress import listening
 from lpn.flights import open_flight
 from lpn.locate.located import LocatedFlight, LocatedFrame
 from lpn.locate.options import LocateOptions
@@ -33,14 +34,8 @@ def test_nothing_of_the_demo_s_flights_is_computed_again(
     monkeypatch.setenv("LPN_CACHE", str(tmp_path))
     model, described = lpn.load(DEMO_MODEL), []
     shipped = place[0].with_name(DEMO_ANSWERS)
-    located = locate(
-        open_map(place[0]),
-        open_flight(place[1]),
-        model,
-        OPTIONS,
-        lambda stage, done, _: described.append((stage, done)),
-        shipped=shipped,
-    )
+    with listening(lambda stage, done, _: described.append((stage, done))):
+        located = locate(open_map(place[0]), open_flight(place[1]), model, OPTIONS, shipped=shipped)
     whole = registered(located, model, OPTIONS)
     assert described == []
     assert whole.stages == ["retrieval", "sequence", "registration"]
@@ -83,9 +78,9 @@ def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pyt
         described.append(stage)
         raise StopError
 
-    with pytest.raises(StopError):
-        locate(basemap, flight, model, OPTIONS, stop, shipped=folder)
-    assert described == ["windows"]
+    with pytest.raises(StopError), listening(stop):
+        locate(basemap, flight, model, OPTIONS, shipped=folder)
+    assert described == ["Describing windows"]
 
 
 def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_be_the_case_instead(

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from lpn.cli.evaluate import _print_surveyed
+from lpn.cli.locate import _print_surveyed
 from lpn.core.errors import DataError, InputError
 from lpn.flights import Flight, Frame
 from lpn.locate.belief import best_track
@@ -107,7 +107,7 @@ def test_positions_are_read_in_degrees_and_in_any_system_in_metres(tmp_path: Pat
         (("photo,lat,lon", ",5,6"), r"has no photo"),
         (("photo,easting,northing", "a,5,6"), r"without their CRS; add a column epsg"),
         (("photo,easting,northing,epsg", "a,5,6,no"), r"There is no CRS 'no'"),
-        (("photo,lat,lon", '"a,5,6'), r"not a text file of comma-separated values"),
+        (("photo,lat,lon", '"a,5,6'), r"Line 2 of survey.csv is not comma-separated values"),
         (("photo,Lat,lon,x,y", "a,5,6,7,8"), r"has Lat,lon and x,y, and only one of the two can be the survey"),
         (("photo,lat,lon,epsg", "a,5,6,32614"), r"The CRS 32614 is not geographic, and survey.csv has latitudes"),
         (("photo,e,n,epsg", "a,5,6,4326"), r"The CRS 4326 is not projected, and survey.csv has eastings"),

@@ -24,7 +24,7 @@ def test_the_name_of_a_window_leads_back_to_it(window: Window, ending: str) -> N
     named = NamedWindow.all_of([window], frame)[0]
     assert named.name.endswith(ending)
     assert NamedWindow.parse(named.name) == named
-    again = named.on(frame)
+    (again,) = NamedWindow.all_on([named], frame)
     assert np.hypot(again.x - window.x, again.y - window.y) < 0.01
     assert again.size == pytest.approx(window.size, abs=0.005)
     assert (again.heading - window.heading + 180) % 360 - 180 == pytest.approx(0, abs=0.005)
@@ -49,7 +49,7 @@ def test_other_names_are_no_windows(name: str) -> None:
 def test_a_window_is_cut_again_from_its_name(tmp_path: Path) -> None:
     town = open_map(write_geotiff(tmp_path / "town.tif", smooth(200, 300)))
     window = Window(10.0, -20.0, 40.0, 30.0)
-    named = NamedWindow.all_of([window], town.frame)[0].on(town.frame)
+    (named,) = NamedWindow.all_on(NamedWindow.all_of([window], town.frame), town.frame)
     cut = WindowCut(town, named, 64)()
     np.testing.assert_allclose(cut, town.read(window, 64)[0], atol=2)
     assert covers_part_of(town, named)

@@ -370,7 +370,7 @@ def test_broken_lists_are_refused(tmp_path: Path) -> None:
     ):
         listed.write_text(text)
         refused(listed, words)
-    listed.write_bytes(b"\xff\xfe\x00\x01")
+    listed.write_bytes("Zürich".encode("cp1252"))
     refused(listed, "UTF-8")
 
 

@@ -260,10 +260,10 @@ def test_the_commands_pass_the_option_on(
     pictures = data / "test" / "gallery_satellite"
     describe = ["describe", "--model", str(model_file), "--images", str(pictures), "--view", "satellite"]
     describe += ["--out", str(tmp_path / "store"), "--provider"]
-    evaluate = ["evaluate", "--model", str(model_file), "--data", str(data), "--provider"]
+    evaluate = ["evaluate", "--model", str(model_file), str(data), "--provider"]
     quantized = ["export", "--model", str(model_file), "--out", str(tmp_path / "int8.onnx")]
     quantized += ["--compute", "int8", "--data", str(data)]
-    explore = ["explore", "--model", str(model_file), "--data", str(data), "--port", "0", "--provider"]
+    explore = ["explore", "--model", str(model_file), str(data), "--port", "0", "--provider"]
     for command in (describe, evaluate, [*quantized, "--provider"], explore):
         assert main.main([*command, "cuda"]) == 2
         assert f"has no {CUDA}" in capsys.readouterr().err

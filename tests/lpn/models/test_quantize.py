@@ -21,7 +21,8 @@ from lpn.models.network import LPN
 from lpn.models.quantize import calibration_pictures, quantize
 from lpn.models.spec import ModelSpec
 from lpn.models.trace import Trace
-from lpn.retrieval import describe_picture, evaluate, scoring
+from lpn.retrieval import describe_picture, scoring
+from lpn.tasks.opening import lazy_task
 from tests.conftest import RealRun
 from tools.fixtures import seeded, small_worlds
 
@@ -282,7 +283,7 @@ def test_on_real_pictures_8_bits_cost_few_answers(real_run: RealRun, tmp_path: P
     dataset = open_dataset(real_run.data)
     quantize(real_run.exported, dataset, tmp_path / "small.onnx", 64)
     before, after = (
-        [evaluate.evaluate(lpn.load(file), dataset, task) for task in ("drone-to-satellite", "satellite-to-drone")]
+        [lazy_task(lpn.load(file), dataset, task).evaluate() for task in ("drone-to-satellite", "satellite-to-drone")]
         for file in (real_run.exported, tmp_path / "small.onnx")
     )
     queries = sum(one.queries for one in before)

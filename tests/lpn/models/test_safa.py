@@ -26,8 +26,8 @@ from lpn.models.network import LPN, SpatialAware, map_size
 from lpn.models.partition import Partition
 from lpn.models.spec import ModelSpec
 from lpn.retrieval import describe_picture
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.tasks.changes import with_parts
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import released_safa, seeded, small_worlds
 
 SPEC = ModelSpec(
@@ -307,6 +307,6 @@ def test_describe_and_evaluate_run_it(model_file: Path, data: Path, tmp_path: Pa
     )
     one = describe_picture(model, picture, "satellite")
     np.testing.assert_allclose(one.descriptor, store.descriptors[0], atol=1e-6)
-    result = evaluate(model, dataset, "drone-to-satellite", Protocol(parts=(1, 4)))
+    result = with_parts(lazy_task(model, dataset, "drone-to-satellite"), (1, 4)).evaluate()
     assert result.queries == result.gallery == 14
     assert 0 < result.ap <= 100

@@ -26,6 +26,7 @@ from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.core.texts import ordinal
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
+from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.report import Options, OwnPicture, Said, SaidPicture, _rendering
 from lpn.retrieval import Ranking
 from lpn.tasks.notes import NAME as NOTES
@@ -225,15 +226,20 @@ def test_errors_in_metres_are_shown_where_positions_are_known(data: Path, model_
 
 def test_an_own_picture_has_no_verdict_and_a_chosen_tile_is_compared(task: Task) -> None:
     picture = images.load_picture(task.queries[2].path)
-    text = Page(report.build(task, [OwnPicture("mine.jpg", picture)], Options(compared_tile=5))).text
+    text = Page(report.build(task, [OwnPicture("mine.jpg", picture)])).text
     assert "Its true place is not known here" in text
+    assert "against wrong tile" not in text
+    analyser = QueryAnalyser(task.model, lambda of, index: describe_tile(of, index, of.model))
+    own = analyser.analyse(task, QueryRequest(OwnPicture("mine.jpg", picture), compare=5), 5)
+    text = Page(report.build(task, [own])).text
     assert "Tile looked at" in text or "Top match" in text
     assert task.gallery[5].name in text
-    assert "against wrong tile" not in text
-    again = Page(report.build(task, [2], Options(compared_tile=5))).text
+    answer = analyser.analyse(task, QueryRequest(2, compare=5), 5)
+    again = Page(report.build(task, [answer], Options(title="A story", captions=[["What it <shows>", "Turned"]]))).text
     assert f"against wrong tile {task.gallery[5].name}" in again
-    with pytest.raises(InputError, match="no gallery picture 99"):
-        report.build(task, [2], Options(compared_tile=99))
+    assert "A story" in again
+    assert "What it <shows>" in again
+    assert "R@1" not in again, "a story has no figures of all queries"
 
 
 def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
@@ -279,7 +285,7 @@ def test_an_invalid_selection_of_queries_is_an_error(task: Task, queries: list[i
 
 
 def run(data: Path, model_file: Path, *more: object) -> int:
-    return main.main(["report", "--data", str(data), "--model", str(model_file), *map(str, more)])
+    return main.main(["report", str(data), "--model", str(model_file), *map(str, more)])
 
 
 def test_the_worst_failures_come_first(

@@ -15,6 +15,7 @@ from rich.console import Console
 from safetensors.torch import save_file
 
 import lpn
+from lpn.analysis.statistics import half_interval
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.errors import DataError, DivergedError, InputError, LPNError, ModelFileError
@@ -30,10 +31,9 @@ from lpn.reproduce.measure import read_measurements
 from lpn.reproduce.paper_figures import named, retrievals
 from lpn.reproduce.pretrained import features_alone
 from lpn.reproduce.record import TableRecord, here, row_record
-from lpn.reproduce.seed_intervals import half_interval, half_interval_of_difference
 from lpn.reproduce.sources import TASKS, Source
 from lpn.reproduce.tables import SCALES, SHOWN, Scale, find, tables
-from lpn.retrieval.evaluate import evaluate
+from lpn.tasks.opening import lazy_task
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, RELEASED_METRIC, Recipe
 from lpn.training.trainer import Trainer
 from tools.fixtures import layouts, small_worlds
@@ -205,7 +205,7 @@ def test_a_table_is_trained_measured_and_written_and_not_trained_again(places: P
         mean = (float(row["seed 0"]) + float(row["seed 1"])) / 2
         assert float(row["mean"]) == pytest.approx(mean, abs=1e-4)
     network = lpn.load(tmp_path / "runs" / "lpn-seed1" / "last.safetensors")
-    results = [evaluate(network, open_dataset(places), task) for task in TASKS["both ways"]]
+    results = [lazy_task(network, open_dataset(places), task).evaluate() for task in TASKS["both ways"]]
     expected = [value for result in results for value in (result.recall["1"], result.ap)]
     by_column = {row["column"]: float(row["seed 1"]) for row in rows if row["row"] == "LPN, 0°"}
     assert list(by_column.values()) == pytest.approx(expected, abs=1e-4)
@@ -607,7 +607,7 @@ def test_landmarks_stand_beside_the_paper_s_column_of_their_own(places: Path, tm
     assert (cells[1], cells[3], cells[5]) == (" ImageNet alone ", " 8.43 ", " 27.93 ")
     alone = features_alone(replace(SCALES["reduced"].places, **QUICK), start)
     for cell, folder in ((cells[2], oxford), (cells[4], paris)):
-        result = evaluate(alone, open_dataset(folder), "street-to-street")
+        result = lazy_task(alone, open_dataset(folder), "street-to-street").evaluate()
         assert cell == f" {result.ap:.2f} "
     save_file({"conv1.weight": torch.zeros(64, 3, 7, 7)}, str(tmp_path / "half.safetensors"))
     with pytest.raises(ModelFileError, match="lacks"):
@@ -778,9 +778,9 @@ def test_claims_are_judged_by_the_figures_and_the_interval_of_the_seeds() -> Non
 def test_the_interval_of_seeds_is_students() -> None:
     # The quantiles at 97.5 % are 4.3027 for two degrees of freedom and 2.7764 for four.
     assert half_interval([49, 50, 51]) == pytest.approx(4.3027 / 3**0.5, abs=1e-3)
-    assert half_interval_of_difference([49, 50, 51], [59, 60, 61]) == pytest.approx(2.7764 * (2 / 3) ** 0.5, abs=1e-3)
-    assert half_interval([50]) == half_interval_of_difference([50], [49, 51]) == 0
-    assert half_interval_of_difference([50, 50], [51, 51]) == 0
+    assert half_interval([49, 50, 51], [59, 60, 61]) == pytest.approx(2.7764 * (2 / 3) ** 0.5, abs=1e-3)
+    assert half_interval([50]) == half_interval([50], [49, 51]) == 0
+    assert half_interval([50, 50], [51, 51]) == 0
 
 
 def test_a_drop_is_significant_beyond_the_papers_own() -> None:

@@ -29,11 +29,12 @@ from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, descri
 from lpn.models.base import Model, normalise
 from lpn.report import Options
 from lpn.report.cases import Cases
-from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, ground_ratio
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol, centred
+from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, centred, ground_ratio
 from lpn.sources import ModelOptions
-from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, task_calibration
+from lpn.tasks.changes import calibrated as calibrated_task
+from lpn.tasks.changes import centred as centred_task
+from lpn.tasks.changes import changed, turned
+from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, lazy_task, task_calibration
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -166,29 +167,30 @@ def test_descriptors_are_those_of_the_zoomed_pictures_without_the_mean(
 def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
     calibration = task_calibration(model, dataset, True)
-    plain, moved = evaluate(model, dataset, TASK), evaluate(model, dataset, TASK, calibration=calibration)
+    task = lazy_task(model, dataset, TASK)
+    better = calibrated_task(task, calibration)
+    plain, moved = task.evaluate(), better.evaluate()
     assert moved.recall["1"] > plain.recall["1"]
     assert "calibrated without labels on 48 drone and 48 satellite pictures" in moved.sentence
     assert moved.to_dict()["calibration"]["ratio"] == pytest.approx(STEP**2)
     assert plain.to_dict()["calibration"] is None
-    turned = evaluate(model, dataset, TASK, Protocol(Change(rotate=90)), calibration=calibration)
-    assert turned.recall["1"] < moved.recall["1"]
+    assert turned(better, 90).evaluate().recall["1"] < moved.recall["1"]
     with pytest.raises(
         InputError, match=r"The scale is 12, and the calibration zooms drone pictures by up to .*expected"
     ):
-        evaluate(model, dataset, TASK, Protocol(Change(scale=12)), calibration=calibration)
+        changed(better, Change(scale=12)).evaluate()
 
 
 @pytest.mark.slow
 def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, tmp_path: Path) -> None:
     table = tmp_path / "table.json"
-    main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--json", str(table)])
+    main(["compare", str(wide), "--model", str(model_file), "--calibrate", "--json", str(table)])
     plain, moved = json.loads(table.read_bytes())["models"]
     assert [plain["name"], moved["name"]] == ["model.onnx", "model.onnx, calibrated"]
     assert moved["R@1"]["value"] > plain["R@1"]["value"]
-    assert main(["compare", "saved.mat", str(model_file), "--data", str(wide), "--calibrate"]) == 2
+    assert main(["compare", str(wide), "saved.mat", "--model", str(model_file), "--calibrate"]) == 2
     outputs = ["--json", str(table), "--table", str(tmp_path / "table.tex")]
-    assert main(["compare", str(model_file), "--data", str(wide), "--calibrate", "--csls", "3", *outputs]) == 0
+    assert main(["compare", str(wide), "--model", str(model_file), "--calibrate", "--csls", "3", *outputs]) == 0
     assert "\nmodel.onnx, calibrated, CSLS & " in (tmp_path / "table.tex").read_text("utf-8")
     rows = json.loads(table.read_bytes())["models"]
     assert [row["name"] for row in rows] == [plain["name"], moved["name"], "model.onnx, calibrated, CSLS"]
@@ -196,7 +198,7 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
     alone = lpn.evaluate(model_file, wide, TASK, calibrate=True, csls=3)
     assert rows[2]["R@1"]["value"] == pytest.approx(alone.recall["1"])
     assert "less half of each tile's mean inner product with its 3 nearest queries (CSLS)" in alone.sentence
-    assert main(["compare", str(model_file), "--data", str(wide), "--csls", "-1"]) == 2
+    assert main(["compare", str(wide), "--model", str(model_file), "--csls", "-1"]) == 2
 
 
 @pytest.mark.slow
@@ -204,7 +206,7 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
     dataset = open_dataset(wide)
     calibration = calibrated(model, dataset)
     task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibration)
-    expected = evaluate(model, dataset, TASK, calibration=calibration)
+    expected = calibrated_task(lazy_task(model, dataset, TASK), calibration).evaluate()
     assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
     moved = task.model
     assert moved is not None
@@ -278,10 +280,18 @@ def test_panoramas_keep_their_zoom(model: Model, wide: Path) -> None:
 
 def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    for protocol in (Protocol(branch="satellite"), Protocol(centre=True)):
+    calibration = task_calibration(model, dataset, True)
+    for task in (
+        lazy_task(model, dataset, TASK, branch="satellite"),
+        lazy_task(model, dataset, TASK, released=True),
+        centred_task(lazy_task(model, dataset, TASK)),
+        turned(lazy_task(model, dataset, TASK), 90),
+    ):
         with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-            lpn.evaluate(model, dataset, TASK, protocol, calibrate=True)
-        assert lpn.evaluate(model, dataset, TASK, protocol).calibration is None
+            calibrated_task(task, calibration)
+        assert task.evaluate().calibration is None
+    with pytest.raises(InputError, match="leave --centre or the calibration out"):
+        centred_task(calibrated_task(lazy_task(model, dataset, TASK), calibration))
 
 
 def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file: Path, tmp_path: Path) -> None:
@@ -306,9 +316,9 @@ def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file
             assert first.contributions.sum() == pytest.approx(first.distance2, abs=1e-5)
             assert answer.evidence().score == pytest.approx(first.score, abs=1e-4)
         tile, given = folders[0] / first.name, ["--weights", "1,2,0,1", "--json", str(tmp_path / "why.json")]
-        given += [f"--{'' if asked else 'no-'}calibrate", "--csls", str(csls), "--data", str(wide)]
+        given += [f"--{'' if asked else 'no-'}calibrate", "--csls", str(csls)]
         pair = ["--query", str(task.queries[5].path), "--match", str(tile)]
-        assert main(["explain", "--model", str(model_file), *pair, *given]) == 0
+        assert main(["explain", str(wide), "--model", str(model_file), *pair, *given]) == 0
         explained = json.loads((tmp_path / "why.json").read_text())
         assert explained["score"] == pytest.approx(first.score, abs=1e-5)
         assert ("csls" in explained) == bool(csls)
@@ -333,7 +343,7 @@ def test_a_wrong_argument_is_told_in_one_sentence(
     for function in (lpn.evaluate, lpn.open_task):
         with pytest.raises(InputError, match=message):
             function(**given)  # type: ignore[operator]
-    with pytest.raises(InputError, match="The protocol is of the type str"):
+    with pytest.raises(InputError, match="The change is of the type str"):
         lpn.evaluate(model, wide, TASK, "published")  # type: ignore[arg-type]
 
 

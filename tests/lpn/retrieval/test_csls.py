@@ -6,7 +6,6 @@ import pytest
 from lpn.core.errors import InputError
 from lpn.models.base import normalise
 from lpn.retrieval import csls, metrics, scoring
-from lpn.retrieval.protocol import Protocol
 
 
 @pytest.fixture
@@ -60,7 +59,7 @@ def test_a_hub_no_longer_takes_all_queries() -> None:
     tiles, labels = np.concatenate([aside, hub]), np.array([0, 1, 2, 3, 9])
     recalls = {}
     for neighbours in (0, 2):
-        query, moved = Protocol(csls=neighbours).compared(places, tiles)
+        query, moved = csls.scaled(places, tiles, neighbours) if neighbours else (places, tiles)
         recalls[neighbours] = metrics.retrieve(query, labels[:4], moved, labels).recall(1)
     assert recalls == {0: 0, 2: 100}
 

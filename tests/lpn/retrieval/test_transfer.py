@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -15,10 +14,10 @@ import lpn
 from lpn.core import images
 from lpn.core.errors import InputError
 from lpn.datasets import open_dataset
-from lpn.descriptors.transforms import Change
 from lpn.models.checkpoints import load_torch, save
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
+from lpn.tasks.changes import averaged, calibrated, turned
+from lpn.tasks.measure import measure
+from lpn.tasks.opening import lazy_task
 from tools.fixtures import layouts, released_transfer, small_worlds
 
 
@@ -41,24 +40,27 @@ def test_a_query_is_shrunk_by_the_factor_of_its_whole_picture() -> None:
 def test_the_released_protocol_is_measured_and_stated(tmp_path: Path) -> None:
     dataset, file = open_dataset(layouts.oxford(tmp_path / "oxford")), tmp_path / "lpn.safetensors"
     save(small_worlds.make_network(), file)
-    model, released = load_torch(file), Protocol(branch="satellite", released=True)
-    figures = evaluate(model, dataset, "street-to-street", released).to_dict()
+    model = load_torch(file)
+    released = lazy_task(model, dataset, "street-to-street", branch="satellite", released=True)
+    figures = measure(released).to_dict()
     assert "the mean over the last feature map, neither mirrored nor normalised, as released" in figures["protocol"]
     assert figures["protocol"].startswith("Protocol: pictures of at most 1024 pixels")
     assert figures["junk"] == "lists"
-    result = evaluate(model, dataset, "street-to-street", Protocol(branch="satellite"))
+    result = measure(lazy_task(model, dataset, "street-to-street", branch="satellite"))
     assert "as released" not in result.sentence
-    with pytest.raises(InputError, match="leave changes of queries, parts, averaging"):
-        evaluate(model, dataset, "street-to-street", replace(released, parts=(1,)))
+    with pytest.raises(InputError, match="so queries cannot be turned"):
+        turned(released, 90)
+    with pytest.raises(InputError, match="only queries with labels can be averaged"):
+        averaged(released)
     with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-        evaluate(model, dataset, "street-to-street", released, calibration=Mock())
+        calibrated(released, Mock())
 
 
 def test_a_model_of_one_size_is_refused(tmp_path: Path) -> None:
     root = layouts.oxford(tmp_path / "oxford")
     model = small_worlds.make_model(tmp_path)
     with pytest.raises(InputError, match=r"give one, or leave --protocol out"):
-        evaluate(lpn.load(model), open_dataset(root), "street-to-street", Protocol(branch="satellite", released=True))
+        measure(lazy_task(lpn.load(model), open_dataset(root), "street-to-street", branch="satellite", released=True))
 
 
 def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_pixel(tmp_path: Path) -> None:
@@ -81,9 +83,9 @@ def test_pictures_are_read_without_their_orientation_and_turned_to_the_nearest_p
 
 def test_turned_queries_have_descriptors_of_their_own_in_the_released_protocol(tmp_path: Path) -> None:
     dataset = open_dataset(small_worlds.make_dataset(tmp_path / "places", train=0, test=4))
-    model, turned = lpn.load(small_worlds.make_model(tmp_path)), Change(45)
+    model = lpn.load(small_worlds.make_model(tmp_path))
     said = [
-        evaluate(model, dataset, "satellite-to-drone", Protocol(turned, released=released)).sentence
+        measure(turned(lazy_task(model, dataset, "satellite-to-drone", released=released), 45)).sentence
         for released in (False, True)
     ]
     assert "queries turned 45°, bicubic" in said[0]

@@ -78,4 +78,4 @@ def test_several_pictures_of_a_place_are_no_neighbours(tmp_path: Path) -> None:
     files[2].write_bytes(files[2].read_bytes()[:30])  # damaged: the ground shows there
     middle = mosaic.draw(laid, [Picture(file, 0, file.name) for file in files])[picture.shape[0] // 2, :, 0]
     assert [int(middle[round(part * len(middle))]) for part in (1 / 6, 5 / 6)] == [100, 180]
-    assert int(middle[len(middle) // 2]) == int(mosaic.empty(laid)[0, 0, 0])
+    assert int(middle[len(middle) // 2]) == mosaic._EARTH[0]

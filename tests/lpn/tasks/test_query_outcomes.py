@@ -3,6 +3,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,12 +25,12 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.query_outcomes import (
     OUTCOME_COLUMNS,
     Outcomes,
-    build,
     compared_ranks,
     picture_columns,
     table,
 )
 from tools.fixtures import small_worlds
+from tools.fixtures.tasks import descriptor_task
 
 
 def descriptors(count: int, n: int = 4, size: int = 6, seed: int = 0) -> Float32Array:
@@ -80,6 +81,18 @@ def compare(outcomes: Outcomes, expected: list[tuple[int, int, int, int, float, 
     found = outcomes.rank == 0
     assert (outcomes.margin[found & ~np.isnan(outcomes.margin)] >= 0).all()
     assert (outcomes.margin[outcomes.rank > 0] <= 0).all()
+
+
+def build(
+    queries: Float32Array,
+    gallery: Float32Array,
+    query_labels: object,
+    labels: object,
+    truth: list[Truth] | None = None,
+    weights: list[float] | None = None,
+) -> Outcomes:
+    task = descriptor_task(queries, gallery, query_labels, labels, truth)  # type: ignore[arg-type]
+    return replace(task, weights=weights).outcomes
 
 
 @pytest.mark.parametrize("block", [64_000_000, 700])
@@ -141,18 +154,19 @@ def test_equal_scores_are_in_the_gallerys_order() -> None:
 def test_progress_is_told_and_can_end_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(inner_products, "_BLOCK_BYTES", 4 * 5 * 4)
     told: list[tuple[int, int]] = []
-    build(descriptors(10), descriptors(5), range(10), range(5), progress=lambda done, of: told.append((done, of)))  # type: ignore[arg-type]
+    sides = descriptors(10), np.arange(10), descriptors(5), np.arange(5)
+    metrics.retrieve(*sides, progress=lambda done, of: told.append((done, of)))
     assert told == [(4, 10), (8, 10), (10, 10)]
 
     def stop(done: int, of: int) -> None:
         raise InterruptedError(f"{done} of {of}")
 
     with pytest.raises(InterruptedError, match="4 of 10"):
-        build(descriptors(10), descriptors(5), range(10), range(5), progress=stop)  # type: ignore[arg-type]
+        metrics.retrieve(*sides, progress=stop)
 
 
 def test_descriptors_that_do_not_fit_are_refused() -> None:
-    with pytest.raises(InputError, match="same parts"):
+    with pytest.raises(InputError, match="same model and parts"):
         build(descriptors(2), descriptors(2, n=2), [1, 2], [1, 2])
     with pytest.raises(InputError, match="one integer for each"):
         build(descriptors(2), descriptors(2), [1], [1, 2])
@@ -396,7 +410,7 @@ def test_the_command_lists_failures_and_writes_them(
     queries, _, outcomes = described(known, model_file)
     first = queries[3].path.relative_to(known).as_posix()
     notes.set_note(own, first, "odd", "-1 for the roof")
-    common = ["failures", "--data", str(known), "--model", str(model_file), "--notes", str(own)]
+    common = ["failures", str(known), "--model", str(model_file), "--notes", str(own)]
     out = tmp_path / "out" / "failures.csv"
     chosen = ["--where", "district = 'no'", "--csv", str(out)]
     assert main.main([*common, *chosen]) == 0
@@ -430,7 +444,7 @@ def test_the_command_lists_the_ranks_of_two_models(
     known: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "both.csv"
-    command = ["failures", "--data", str(known), "--model", str(one_part_model_file), "--beside", str(model_file)]
+    command = ["failures", str(known), "--model", str(one_part_model_file), "--beside", str(model_file)]
     assert main.main([*command, "--where", "rank A > 1 and rank B = 1", "--sort", "rank A", "--csv", str(out)]) == 0
     printed = capsys.readouterr().out
     assert "rank A" in printed
@@ -449,5 +463,5 @@ def test_ranks_of_other_queries_are_refused() -> None:
     made = table(Path("/data"), pictures[:3], pictures, outcomes)
     with pytest.raises(InputError, match="3 queries and 2 ranks"):
         compared_ranks(made, np.zeros(2, np.int64))
-    beyond = compared_ranks(made, np.array([0, 5, -1]), depth=5)[1]
-    assert [beyond.text(row) for row in range(3)] == ["1", "> 5", ""]
+    other = compared_ranks(made, np.array([0, 5, -1]))[1]
+    assert [other.text(row) for row in range(3)] == ["1", "6", ""]

@@ -10,11 +10,11 @@ import pytest
 
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
-from lpn.sources import Data, ModelOptions
+from lpn.sources import SourceOptions, open_source
 
 
 def test_a_query_whose_truth_is_taken_away_is_not_graded(data: Path, model_file: Path) -> None:
-    by_labels = Data(data=data, model=ModelOptions(model=model_file)).open().task
+    by_labels = open_source(SourceOptions(source=str(data), model=model_file)).task
     with pytest.raises(InputError, match="told by labels"):
         by_labels.without_truth([0])
     none = np.zeros(0, np.int64)

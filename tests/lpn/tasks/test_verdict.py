@@ -14,8 +14,8 @@ from lpn.core.texts import ordinal
 from lpn.datasets import Truth
 from lpn.retrieval import Ranking, scoring
 from lpn.retrieval.csls import CslsTerms
-from lpn.tasks.gallery_task import GalleryTask
 from lpn.tasks.opening import describe_task, offered_tasks, scored_tasks, shipped_calibration
+from lpn.tasks.task import Task
 from lpn.tasks.verdict import Verdict, judge
 
 NAMES = ["1 centre", "2", "3", "4 outer"]
@@ -133,7 +133,7 @@ def test_under_csls_the_gains_are_of_the_distances_that_are_ranked() -> None:
 
 
 @pytest.fixture(scope="module")
-def tasks() -> list[GalleryTask]:
+def tasks() -> list[Task]:
     """Both directions of the demo, plain, calibrated, and by CSLS."""
     model, dataset = load(DEMO_MODEL, "cpu"), open_dataset(DEMO)
     calibration = shipped_calibration(model, dataset)
@@ -143,7 +143,7 @@ def tasks() -> list[GalleryTask]:
     return [*plain, *scored_tasks(model, DEMO_MODEL.name, dataset, calibration, names)]
 
 
-def test_no_headline_of_the_demo_is_false(tasks: list[GalleryTask]) -> None:
+def test_no_headline_of_the_demo_is_false(tasks: list[Task]) -> None:
     kinds: Counter[str] = Counter()
     assert {(task.name, task.scoring) for task in tasks} == {
         (name, scoring)

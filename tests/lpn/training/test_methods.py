@@ -18,7 +18,7 @@ from lpn.datasets import open_dataset
 from lpn.models import backbones
 from lpn.models.checkpoints import load_torch, save
 from lpn.models.export import export
-from lpn.retrieval.evaluate import evaluate
+from lpn.tasks.opening import lazy_task
 from lpn.training.recipes import METHODS, METRIC_LOSSES, RECIPES, method
 from lpn.training.trainer import Trainer
 from tools.fixtures import small_worlds
@@ -116,7 +116,9 @@ def improves(data: Path, folder: Path, name: str, changes: dict[str, Any], task:
         run = Trainer(dataset, out, recipe, console=Console(file=io.StringIO()), from_scratch=True)
         save(run.network, folder / "before.safetensors")
         model = run.run()
-        before, after = (evaluate(lpn.load(m), dataset, task).ap for m in (folder / "before.safetensors", model))
+        before, after = (
+            lazy_task(lpn.load(m), dataset, task).evaluate().ap for m in (folder / "before.safetensors", model)
+        )
         if after > before + 5:
             return model
         told.append(f"AP {before:.1f} untrained, {after:.1f} trained")
@@ -142,7 +144,7 @@ def test_training_on_panoramas_improves_retrieval(panoramas: Path, tmp_path: Pat
     if name == "lpn-strips":  # the exports of all other layouts are tested beside their models
         export(model, tmp_path / "model.onnx")
         dataset = open_dataset(panoramas)
-        own, exported = (evaluate(lpn.load(m), dataset, TASK) for m in (model, tmp_path / "model.onnx"))
+        own, exported = (lazy_task(lpn.load(m), dataset, TASK).evaluate() for m in (model, tmp_path / "model.onnx"))
         np.testing.assert_allclose(own.ap, exported.ap, atol=1.0)
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from lpn.cli import main
-from lpn.cli.train import parse_train
+from lpn.cli.train import TrainCommand
 from lpn.core.errors import InputError
 from lpn.training import recipe_sources, recipes
 from lpn.training.recipe_sources import PAIRS, difference, source
@@ -73,8 +73,11 @@ def test_the_released_code_s_other_methods_have_sources_too() -> None:
     )
     assert source("released", "lr", "instance") == "wtyhub/LPN run.sh:36, the baseline"
     given = ["--data", "places", "--out", "run", "--recipe", "released", "--method", "instance"]
-    assert (parse_train(given, "lpn train").settings.lr, parse_train(given, "lpn train").settings.n_parts) == (0.01, 1)
-    assert parse_train([*given, "--lr", "0.02"], "lpn train").settings.lr == 0.02
+    assert (
+        TrainCommand.parse(given, "lpn train").settings.lr,
+        TrainCommand.parse(given, "lpn train").settings.n_parts,
+    ) == (0.01, 1)
+    assert TrainCommand.parse([*given, "--lr", "0.02"], "lpn train").settings.lr == 0.02
 
 
 @pytest.mark.parametrize("recipe", ["released", "cvusa-released"])
@@ -129,7 +132,7 @@ def test_the_released_runs_of_cvusa_and_cvact_are_those_of_the_scripts() -> None
 
 def test_the_metric_losses_are_the_released_ones_in_every_recipe() -> None:
     given = ["--data", "places", "--out", "run", "--recipe", "metric-released"]
-    settings = parse_train(given, "lpn train").settings
+    settings = TrainCommand.parse(given, "lpn train").settings
     assert settings == RECIPES["metric-released"]
     assert (settings.epochs, settings.decay_epoch, settings.second_decay_epoch) == (70, 40, 60)
     assert (settings.batch, settings.positives, settings.pool, settings.padding) == (32, 4, 96, 0)
@@ -140,11 +143,11 @@ def test_the_metric_losses_are_the_released_ones_in_every_recipe() -> None:
         ("soft-margin", ("soft_margin", 0.3)),
     ):
         for recipe in ("metric-released", "paper", "small"):
-            made = parse_train([*given[:-1], recipe, "--method", method], "lpn train").settings
+            made = TrainCommand.parse([*given[:-1], recipe, "--method", method], "lpn train").settings
             assert (made.metric, made.margin, made.alpha) == (*loss, 1.0)
             assert (made.positives, made.pool, made.street, made.google) == (4, 96, False, False)
     with pytest.raises(InputError, match="choose one of them with --method in place of lpn"):
-        parse_train([*given, "--method", "lpn"], "lpn train")
+        TrainCommand.parse([*given, "--method", "lpn"], "lpn train")
     with pytest.raises(
         InputError, match="metric = triplet with street = True; expected street = False, as the loss compares"
     ):

@@ -20,7 +20,7 @@ from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, Pic
 from lpn.datasets import open_dataset
 from lpn.models.backbones import build_backbone
 from lpn.models.checkpoints import load_torch, recipe_of, save
-from lpn.retrieval.evaluate import evaluate
+from lpn.tasks.opening import lazy_task
 from lpn.training import optimizer
 from lpn.training.model_selection import HeldOut, TestSplit
 from lpn.training.recipes import RECIPES, RELEASED_METRIC, Recipe
@@ -471,6 +471,7 @@ def test_some_epochs_on_real_pictures_beat_the_untrained_network(real_run: RealR
     assert "fills 90 of the backbone's 90 tensors" in real_run.output
     dataset = open_dataset(real_run.data)
     before, after = (
-        evaluate(lpn.load(model), dataset, "drone-to-satellite") for model in (real_run.before, real_run.after)
+        lazy_task(lpn.load(model), dataset, "drone-to-satellite").evaluate()
+        for model in (real_run.before, real_run.after)
     )
     assert after.ap > before.ap + 5

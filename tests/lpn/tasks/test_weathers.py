@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +16,16 @@ from lpn.datasets import labels_of, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import WEATHERS, Weather
 from lpn.retrieval import describe_picture, metrics
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol
-from lpn.retrieval.weathers import evaluate_weathers
+from lpn.tasks.changes import changed, in_weather
+from lpn.tasks.measure import measure
+from lpn.tasks.opening import lazy_task
+from lpn.tasks.weathers import measure_weathers
 
 
 def test_weather_falls_on_the_drone_pictures_of_the_gallery(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
     change = Change(weather=Weather("dark"))
-    result = evaluate(model, dataset, "satellite-to-drone", Protocol(change))
+    result = measure(changed(lazy_task(model, dataset, "satellite-to-drone"), change))
     tiles, photos = dataset.queries("satellite"), dataset.gallery("drone")
     expected = metrics.evaluate(
         np.stack([describe_picture(model, one.load(), "satellite").descriptor for one in tiles]),
@@ -40,7 +42,7 @@ def test_all_weathers_print_the_leaderboards_table(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "weathers.json"
-    command = ["evaluate", "--data", str(data), "--model", str(model_file), "--weather"]
+    command = ["evaluate", str(data), "--model", str(model_file), "--weather"]
     assert main.main([*command, "all", "--json", str(out)]) == 0
     printed = capsys.readouterr().out
     written = json.loads(out.read_text())
@@ -58,8 +60,10 @@ def test_all_weathers_print_the_leaderboards_table(
 
 
 def test_tiles_have_no_weather(data: Path, model_file: Path) -> None:
+    task = replace(
+        lazy_task(lpn.load(model_file), open_dataset(data), "satellite-to-drone"), name="satellite-to-satellite"
+    )
     with pytest.raises(InputError, match="satellite tiles on both sides"):
-        evaluate_weathers(lpn.load(model_file), open_dataset(data), ["satellite-to-satellite"])
-    fog = Protocol(Change(weather=Weather("fog")))
+        measure_weathers([task])
     with pytest.raises(InputError, match="satellite tiles on both sides"):
-        evaluate(lpn.load(model_file), open_dataset(data), "satellite-to-satellite", fog)
+        in_weather(task, "fog")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import Any
 
-from lpn.core.csv_cells import decode_text, delimited, mixed_separators
+from lpn.core.csv_cells import Delimited, decode_text, delimited, mixed_separators
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
@@ -68,7 +68,24 @@ def read_rows(path: Path, name: str, errors: str = "strict") -> Iterator[tuple[i
     Raises:
         DataError: as for `read_text`, and if it is not a CSV file.
     """
-    yield from _checked(delimited(read_text(path, name, errors)).rows, name)
+    yield from separated(read_text(path, name, errors), name).rows
+
+
+def separated(text: str, name: str, strict: bool = False) -> Delimited:
+    """Split a text as `delimited` does; its rows raise DataError where they are no separated values."""
+    decimal_comma, lines = delimited(text, strict)
+
+    def rows() -> Iterator[tuple[int, list[str]]]:
+        line = 0
+        try:
+            for line, values in lines:
+                yield line, values
+        except csv.Error as error:
+            raise DataError(
+                f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it."
+            ) from error
+
+    return Delimited(decimal_comma, rows())
 
 
 def table(
@@ -93,8 +110,7 @@ def table(
     Raises:
         DataError: if the columns do not fit, or a line has more or fewer values.
     """
-    decimal_comma, numbered = delimited(text)
-    lines = _checked(numbered, name)
+    decimal_comma, lines = separated(text, name)
     header = [tidy(column.strip()) for column in next(lines, (0, []))[1]]
     if not fits(header):
         found = printable(",".join(header)[:_SHOWN])
@@ -113,12 +129,3 @@ def table(
             yield where, row
 
     return header, rows()
-
-
-def _checked(rows: Iterator[tuple[int, list[str]]], name: str) -> Iterator[tuple[int, list[str]]]:
-    line = 0
-    try:
-        for line, values in rows:
-            yield line, values
-    except csv.Error as error:
-        raise DataError(f"Line {line + 1} of {name} is not comma-separated values ({error}); correct it.") from error

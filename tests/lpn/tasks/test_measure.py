@@ -16,17 +16,21 @@ from lpn.cli.main import main
 from lpn.core import images
 from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
-from lpn.datasets import Picture, Truth, open_dataset
+from lpn.datasets import Picture, Truth, geo, open_dataset
 from lpn.datasets.layouts.university import University
 from lpn.descriptors.transforms import Change
 from lpn.models.base import Model, normalise
 from lpn.models.checkpoints import save
 from lpn.models.network import LPN
-from lpn.retrieval import field_metrics, metrics
-from lpn.retrieval.evaluate import evaluate
-from lpn.retrieval.protocol import Protocol, centred
+from lpn.retrieval import metrics
+from lpn.retrieval.calibration import centred as without_mean
 from lpn.tasks import query_outcomes
+from lpn.tasks.changes import averaged, centred, changed, turned, with_parts
+from lpn.tasks.measure import measure
+from lpn.tasks.opening import lazy_task
+from lpn.tasks.query_outcomes import Outcomes
 from tools.fixtures import layouts, small_worlds
+from tools.fixtures.tasks import descriptor_task
 
 KEYS = ("recall@1", "recall@5", "recall@10", "recall@1%", "ap")
 
@@ -44,7 +48,7 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
     data: Path, model_file: Path, task: str, rotate: float, parts: list[int] | None
 ) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    found = evaluate(model, dataset, task, Protocol(Change(rotate), None if parts is None else tuple(parts)))
+    found = measure(with_parts(turned(lazy_task(model, dataset, task), rotate), parts))
     query_view, gallery_view = task.split("-to-")
     queries, gallery = dataset.queries(query_view), dataset.gallery(gallery_view)
     index = [part - 1 for part in dict.fromkeys(parts)] if parts else list(range(4))
@@ -61,7 +65,7 @@ def test_figures_are_those_of_the_turned_queries_and_the_chosen_parts(
 
 def test_centred_figures_are_those_of_a_model_with_the_means_of_both_sides(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    found = evaluate(model, dataset, "drone-to-satellite", Protocol(centre=True))
+    found = measure(centred(lazy_task(model, dataset, "drone-to-satellite")))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     means = {
         view: described(model, pictures, view).mean(axis=0)
@@ -76,20 +80,20 @@ def test_centred_figures_are_those_of_a_model_with_the_means_of_both_sides(data:
     rows = np.arange(24, dtype=np.float32).reshape(3, 2, 4) ** 2
     rows /= np.linalg.norm(rows, axis=2, keepdims=True) * np.float32(np.sqrt(2))
     away = rows[1, 0] - rows[:, 0].mean(axis=0)
-    np.testing.assert_allclose(centred(rows)[1, 0], away / np.linalg.norm(away) / np.sqrt(2), rtol=1e-5)
+    np.testing.assert_allclose(without_mean(rows)[1, 0], away / np.linalg.norm(away) / np.sqrt(2), rtol=1e-5)
 
 
 def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    passing = evaluate(model, dataset, "drone-to-satellite", read=descriptors.temporary_descriptors)
+    passing = measure(lazy_task(model, dataset, "drone-to-satellite", descriptors.temporary_descriptors))
     assert not Path(os.environ["LPN_CACHE"]).exists()
-    assert passing.recall == evaluate(model, dataset, "drone-to-satellite").recall
+    assert passing.recall == measure(lazy_task(model, dataset, "drone-to-satellite")).recall
 
 
 @pytest.mark.parametrize("parts", [(), (0,), (5,)])
 def test_parts_that_do_not_exist_are_refused(data: Path, model_file: Path, parts: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="parts 1 to 4"):
-        evaluate(lpn.load(model_file), open_dataset(data), "drone-to-satellite", Protocol(parts=parts))
+        with_parts(lazy_task(lpn.load(model_file), open_dataset(data), "drone-to-satellite"), parts)
 
 
 def labels(pictures: list[Picture]) -> list[int]:
@@ -98,7 +102,8 @@ def labels(pictures: list[Picture]) -> list[int]:
 
 def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(data)
-    found = evaluate(model, dataset, "drone-to-satellite", Protocol(Change(20, -7, 0.8)))
+    task = lazy_task(model, dataset, "drone-to-satellite")
+    found = measure(changed(task, Change(20, -7, 0.8)))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     made = []
     for picture in queries:
@@ -111,7 +116,7 @@ def test_queries_are_scaled_before_the_resize_and_shifted_after_it(data: Path, m
     expected = metrics.evaluate(query, labels(queries), described(model, gallery, "satellite"), labels(gallery))
     assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
     assert "queries turned 20°, scaled by 0.8, shifted 7 px to the left" in found.sentence
-    unchanged = evaluate(model, dataset, "drone-to-satellite")
+    unchanged = measure(task)
     assert unchanged.ap != found.ap
     assert "turned" not in unchanged.sentence
 
@@ -123,7 +128,7 @@ def test_averaged_queries_are_one_per_place(tmp_path: Path, model_file: Path) ->
             picture = small_worlds.from_drone(small_worlds.place(label), 50 * i + label)
             small_worlds.write(root / "test" / "query_drone" / f"{label:04d}" / f"image-0{i}.png", picture)
     model, dataset = lpn.load(model_file), open_dataset(root)
-    found = evaluate(model, dataset, "drone-to-satellite", Protocol(average=True))
+    found = measure(averaged(lazy_task(model, dataset, "drone-to-satellite")))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     parts = described(model, queries, "drone")
     mean = np.stack([parts[i : i + 3].mean(axis=0) for i in range(0, 18, 3)])
@@ -140,13 +145,13 @@ def test_one_branch_can_describe_both_sides(data: Path, tmp_path: Path) -> None:
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     found = {}
     for branch in ("satellite", "drone"):
-        found[branch] = evaluate(model, dataset, "drone-to-satellite", Protocol(branch=branch))  # type: ignore[arg-type]
+        found[branch] = measure(lazy_task(model, dataset, "drone-to-satellite", branch=branch))  # type: ignore[arg-type]
         sides = described(model, queries, branch), labels(queries), described(model, gallery, branch), labels(gallery)
         assert found[branch].ap == pytest.approx(metrics.evaluate(*sides)["ap"])
         assert f"both sides described by the {branch} branch" in found[branch].sentence
     assert found["satellite"].ap != found["drone"].ap
     with pytest.raises(InputError, match="no 'street' view"):
-        evaluate(model, dataset, "drone-to-satellite", Protocol(branch="street"))
+        lazy_task(model, dataset, "drone-to-satellite", branch="street")
 
 
 class Landmarks(University):
@@ -176,17 +181,18 @@ def test_landmarks_are_cropped_and_ranked_by_lists(data: Path, model_file: Path)
     cut = [picture[20 : round(90.7 - i), 10:60] for i, picture in enumerate(whole)]
     query = model.descriptors(np.stack([images.prepare(picture, model.input_size) for picture in cut]), "drone")
     expected = metrics.evaluate(query, None, tiles, None, dataset.truth("street-to-street"))
-    found = evaluate(model, dataset, "street-to-street", Protocol(branch="drone"))
+    task = lazy_task(model, dataset, "street-to-street", branch="drone")
+    found = measure(task)
     assert [found.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
     assert (found.to_dict()["cropped"], found.to_dict()["junk"]) == (True, "lists")
     assert "junk taken out of the ranking" in found.sentence
     assert "cropped" in found.sentence
     uncut = model.descriptors(np.stack([images.prepare(picture, model.input_size) for picture in whole]), "drone")
     assert metrics.evaluate(uncut, None, tiles, None, dataset.truth("street-to-street"))["ap"] != found.ap
-    with pytest.raises(InputError, match=r"lpn reproduce table6 describes .* Protocol\(branch=\.\.\.\)"):
-        evaluate(model, dataset, "street-to-street")
+    with pytest.raises(InputError, match=r"lpn reproduce table6 describes .*lazy_task\(branch=\.\.\.\)"):
+        lazy_task(model, dataset, "street-to-street")
     with pytest.raises(InputError, match="averaged"):
-        evaluate(model, dataset, "street-to-street", Protocol(branch="drone", average=True))
+        averaged(task)
 
 
 def test_distractors_make_a_second_gallery_that_is_named(
@@ -196,7 +202,7 @@ def test_distractors_make_a_second_gallery_that_is_named(
     for label in (3, 6, 8):
         (root / "test" / "query_drone" / f"{label:04d}" / "image-01.png").unlink()
     model, dataset = lpn.load(model_file), open_dataset(root)
-    found = evaluate(model, dataset, "drone-to-satellite")
+    found = measure(lazy_task(model, dataset, "drone-to-satellite"))
     assert [figures.name for figures in found.galleries] == ["full gallery, 9", "without distractors, 6"]
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     asked = labels(queries)
@@ -206,7 +212,7 @@ def test_distractors_make_a_second_gallery_that_is_named(
         expected = metrics.evaluate(query, asked, tiles, expected_labels)
         assert [figures.to_dict()[key] for key in KEYS] == pytest.approx([expected[key] for key in KEYS])
     assert found.galleries[1].ap > found.ap
-    assert main(["evaluate", "--data", str(root), "--model", str(model_file)]) == 0
+    assert main(["evaluate", str(root), "--model", str(model_file)]) == 0
     said = capsys.readouterr().out
     assert "full gallery, 9" in said
     assert "without distractors, 6" in said
@@ -226,10 +232,15 @@ def read_drawn(model: Model, pictures: Sequence[Picture], view: str, change: Cha
     return normalise(np.array(rows, np.float32))
 
 
+def outcomes_of(query: Float32Array, tiles: Float32Array, truth: Sequence[Truth] | None) -> Outcomes:
+    labels = np.zeros(len(query), np.int64), np.zeros(len(tiles), np.int64)
+    return descriptor_task(query[:, None], tiles[:, None], *labels, truth).outcomes
+
+
 @pytest.mark.parametrize("task", ["drone-to-satellite", "satellite-to-drone"])
 def test_sues_has_a_row_for_each_height_on_both_galleries(tmp_path: Path, model_file: Path, task: str) -> None:
     model, dataset = lpn.load(model_file), open_dataset(layouts.sues(tmp_path / "SUES", 2, 3, ("150", "300")))
-    found = evaluate(model, dataset, task, read=read_drawn)
+    found = measure(lazy_task(model, dataset, task, read_drawn))
     assert found.group_name == "height"
     assert list(found.groups) == ["150", "300"]
     query_view, gallery_view = task.split("-to-")
@@ -249,7 +260,7 @@ def test_sues_has_a_row_for_each_height_on_both_galleries(tmp_path: Path, model_
 
 def test_denseuav_is_measured_in_degrees(tmp_path: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(layouts.denseuav(tmp_path / "DenseUAV"))
-    found = evaluate(model, dataset, "drone-to-satellite", read=read_drawn)
+    found = measure(lazy_task(model, dataset, "drone-to-satellite", read_drawn))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     query, tiles = (
         read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
@@ -273,7 +284,7 @@ def test_denseuav_is_measured_in_degrees(tmp_path: Path, model_file: Path) -> No
 @pytest.mark.parametrize("degrees", [False, True])
 def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: Path, degrees: bool) -> None:
     model, dataset = lpn.load(model_file), open_dataset(layouts.gta(tmp_path / "GTA", degrees=degrees))
-    found = evaluate(model, dataset, "drone-to-satellite", read=read_drawn)
+    found = measure(lazy_task(model, dataset, "drone-to-satellite", read_drawn))
     queries, gallery = dataset.queries("drone"), dataset.gallery("satellite")
     query, tiles = (
         read_drawn(model, pictures, "", Change()).reshape(len(pictures), -1) for pictures in (queries, gallery)
@@ -282,9 +293,7 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     sdm, distance, precision = 0.0, 0.0, 0.0
     for row, start, lists in zip(query, starts, dataset.truth("drone-to-satellite") or (), strict=True):
         order = np.argsort(-(tiles.astype(float) @ row), kind="stable")
-        metres = [
-            float(field_metrics.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order
-        ]
+        metres = [float(geo.geodesic(start, ends[i])) if degrees else math.dist(start, ends[i]) for i in order]
         sdm += sum((3 - i) * math.exp(-0.001 * metres[i]) for i in range(3)) / 6
         distance += sum(metres[:3]) / 3
         ranks = sorted(order.tolist().index(tile) for tile in lists.good)
@@ -294,9 +303,9 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
     assert "hit rate" not in found.measures
     assert found.ap == pytest.approx(100 * precision / 2)
     assert "AP as the mean precision at the true matches" in found.sentence
-    back = evaluate(model, dataset, "satellite-to-drone", read=read_drawn)
+    back = measure(lazy_task(model, dataset, "satellite-to-drone", read_drawn))
     assert (back.queries, back.gallery) == (3, 2)
-    outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, dataset.truth("drone-to-satellite"))
+    outcomes = outcomes_of(query, tiles, dataset.truth("drone-to-satellite"))
     column, semi = query_outcomes.listed_columns(outcomes, dataset.truth("drone-to-satellite"))
     names = [gallery[answer].name for answer in outcomes.answer]
     known = [{"4_0_0_0": 0.7, "5_0_1_1": 0.45, "4_0_1_0": 0.2}, {"4_0_1_1": 0.5}]
@@ -307,7 +316,7 @@ def test_gta_uav_and_visloc_are_measured_in_metres(tmp_path: Path, model_file: P
 
 def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file: Path) -> None:
     model, dataset = lpn.load(model_file), open_dataset(layouts.vigor(tmp_path / "VIGOR"))
-    found = evaluate(model, dataset, "street-to-satellite", Protocol(branch="drone"), read=read_drawn)
+    found = measure(lazy_task(model, dataset, "street-to-satellite", read_drawn, "drone"))
     assert list(found.groups) == ["Chicago", "NewYork", "Seattle", "SanFrancisco"]
     queries, gallery = dataset.queries("street"), dataset.gallery("satellite")
     query, tiles = (
@@ -320,7 +329,7 @@ def test_vigor_has_a_hit_rate_and_a_row_for_each_city(tmp_path: Path, model_file
         hits += int(np.argmax(scores)) in lists.good
     assert found.measures == {"hit rate": pytest.approx(100 * hits / 8)}
     truth = dataset.truth("street-to-satellite") or []
-    outcomes = query_outcomes.build(query[:, None], tiles[:, None], None, None, truth)
+    outcomes = outcomes_of(query, tiles, truth)
     (semi,) = query_outcomes.listed_columns(outcomes, truth)
     assert semi.values.tolist() == [
         "yes" if answer in lists.semi else "no" for answer, lists in zip(outcomes.answer, truth, strict=True)

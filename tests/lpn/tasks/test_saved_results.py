@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,12 @@ from lpn.cli import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets import open_dataset
 from lpn.descriptors.transforms import Change
-from lpn.retrieval.evaluate import evaluate, evaluate_saved
-from lpn.retrieval.protocol import Protocol
 from lpn.retrieval.saved import load_saved
+from lpn.tasks.changes import averaged, centred, changed, with_parts
+from lpn.tasks.measure import measure
+from lpn.tasks.opening import lazy_task
+from lpn.tasks.saved import saved_task
+from lpn.tasks.task import Task
 from tools.fixtures import seeded, small_worlds
 from tools.fixtures.published_results import contents
 
@@ -39,10 +43,16 @@ def test_parts_lie_in_the_file_as_the_published_code_lays_them(tmp_path: Path) -
 def test_a_saved_result_gives_the_figures_of_its_model(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "pytorch_result.mat", contents(data, model_file))
     model, dataset = lpn.load(model_file), open_dataset(data)
-    protocols = (Protocol(), Protocol(parts=(1, 3)), Protocol(average=True), Protocol(centre=True))
-    for n, protocol in zip((1, 4, 4, 4), protocols, strict=True):
+    steps: list[tuple[int, Callable[[Task], Task]]] = [
+        (1, lambda task: task),
+        (4, lambda task: with_parts(task, (1, 3))),
+        (4, averaged),
+        (4, centred),
+    ]
+    for n, step in steps:
         saved = load_saved(tmp_path / "pytorch_result.mat", n)
-        found, expected = evaluate_saved(saved, protocol), evaluate(model, dataset, "drone-to-satellite", protocol)
+        found = measure(step(saved_task(saved)))
+        expected = measure(step(lazy_task(model, dataset, "drone-to-satellite")))
         assert (found.recall, found.task, found.queries) == (expected.recall, "drone-to-satellite", 14)
         assert found.ap == pytest.approx(expected.ap, abs=1e-9)
         assert "descriptors as saved" in found.sentence
@@ -52,8 +62,8 @@ def test_the_command_reads_it_without_model_and_data(data: Path, model_file: Pat
     savemat(tmp_path / "r.mat", contents(data, model_file))
     figures = []
     for arguments in (
-        ["published", "--saved", str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
-        ["--data", str(data), "--model", str(model_file), "--parts", "2"],
+        [str(tmp_path / "r.mat"), "--n-parts", "4", "--parts", "2"],
+        [str(data), "--model", str(model_file), "--parts", "2"],
     ):
         assert main.main(["evaluate", *arguments, "--json", str(tmp_path / "f.json")]) == 0
         figures.append(json.loads((tmp_path / "f.json").read_text()))
@@ -66,7 +76,7 @@ def test_a_saved_result_is_centred_part_by_part_only(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    arguments = ["evaluate", "published", "--saved", str(tmp_path / "r.mat"), "--centre"]
+    arguments = ["evaluate", str(tmp_path / "r.mat"), "--centre"]
     assert main.main(arguments) == 2
     assert "--n-parts" in capsys.readouterr().err
     assert main.main([*arguments, "--n-parts", "4"]) == 0
@@ -105,10 +115,8 @@ def test_pictures_of_another_data_set_are_not_taken(data: Path, model_file: Path
 
 def test_what_needs_pictures_is_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
     savemat(tmp_path / "r.mat", contents(data, model_file))
-    saved = load_saved(tmp_path / "r.mat")
-    for protocol in (Protocol(Change(shift=3)), Protocol(branch="drone")):
-        with pytest.raises(InputError, match="not pictures"):
-            evaluate_saved(saved, protocol)
+    with pytest.raises(InputError, match="descriptors without their network"):
+        changed(saved_task(load_saved(tmp_path / "r.mat")), Change(shift=3))
 
 
 def small() -> dict[str, Any]:
@@ -217,4 +225,4 @@ def test_labels_that_fit_nothing_are_no_result_of_zero_percent(tmp_path: Path) -
     with pytest.raises(
         DataError, match=r"None of the query labels of r\.mat, such as 1000, is a gallery label, such as 0"
     ):
-        evaluate_saved(load_saved(tmp_path / "r.mat"), Protocol())
+        saved_task(load_saved(tmp_path / "r.mat"))

@@ -17,8 +17,7 @@ from lpn.cli.main import main
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.datasets.geo import Position, metres
 from lpn.retrieval import metrics
-from lpn.retrieval.saved import load_arrays
-from lpn.tasks.array_task import array_task
+from lpn.tasks.saved import array_task
 from tools.fixtures import layouts, small_worlds
 
 Q, G, N, D = 5, 7, 3, 4
@@ -75,30 +74,31 @@ def test_every_form_gives_the_same_descriptors(
 ) -> None:
     shaped = [side if order == "parts-first" else side.transpose(0, 2, 1) for side in arrays]
     files = [save(tmp_path, kind, side, array.copy()) for side, array in zip(("query", "gallery"), shaped, strict=True)]
-    found = load_arrays(*files, write_list(tmp_path), N, order)  # type: ignore[arg-type]
-    for got, expected in zip((found.result.query, found.result.gallery), arrays, strict=True):
+    found = array_task(*files, write_list(tmp_path), N, order)  # type: ignore[arg-type]
+    for got, expected in zip((found.query_descriptors, found.gallery_descriptors), arrays, strict=True):
         np.testing.assert_allclose(got, expected, atol=1e-7)
     flat = [
         save(tmp_path, kind, side, array.reshape(len(array), -1))
         for side, array in zip(("query", "gallery"), shaped, strict=True)
     ]
-    again = load_arrays(*flat, n_parts=N, order=order)  # type: ignore[arg-type]
-    np.testing.assert_allclose(again.result.gallery, arrays[1], atol=1e-7)
+    again = array_task(*flat, n_parts=N, order=order)  # type: ignore[arg-type]
+    np.testing.assert_allclose(again.gallery_descriptors, arrays[1], atol=1e-7)
 
 
 def test_rows_are_scaled_and_ranked_by_label(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]) -> None:
     np.savez(tmp_path / "both.npz", query=3.0 * arrays[0].astype(np.float16), gallery=arrays[1].astype(np.float64))
     both = tmp_path / "both.npz"
-    found = load_arrays(both, both, write_list(tmp_path))
-    norms = np.linalg.norm(found.result.query, axis=2)
+    task = found = array_task(both, both, write_list(tmp_path))
+    norms = np.linalg.norm(found.query_descriptors, axis=2)
     np.testing.assert_allclose(norms, 1 / np.sqrt(N), rtol=1e-6)
-    task = array_task(found, "both.npz")
     labels = np.array([0, 1, 2, 3, 4, 0, -1])
-    expected = metrics.evaluate(found.result.query, np.arange(5), found.result.gallery, labels)
+    expected = metrics.evaluate(found.query_descriptors, np.arange(5), found.gallery_descriptors, labels)
     assert task.metrics == expected
     assert task.contract.claim == "parts only: the model gives no cells"
     assert task.geometry is not None
-    order = np.argsort(-(found.result.query.reshape(Q, -1) @ found.result.gallery.reshape(G, -1).T)[:, :6], axis=1)
+    order = np.argsort(
+        -(found.query_descriptors.reshape(Q, -1) @ found.gallery_descriptors.reshape(G, -1).T)[:, :6], axis=1
+    )
     assert task.outcomes.answer.tolist() == order[:, 0].tolist()
     assert len(task.table) == Q
     assert (task.gallery[1].cut is None, task.gallery[0].note) == (True, "no picture")
@@ -109,13 +109,12 @@ def test_queries_without_a_label_are_ranked_and_not_counted(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray]
 ) -> None:
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
-    found = load_arrays(*files, write_list(tmp_path, positions=False, unlabelled=(1, 4)))
-    task = array_task(found, "q.npy")
+    task = array_task(*files, write_list(tmp_path, positions=False, unlabelled=(1, 4)))
     assert task.known is not None
     assert task.known.tolist() == [True, False, True, True, False]
     assert task.outcomes.failed.sum() + task.outcomes.hits.sum() == 3
     assert task.geometry is None
-    alone = array_task(load_arrays(*files), "q.npy")
+    alone = array_task(*files)
     assert alone.known is not None
     assert not alone.known.any()
     assert [picture.name for picture in alone.gallery][:2] == ["1", "2"]
@@ -128,7 +127,7 @@ def test_names_leave_out_the_folders_that_all_pictures_of_a_side_share(
     lines = [f"test/query_drone/{row // 2}/{row}.jpg,query" for row in range(Q)]
     lines += [f"test/gallery_satellite/{row}.tile.png,gallery" for row in range(G)]
     (tmp_path / "paths.csv").write_text("\n".join(["file,side", *lines]))
-    found = load_arrays(*files, tmp_path / "paths.csv")
+    found = array_task(*files, tmp_path / "paths.csv")
     assert [picture.name for picture in found.queries] == ["0/0", "0/1", "1/2", "1/3", "2/4"][:Q]
     assert found.gallery[3].name == "3.tile"
     assert found.gallery[3].path == tmp_path / "test/gallery_satellite/3.tile.png"
@@ -138,7 +137,7 @@ def test_the_command_evaluates_plain_arrays(
     tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray], capsys: pytest.CaptureFixture[str]
 ) -> None:
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
-    given = ["evaluate", "arrays", "--queries", str(files[0]), "--gallery", str(files[1])]
+    given = ["evaluate", str(files[0]), "--gallery", str(files[1])]
     out = tmp_path / "figures.json"
     assert main([*given, "--paths", str(write_list(tmp_path)), "--json", str(out)]) == 0
     expected = metrics.evaluate(arrays[0], np.arange(5), arrays[1], np.array([0, 1, 2, 3, 4, 0, -1]))
@@ -173,9 +172,10 @@ def test_labels_of_queries_alone_tell_nothing(
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
     paths = write_list(tmp_path, positions=False)
     paths.write_text(re.sub("gallery,[^,\n]*", f"gallery,{label}", paths.read_text()))
-    found = load_arrays(*files, paths)
-    assert not found.labelled.any()
-    assert [lists.known for lists in found.truth() or []] == [False] * 5
+    found = array_task(*files, paths)
+    assert found.known is not None
+    assert not found.known.any()
+    assert [lists.known for lists in found.truth or []] == [False] * 5
     assert "No picture of the gallery has a label" in caplog.text
 
 
@@ -185,7 +185,7 @@ def test_complete_positions_measure_metres_without_labels(
 ) -> None:
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
     out, paths = tmp_path / "figures.json", write_list(tmp_path)
-    given = ["evaluate", "arrays", "--queries", str(files[0]), "--gallery", str(files[1]), "--paths", str(paths)]
+    given = ["evaluate", str(files[0]), "--gallery", str(files[1]), "--paths", str(paths)]
     assert main([*given, "--json", str(out)]) == 0
     labelled = json.loads(out.read_text())
     own = label != "query,"
@@ -257,22 +257,22 @@ def test_what_does_not_fit_is_told_in_one_sentence(
     paths = write_list(tmp_path)
     harm(tmp_path)
     with pytest.raises(LPNError, match=message) as raised:
-        load_arrays(*files, paths)
+        array_task(*files, paths)
     assert "\n" not in str(raised.value)
 
 
 def test_an_array_is_scaled_in_little_memory(tmp_path: Path) -> None:
     gallery = np.random.default_rng(2).standard_normal((512, 2, 2048)).astype(np.float32)
     files = save(tmp_path, "npy", "query", gallery[:2]), save(tmp_path, "npy", "gallery", gallery)
-    load_arrays(files[0], files[0])
+    array_task(files[0], files[0])
     tracemalloc.start()
-    found = load_arrays(*files)
+    found = array_task(*files)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 2 * gallery.nbytes
     norms = np.linalg.norm(gallery.astype(np.float64), axis=2, keepdims=True) * np.sqrt(2)
-    np.testing.assert_array_equal(found.result.gallery, (gallery / norms).astype(np.float32))
-    expected = hashlib.sha256(found.result.query.tobytes() + b"|" + found.result.gallery.tobytes())
+    np.testing.assert_array_equal(found.gallery_descriptors, (gallery / norms).astype(np.float32))
+    expected = hashlib.sha256(found.query_descriptors.tobytes() + b"|" + found.gallery_descriptors.tobytes())
     assert found.identity == expected.hexdigest()
 
 
@@ -287,7 +287,7 @@ def test_labels_are_texts(tmp_path: Path, arrays: tuple[np.ndarray, np.ndarray])
         lines = ["file,side,label", *(f"q/{row},query,{labels[0]}" for row in range(Q))]
         lines += [f"g/{row},gallery,{label}" for row, label in enumerate(labels)]
         (tmp_path / "paths.csv").write_text("\n".join(lines) + "\n")
-        found = load_arrays(*files, tmp_path / "paths.csv").result
+        found = array_task(*files, tmp_path / "paths.csv")
         assert (found.gallery_labels == found.query_labels[0]).tolist() == same
         assert int((found.gallery_labels == -1).sum()) == junk
     assert found.query_labels.tolist() == [3] * Q
@@ -299,20 +299,20 @@ def test_other_files_and_wrong_numbers_of_parts_are_refused(
     files = [save(tmp_path, "npy", side, array) for side, array in zip(("query", "gallery"), arrays, strict=True)]
     (tmp_path / "query.txt").write_text("1 2")
     with pytest.raises(InputError, match=r"query.npy has 3 parts of 4 numbers .* expected 4 parts"):
-        load_arrays(*files, n_parts=4)
+        array_task(*files, n_parts=4)
     with pytest.raises(DataError, match=r"query.txt is no array file; expected one that ends in .npy, .npz, .mat"):
-        load_arrays(tmp_path / "query.txt", files[1])
+        array_task(tmp_path / "query.txt", files[1])
     with pytest.raises(DataError, match=r"no file of gallery descriptors at absent.npy"):
-        load_arrays(files[0], "absent.npy")
+        array_task(files[0], "absent.npy")
     np.savez(tmp_path / "odd.npz", a=arrays[0], b=arrays[1])
     with pytest.raises(DataError, match="holds a, b; expected one array, or query"):
-        load_arrays(tmp_path / "odd.npz", files[1])
+        array_task(tmp_path / "odd.npz", files[1])
     for kind, other in (("npy", "npz"), ("npz", "npy")):
         (tmp_path / f"swapped.{kind}").write_bytes(
             (tmp_path / ("odd.npz" if other == "npz" else "query.npy")).read_bytes()
         )
         with pytest.raises(DataError, match=rf"swapped.{kind} is no a\w+ that NumPy saved, or damaged"):
-            load_arrays(tmp_path / f"swapped.{kind}", files[1])
+            array_task(tmp_path / f"swapped.{kind}", files[1])
     savemat(tmp_path / "odd.mat", {"x": arrays[0]})
     with pytest.raises(DataError, match="none of the variables query_f"):
-        load_arrays(tmp_path / "odd.mat", files[1])
+        array_task(tmp_path / "odd.mat", files[1])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +11,16 @@ import pytest
 
 import lpn
 from lpn.cli import main
-from lpn.datasets import Truth
-from lpn.retrieval import metrics
-from lpn.retrieval.per_query import PerQuery
+from lpn.datasets import Picture, Truth
+from lpn.tasks.measure import measure
+from tools.fixtures.tasks import descriptor_task
 
 TASK = "drone-to-satellite"
 
 
 def test_each_query_has_its_rank_precision_and_nearest_tiles(data: Path, model_file: Path, tmp_path: Path) -> None:
     out, options = tmp_path / "deep" / "queries.csv", ["--csls", "3", "--no-calibrate", "--rotate", "90"]
-    given = ["evaluate", "--data", str(data), "--model", str(model_file), "--task", TASK, "--per-query", str(out)]
+    given = ["evaluate", str(data), "--model", str(model_file), "--task", TASK, "--per-query", str(out)]
     assert main.main([*given, *options]) == 0
     task = lpn.open_task(data, TASK, model_file, csls=3)
     with out.open(newline="", encoding="utf-8") as file:
@@ -44,7 +45,7 @@ def test_each_query_has_its_rank_precision_and_nearest_tiles(data: Path, model_f
 def test_weathers_have_no_table_of_queries(
     data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    given = ["evaluate", "--data", str(data), "--model", str(model_file), "--weather", "all"]
+    given = ["evaluate", str(data), "--model", str(model_file), "--weather", "all"]
     assert main.main([*given, "--per-query", str(tmp_path / "queries.csv")]) == 2
     assert "choose one with --weather" in capsys.readouterr().err
     assert not list(tmp_path.iterdir())
@@ -62,17 +63,23 @@ def test_junk_is_left_out_and_names_are_no_formulas(by_lists: bool) -> None:
         Truth(none, none, known=False),
     ]
     lists = truth if by_lists else None
-    retrieval = metrics.retrieve(query, np.arange(3), gallery, labels, lists)
-    found = PerQuery.of(retrieval, query, gallery, labels, lists, 8)
+    task = replace(
+        descriptor_task(query, gallery, np.arange(3), labels, lists),
+        queries=[Picture(Path(), i, name) for i, name in enumerate(("=1+1", "b", "c"))],
+        gallery=[Picture(Path(), i, f"-tile {i}") for i in range(6)],
+    )
+    found = measure(task, 8)
+    assert found.nearest is not None
+    nearest, near = found.nearest
+    lines = [line.split(",") for line in found.queries_csv().decode("utf-8-sig").splitlines()]
     scores = np.einsum("qnd,gnd->qg", query.astype(float), gallery.astype(float))
     for row, junk in enumerate([one.junk for one in truth] if by_lists else [np.array([3])] * 3):
         order = [tile for tile in np.argsort(-scores[row], kind="stable").tolist() if tile not in junk]
-        assert found.nearest[row].tolist() == order + [-1] * (8 - len(order))
-        np.testing.assert_allclose(found.scores[row, : len(order)], scores[row, order], atol=1e-12)
+        assert nearest[row].tolist() == order + [-1] * (8 - len(order))
+        np.testing.assert_allclose(near[row, : len(order)], scores[row, order], atol=1e-12)
         true = truth[row].good.tolist() if by_lists else np.flatnonzero(labels == row).tolist()
-        assert found.rank[row] == (1 + min(order.index(tile) for tile in true) if true else 0)
-    lines = found.to_csv(["=1+1", "b", "c"], [f"-tile {i}" for i in range(6)]).decode().splitlines()
-    assert lines[1].startswith("'=1+1,")
-    assert lines[1].count("'-tile ") == int((found.nearest[0] >= 0).sum())
-    assert lines[1].endswith(",")
-    assert lines[3].startswith("c,,,") is by_lists
+        assert lines[row + 1][1] == (str(1 + min(order.index(tile) for tile in true)) if true else "")
+    assert lines[1][0] == "'=1+1"
+    assert sum(cell.startswith("'-tile ") for cell in lines[1]) == int((nearest[0] >= 0).sum())
+    assert lines[1][-1] == ""
+    assert (lines[3][:3] == ["c", "", ""]) is by_lists

@@ -1,12 +1,14 @@
-"""Tables as LaTeX: as many columns in each row, and nothing in a cell that LaTeX takes for a command."""
+"""Tables of text: what each form escapes, and as many columns in each row."""
 
 from __future__ import annotations
 
+import io
 import re
 from pathlib import Path
 
-from lpn.analysis.text_tables import TableSection, TextTable, latex_page, latex_text
 from lpn.cli.main import main
+from lpn.core.consoles import Console
+from lpn.core.text_tables import TextTable, latex_page, latex_text, markdown_page
 from lpn.reproduce import report
 from lpn.reproduce.record import TableRecord, row_record
 
@@ -30,17 +32,56 @@ def test_every_special_character_is_escaped() -> None:
 
 
 def test_rows_have_the_columns_of_the_head_and_sentences_after_them_are_a_comment() -> None:
-    table = TextTable(("model", "R@1"), [("[a] & b", "50.0"), ("c_d", "60.0")])
-    latex = latex_page([TableSection("A & B", (table,), "In %.", "Behind\n\\input{it}.")])
+    table = TextTable(("model", "R@1"), [("[a] & b", "50.0"), ("c_d", "60.0")], "A & B. In %", "Behind\n\\input{it}.")
+    latex = latex_page([table])
     assert columns(latex) == [[2, 2, 2, 2]]
     assert r"\caption{A \& B. In \%.}" in latex
     assert "\n% Behind \\input{it}.\n" in latex
 
 
+TABLE = TextTable(
+    ("model", "kind", "R@1"),
+    [("[red]a[/red]|<b>", "LPN", "50.00"), ("=1+1", "SAFA\x1b[1m", "-4.00"), ("mean", "", "23.00")],
+    title="[bold]One[/bold]",
+    after="[i]In %[/i].",
+    align="llr",
+    ruled=(2,),
+)
+
+
+def test_a_terminal_shows_each_cell_as_it_is_and_a_line_above_a_ruled_row() -> None:
+    console = Console(width=80, file=io.StringIO())
+    TABLE.print(console)
+    title, _, head, _, *rows, after = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert (title.strip(), after) == ("[bold]One[/bold]", "[i]In %[/i].")
+    cells = [[cell.strip() for cell in row.strip("│┃").replace("┃", "│").split("│")] for row in (head, *rows)]
+    assert cells[0] == list(TABLE.head)
+    assert cells[1] == list(TABLE.rows[0])
+    assert cells[2] == ["=1+1", "SAFA?[1m", "-4.00"]
+    assert rows[2].startswith("├")
+    assert cells[4] == ["mean", "", "23.00"]
+    assert all(row.index(number) == rows[0].index("50.00") for row, number in ((rows[3], "23.00"), (rows[0], "50.00")))
+
+
+def test_markdown_html_and_csv_escape_cells_and_keep_their_order() -> None:
+    assert markdown_page([TABLE], "A|B").splitlines() == [
+        *("# A\\|B", "", "## [bold]One[/bold]", "", "| model | kind | R@1 |", "| --- | --- | ---: |"),
+        *("| [red]a[/red]\\|&lt;b&gt; | LPN | 50.00 |", "| =1+1 | SAFA?[1m | -4.00 |", "| mean |  | 23.00 |"),
+        *("", "[i]In %[/i].", ""),
+    ]
+    page = str(TABLE.html())
+    assert page.startswith('<table><thead><tr><th scope="col">model</th><th scope="col">kind</th>')
+    assert '<th scope="col" class="r">R@1</th></tr></thead>' in page
+    assert '<tr><th scope="row">[red]a[/red]|&lt;b&gt;</th><td>LPN</td><td class="r">50.00</td></tr>' in page
+    assert TABLE.csv().decode().splitlines() == [
+        *("model,kind,R@1", "[red]a[/red]|<b>,LPN,50.00", "'=1+1,SAFA?[1m,-4.00", "mean,,23.00"),
+    ]
+
+
 def test_reproduced_tables_have_the_columns_of_the_markdown() -> None:
     rows = (row_record("LPN, 90°", {"seed 0": [49.0, 55.1]}, paper=(75.93, 79.14)), row_record("SAFA_x", {}))
     record = TableRecord("table4", "Table IV", ("drone → satellite R@1", "AP"), (0, 1), rows, ("100 % measured.",))
-    latex = latex_page([TableSection(record.title, (report.text_table(record),))])
+    latex = latex_page([report.text_table(record)])
     assert columns(latex) == [[5, 5, 5, 5]]
     assert "| LPN, 90° | 49.00 | 75.93 | 55.10 | 79.14 |" in report.markdown(record)
     assert r"LPN, 90$^{\circ}$ & 49.00 & 75.93 & 55.10 & 79.14 \\" in latex
@@ -49,7 +90,7 @@ def test_reproduced_tables_have_the_columns_of_the_markdown() -> None:
 def test_compare_writes_latex(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("two.tex", "page.tex")]
     model, more = str(model_file), ["--resamples", "20"]
-    compared = ["compare", model, str(one_part_model_file), "--data", str(data), *more]
+    compared = ["compare", str(data), "--model", model, str(one_part_model_file), *more]
     assert main([*compared, "--table", str(files[0])]) == 0
     assert main([*compared, "--page", str(files[1])]) == 0
     counts = [columns(file.read_text("utf-8")) for file in files]

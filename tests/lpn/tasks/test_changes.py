@@ -1,0 +1,122 @@
+"""Changed tasks: what is described, when, and once; figures of turned queries are those of `lpn evaluate --rotate`."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+import lpn
+from lpn.cli import main
+from lpn.core.arrays import Float32Array
+from lpn.core.errors import InputError
+from lpn.core.progress import listening
+from lpn.core.views import View
+from lpn.datasets import Picture, open_dataset
+from lpn.descriptors import cached_descriptors
+from lpn.descriptors.transforms import Change
+from lpn.descriptors.weather import Weather
+from lpn.models.base import Model
+from lpn.tasks.changes import averaged, by_csls, centred, changed, in_weather, turned, why_not, with_parts
+from lpn.tasks.opening import calibrated, describe_task, lazy_task
+from tools.fixtures import small_worlds
+
+
+@pytest.mark.parametrize("options", [[], ["--calibrate"]])
+def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_file: Path, tmp_path: Path) -> None:
+    data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "figures.json"
+    model, dataset = lpn.load(model_file), open_dataset(data)
+    task = describe_task(model, "lpn", dataset, calibration=calibrated(model, dataset) if options else None)
+    assert turned(task, 0) is task
+    counts: list[tuple[int, int]] = []
+    around = turned(task, -90)
+    assert around.change.rotate == 270
+    assert not counts  # nothing is described yet
+    with listening(lambda _, *count: counts.append(count)):
+        figures = around.metrics
+    assert counts[0] == (0, 24)
+    assert counts[-1] == (24, 24)
+    common = ["evaluate", str(data), "--model", str(model_file), "--rotate", "270", "--json", str(out)]
+    assert main.main([*common, *options]) == 0
+    expected = json.loads(out.read_text())
+    assert [figures["recall@1"], figures["ap"]] == pytest.approx([expected["recall@1"], expected["ap"]])
+    assert figures["queries"] == expected["queries"]
+    again: list[tuple[int, int]] = []
+    with listening(lambda _, *count: again.append(count)):
+        assert turned(task, 270).metrics == figures
+    assert not again  # all descriptors are cached
+
+
+def test_a_stopped_turn_goes_on_where_it_was(data: Path, model_file: Path) -> None:
+    task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
+
+    def stop(_: str, done: int, __: int) -> None:
+        if done:
+            raise RuntimeError("stopped")
+
+    with pytest.raises(RuntimeError, match="stopped"), listening(stop):
+        _ = turned(task, 33).metrics
+    counts: list[int] = []
+    with listening(lambda _, done, __: counts.append(done)):
+        _ = turned(task, 33).metrics
+    assert counts[0] > 0
+
+
+def test_descriptors_without_a_network_say_that_they_cannot_be_turned(data: Path, model_file: Path) -> None:
+    task = replace(describe_task(lpn.load(model_file), "lpn", open_dataset(data)), model=None)
+    assert "without their network" in why_not(task)
+    with pytest.raises(InputError, match="cannot be turned"):
+        turned(task, 45)
+
+
+def test_pictures_are_described_when_they_are_needed_and_once(data: Path, model_file: Path) -> None:
+    read: list[tuple[str, Change]] = []
+
+    def reader(model: Model, pictures: Sequence[Picture], view: View, change: Change) -> Float32Array:
+        read.append((view, change))
+        return cached_descriptors(model, pictures, view, change)
+
+    task = lazy_task(lpn.load(model_file), open_dataset(data), "drone-to-satellite", reader)
+    moved = by_csls(with_parts(centred(turned(task, 90)), (1, 3)), 3)
+    with pytest.raises(InputError, match="over 15 nearest queries, and there are 14"):
+        by_csls(moved, 15).evaluate()
+    assert not read
+    found = moved.evaluate()
+    assert [(view, change.rotate) for view, change in read] == [("drone", 90), ("satellite", 0)]
+    assert (found.parts, found.neighbours, found.change.rotate) == ((1, 3), 3, 90)
+    turned(task, 180).evaluate()
+    assert [(view, change.rotate) for view, change in read[2:]] == [("drone", 180)], "one gallery serves all"
+    assert replace(moved, notes={}).evaluate().recall == found.recall
+    assert len(read) == 3
+
+
+def test_each_change_adds_its_clause_and_another_turn_replaces_the_first(data: Path, model_file: Path) -> None:
+    task = lazy_task(lpn.load(model_file), open_dataset(data), "drone-to-satellite")
+    foggy = turned(in_weather(turned(task, 90), "fog"), 30)
+    assert foggy.change == Change(rotate=30, weather=Weather("fog"))
+    assert foggy.evaluate().recall == changed(task, foggy.change).evaluate().recall
+    assert changed(foggy, Change()).clauses == task.clauses
+    said = averaged(with_parts(with_parts(foggy, (4, 2, 1)), (2, 3)))
+    assert said.parts == (2, 1)
+    assert said.clauses[1:] == (
+        "queries in fog, turned 30°, bicubic",
+        "parts 4, 2, 1 of 4 only",
+        "parts 2, 3 of 3 only",
+        "the 14 query pictures averaged to one query per place",
+    )
+    assert said.part_names == [task.part_names[1], task.part_names[0]]
+    with pytest.raises(InputError, match="so queries cannot be turned"):
+        turned(said, 90)
+
+
+def test_a_task_of_some_parts_has_a_table_and_ranks_one_query_as_all(data: Path, model_file: Path) -> None:
+    task = describe_task(lpn.load(model_file), "lpn", open_dataset(data))
+    some = with_parts(task, (1, 3))
+    assert some.part_names == [task.part_names[0], task.part_names[2]]
+    assert some.table.columns["margin_2"].values.shape == (14,)
+    ranks = [some.search(query).positive() for query in range(14)]
+    assert [one.rank - 1 for one in ranks if one] == some.outcomes.rank.tolist()
+    assert some.metrics["recall@1"] == replace(task, weights=(1, 0, 1, 0)).metrics["recall@1"]
