@@ -41,7 +41,7 @@ def workspace(
 def app(workspace: Workspace) -> Iterator[App]:
     """The app on these places, which offers another one that does not open."""
 
-    def never(_: object) -> Workspace:
+    def never() -> Workspace:
         raise DataError("The map is not there; give another.")
 
     served = App(workspace, "127.0.0.1", 0, None, "places", {"broken": LazyWorkspace("a broken map", never)})
