@@ -383,6 +383,19 @@ def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen:
     assert not [one for one in screen.complaints if "WebGL" not in one]
 
 
+def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Screen) -> None:
+    screen.page.add_init_script(
+        """const made = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+          return kind.startsWith("webgl") ? null : made.call(this, kind, ...rest);
+        };"""
+    )
+    screen.open()
+    screen.expect_numbers(running.analysis())
+    expect(screen.page.locator("#scene")).to_be_hidden()
+    expect(screen.page.locator("iframe")).to_have_count(0)
+
+
 def test_a_second_browser_has_its_own_photo(running: Running, contexts: Callable[..., BrowserContext]) -> None:
     one, other = (Screen(contexts().new_page(), running.url).open() for _ in range(2))
     one.key("n")

@@ -6,6 +6,13 @@ import { find, findAll, make } from "./dom.js";
 const PATIENCE = 1500; // ms until the frame is made although the page is busy
 const SETTLED = 250; // ms after which the server knows a new size
 
+let depth = null;
+/** @returns {boolean} whether this browser has WebGL, without which all but the scene works */
+const drawsInDepth = () => {
+  depth ??= Boolean(document.createElement("canvas").getContext("webgl2"));
+  return depth;
+};
+
 export class SceneFrame {
   /**
    * @param {any} box
@@ -28,12 +35,12 @@ export class SceneFrame {
   /** Make the frame, or hide the box of a task that has no place, which is called a city or a map. */
   show(views, view, place) {
     find("[data-view=city]", this.box).textContent = place;
-    this.box.hidden = !views.length;
+    this.box.hidden = !views.length || !drawsInDepth();
     for (const button of findAll("[data-view]", this.box)) {
       button.hidden = !views.includes(button.dataset.view);
       button.setAttribute("aria-pressed", String(button.dataset.view === (views.includes(view) ? view : views[0])));
     }
-    if (this.frame || !views.length) return;
+    if (this.frame || this.box.hidden) return;
     this.frame = make("iframe", { title: "The place in 3-D", tabindex: -1 });
     const begin = () => {
       this.frame.src = `scene/${tab}/?darkMode&hideViserLogo&fixedDpr=1`;
