@@ -21,8 +21,8 @@ log = logging.getLogger(__name__)
 
 # Characters of a message; parts of a photo are bytes, which the gateway bounds.
 MAX_TEXT = 20_000
-# Threads that do what the messages of all tabs say.
-_THREADS = 8
+# Threads that do what the messages of all tabs say; one that opens a model takes its thread until that is open.
+_THREADS = 32
 
 
 class Outbox:

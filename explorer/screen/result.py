@@ -15,7 +15,6 @@ from explorer.screen.fields import ScreenState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import UInt8Array
-from lpn.core.errors import LPNError
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
 from lpn.core.texts import ordinal
 from lpn.core.views import View
@@ -29,8 +28,8 @@ STRIP = 6
 _SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
 # A gain below this is called even.
 _EVEN = 0.005
-# The scale of a sum where it is not measured, and the least step of a scale.
-_LONGEST, _STEP = 2.0, 0.1
+# Step of a scale.
+_STEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -231,10 +230,7 @@ class ScreenResult:
 def measured_scale(task: Task) -> BarScale:
     """Return the ends of all bars of a task: what 99 of 100 shares of answers and rivals of a sample of queries fit into."""
     n = task.contract.n_parts
-    try:
-        queries, gallery = task.sides()
-    except LPNError:  # an index is searched, and not listed
-        return BarScale(_LONGEST / n if n > 1 else _LONGEST, _LONGEST)
+    queries, gallery = task.sides()
     weights = scoring.part_weights(n)
     count = max(min(_SAMPLE, len(queries), _MOST_NUMBERS // max(gallery.size, 1)), 1)
     sample = np.unique(np.linspace(0, len(queries) - 1, count).astype(int))

@@ -79,7 +79,7 @@ class ScreenSession:
 
     def __init__(self, screens: Screens, send: Callable[[ScreenMessage], None]) -> None:
         self._screens, self._send = screens, send
-        self._lock = threading.RLock()
+        self._lock, self._left = threading.RLock(), False
         self._opened: dict[Workspace, _Opened] = {}
         self._state: ScreenState | None = None
         self._analysed: tuple[ScreenState, StateAnalysis] | None = None
@@ -129,6 +129,7 @@ class ScreenSession:
 
     def leave(self) -> None:
         """Stop all that goes on for this tab: it has left."""
+        self._left = True
         self._loop.stop()
         self._curve.stop()
         self._painter.stop()
@@ -332,7 +333,7 @@ class ScreenSession:
         if beside is None or beside.workspace is not None:
             return True
         job: BackgroundJob[Workspace] = beside.open()
-        while not job.wait(_POLL):
+        while not job.wait(_POLL) and not self._left:
             done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
             self._send({"busy": f"Opening {beside.label}{done}"})
         if beside.workspace is None:

@@ -78,6 +78,15 @@ def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage, optio
         assert "websocket=" not in page.url
 
 
+def test_the_screen_opens_below_a_folder(app: RunningApp, new_page: NewPage) -> None:
+    with SmallProxy(port(app), folder="maps", strip=False) as proxy:
+        page = new_page()
+        page.goto(proxy.url)
+        expect(page.locator("#strip .tile").first).to_be_visible()
+        page.keyboard.press("n")
+        expect(page).to_have_url(re.compile(r"/maps/\?query="))
+
+
 @pytest.mark.slow
 def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, new_page: NewPage) -> None:
     with SmallProxy(port(app)) as proxy:

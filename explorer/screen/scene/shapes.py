@@ -33,7 +33,7 @@ _HEAT = {
 _OPACITY = {True: (0, 0.4, 0.74, 0.88, 0.95, 1), False: (0, 0.6, 0.9, 0.95, 0.97, 1)}
 _BARE = 0.3
 # Pixels of a ribbon's picture for a unit of the scene, and how much finer it is drawn before it is shrunk.
-_RIBBON, _FINER = 220, 3
+_RIBBON, _FINER = 160, 2
 # Width of a ribbon for a share of 1, in units of the scene.
 _WIDTH = 1.5
 
