@@ -155,7 +155,7 @@ class Scene:
     def _show_frame(
         self, match: Match, result: ScreenResult, places: GalleryGeometry, axes: Float64Array, dark: bool
     ) -> list[Float64Array]:
-        """Frame a tile with its rank, and return its corners."""
+        """Frame a tile with its rank, and return its corners, and the badge's outer one."""
         middle, half = places.ground[match.index], (places.tiles[match.index].width or places.width) / 2
         first = match.index == result.first.index
         colour = (
@@ -176,7 +176,11 @@ class Scene:
             axes,
         )
         self._tiles.insert(0, (match.index, middle, half, _LIFT))
-        return [np.array([middle[0] + x * half, middle[1] + y * half, _LIFT]) for x in (-1, 1) for y in (-1, 1)]
+        outer = np.array([*corner, 0.2 * half]) + axes[:, 0] * 0.3 * half
+        return [
+            outer,
+            *(np.array([middle[0] + x * half, middle[1] + y * half, _LIFT]) for x in (-1, 1) for y in (-1, 1)),
+        ]
 
     def _show_camera(
         self, result: ScreenResult, places: GalleryGeometry, dark: bool
