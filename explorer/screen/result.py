@@ -14,10 +14,14 @@ from explorer.browse.feeds import Feeds
 from explorer.screen.fields import ScreenState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
-from lpn.core.arrays import UInt8Array
+from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
 from lpn.core.texts import ordinal
 from lpn.core.views import View
+from lpn.drawing import overlays
+from lpn.explain import Evidence
+from lpn.explain.attribution import SideEvidence
+from lpn.library.answer import pair_evidence
 from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
 from lpn.tasks.task import Task
@@ -78,12 +82,32 @@ class ScreenResult:
             return self.rival
         return ranking.find(chosen)
 
+    @cached_property
+    def large(self) -> dict[int, Match]:
+        """The tiles that are shown with their cells by their positions: answer, compared tile, and truth."""
+        return {
+            match.index: match for match in (self.first, self.compared, self.analysis.positive) if match is not None
+        }
+
+    @cached_property
+    def evidence(self) -> dict[int, Evidence]:
+        """The evidence of the photo with each of these tiles; empty unless the state asks for it."""
+        if self.state.heat != "evidence":
+            return {}
+        ranking = self.analysis.ranking
+        pairs = {
+            index: pair_evidence(
+                self.analysis.query, self.described(match), ranking.weights, csls=ranking.csls_of(index)
+            )
+            for index, match in self.large.items()
+        }
+        return {index: pair.evidence for index, pair in pairs.items() if pair is not None}
+
     def message(self) -> dict[str, Any]:
         """Return the result as JSON takes it."""
         state, workspace = self.state, self.workspace
-        compared, truth = self.compared, self.analysis.positive
+        compared, truth, shown = self.compared, self.analysis.positive, self.large
         pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
-        shown = {match.index: match for match in (self.first, compared, truth) if match is not None}
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
         verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
@@ -155,6 +179,7 @@ class ScreenResult:
 
     def _photo(self) -> dict[str, Any]:
         analysis = self.analysis
+        pair = self.evidence.get(self.first.index)
         height, width = self.workspace.as_partitioned(analysis.source, self.task.query_view).shape[:2]
         panorama = self.state.own == "" and self.task.queries[self.state.query].panorama
         return {
@@ -164,7 +189,7 @@ class ScreenResult:
             "around": panorama,
             "aspect": width / height if max(width, height) >= 2 * min(width, height) else 1.0,
             "zoom": analysis.zoom,
-            **self._heat(analysis.query, self.task.query_view, 0),
+            **self._heat(analysis.query, self.task.query_view, 0, None if pair is None else pair.query),
         }
 
     def _tile(self, match: Match, described: bool) -> dict[str, Any]:
@@ -184,7 +209,11 @@ class ScreenResult:
         known = self.described(match)
         height, width = self.workspace.as_partitioned(known.picture, self.task.gallery_view).shape[:2]
         aspect = width / height if max(width, height) >= 2 * min(width, height) else 1.0
-        return tile | {"aspect": aspect, **self._heat(known, self.task.gallery_view, quarter)}
+        pair = self.evidence.get(match.index)
+        return tile | {
+            "aspect": aspect,
+            **self._heat(known, self.task.gallery_view, quarter, None if pair is None else pair.tile),
+        }
 
     def described(self, match: Match) -> DescribedPicture:
         """Return a tile, described."""
@@ -203,8 +232,11 @@ class ScreenResult:
             degrees = float(wrap_degrees(degrees - self.state.angle))
         return round(degrees / 90) % 4
 
-    def _heat(self, described: DescribedPicture, view: View, quarter: int) -> dict[str, Any]:
-        """Return the parts of a picture and its activation, turned by quarters: cells as base64 of bytes, row by row."""
+    def _heat(self, described: DescribedPicture, view: View, quarter: int, side: SideEvidence | None) -> dict[str, Any]:
+        """Return the parts of a picture and the values of its cells, turned by quarters, row by row as base64 of bytes.
+
+        Activation has bytes from 0 to 255. Evidence, of `side`, has 128 for none, and one scale for all pictures of the result.
+        """
         areas = self.workspace.areas(view, described)
         if areas is None:
             return {"parts": None, "heat": None}
@@ -216,15 +248,23 @@ class ScreenResult:
             "labels": _bytes(np.where(labels < 0, 255, labels).astype(np.uint8)),
             "boxes": boxes,
         }
-        if described.activation is None:
+        values = described.activation if side is None else self._signed(side)
+        if values is None:
             return {"parts": parts, "heat": None}
-        heat = np.rot90(images.enlarge(described.activation, *areas.labels.shape), quarter)
+        heat = np.rot90(images.enlarge(values, *areas.labels.shape), quarter)
         strongest = []
         for part in range(len(areas.inside)):
             inside = np.rot90(areas.inside[part], quarter)
-            cell = int(np.argmax(np.where(inside, heat, -1.0))) if inside.any() else -1
+            cell = int(np.argmax(np.where(inside, heat, -2.0))) if inside.any() else -1
             strongest.append([] if cell < 0 else [cell % heat.shape[1], cell // heat.shape[1]])
-        return {"parts": parts, "heat": _bytes(np.round(255 * heat).astype(np.uint8)), "strongest": strongest}
+        cells = np.round(255 * heat if side is None else 128 + 127 * heat).astype(np.uint8)
+        return {"parts": parts, "heat": _bytes(cells), "strongest": strongest, "signed": side is not None}
+
+    def _signed(self, side: SideEvidence) -> Float64Array:
+        """Return each cell's share of the score of its pair, from -1 to 1 of the greatest of all pairs of the result."""
+        weights = self.analysis.ranking.weights
+        sides = [one for pair in self.evidence.values() for one in (pair.query, pair.tile)]
+        return side.score_map(weights) / overlays.evidence_limit(*(one.score_map(weights) for one in sides))
 
 
 def measured_scale(task: Task) -> BarScale:

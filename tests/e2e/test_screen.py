@@ -266,6 +266,22 @@ def test_one_ring_is_lit_wherever_it_is_drawn(screen: Screen) -> None:
     expect(screen.rows.nth(0)).to_have_class(re.compile("on"))
 
 
+def test_evidence_takes_the_place_of_activation(screen: Screen) -> None:
+    screen.open()
+    painted = "() => document.querySelector('#photo .heat').toDataURL()"
+    before, key = screen.page.evaluate(painted), screen.page.locator("#photo .key")
+    screen.key("e")
+    expect(key).to_have_text(re.compile("against.*for"))
+    screen.rest()
+    assert screen.page.evaluate(painted) != before
+    expect(screen.page).to_have_url(re.compile("shows=evidence"))
+    screen.key("e")
+    expect(key).to_have_text(re.compile("weak.*strong"))
+    screen.rest()
+    assert screen.page.evaluate(painted) == before
+    assert not screen.complaints
+
+
 def test_the_missed_queries_are_listed_worst_first(running: Running, screen: Screen) -> None:
     screen.open()
     ranks = running.workspace.rankings["drone-to-satellite"].ranks + 1

@@ -21,7 +21,7 @@ const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#cu
 const list = new RailList(find("#list"));
 
 // What a result depends on: while the state differs from it, the numbers are faded.
-const OF_RESULT = ["place", "task", "model", "scoring", "query", "own", "compare", "weights"];
+const OF_RESULT = ["place", "task", "model", "scoring", "query", "own", "compare", "weights", "heat"];
 const isStale = () => view.result.angle !== view.angle || OF_RESULT.some((name) => JSON.stringify(view.result.state[name]) !== JSON.stringify(view.state[name]));
 
 // Messages of the server.
@@ -161,7 +161,6 @@ const drawHead = () => {
   model.hidden = page.models.length < 2;
   for (const button of findAll("#rail .filter button")) button.setAttribute("aria-pressed", String(button.dataset.filter === state.filter));
   find("#rail .filter [data-filter=missed]").title = rail ? `${rail.missed} of ${rail.queries} missed (M)` : "";
-  paintKey(find(".key canvas", photo));
 };
 
 const drawHeadline = () => {
@@ -194,6 +193,8 @@ const drawPictures = () => {
   find("figcaption b", photo).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
   find("figcaption .hint", photo).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
   find("figcaption .key", photo).hidden = !own.heat;
+  paintKey(find(".key canvas", photo), own.signed);
+  findAll(".key u", photo).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
   const shown = view.truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer;
   const answer = result.tiles[shown];
   const role = shown === result.answer ? "Answer" : shown === result.truth ? "Truth" : "Pinned";
@@ -322,6 +323,7 @@ const commands = new Commands(find("#commands"), list, () => {
     { label: "Your photo", act: () => find("#file").click() },
     ...(state.own ? [{ label: "Forget your photo", act: () => channel.act("forget") }] : []),
     ...page.models.map((label, number) => ({ label: `Model: ${label}`, act: () => set({ model: String(number) }) })).filter((_, number) => String(number) !== state.model),
+    ...(view.result?.photo.heat ? [{ label: state.heat === "evidence" ? "Activation" : "Evidence: what speaks for the pair", key: "E", act: () => KEYS.e() }] : []),
     ...(state.weights.length ? [{ label: "Equal weights", act: () => set({ weights: [] }) }] : []),
     ...others("task", page.tasks, (one) => `Task: ${one}`),
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
@@ -359,6 +361,7 @@ const KEYS = {
   r: () => channel.act("random"), m: toggleFilter, d: flipTheme, escape,
   j: () => turnTo(view.angle + STEP), arrowleft: () => turnTo(view.angle + STEP),
   l: () => turnTo(view.angle - STEP), arrowright: () => turnTo(view.angle - STEP), 0: () => turnTo(0),
+  e: () => view.result?.photo.heat && set({ heat: view.state.heat === "evidence" ? "activation" : "evidence" }),
   "/": () => commands.open(), t: () => show({ truth: true }), f: () => show({ colour: true }),
 };
 export const press = (event) => {

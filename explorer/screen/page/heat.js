@@ -3,14 +3,18 @@
 // Dark violet to magenta to near white; lightness rises evenly. On light ground the map runs to dark.
 const DARK = [[26, 10, 40, 0], [104, 24, 112, 0.4], [182, 34, 146, 0.74], [244, 104, 184, 0.88], [255, 184, 218, 0.95], [255, 246, 251, 1]];
 const LIGHT = [[255, 255, 255, 0], [246, 196, 222, 0.6], [226, 110, 178, 0.9], [176, 40, 146, 0.95], [104, 16, 108, 0.97], [40, 4, 52, 1]];
+// Evidence against a pair is green, as far from magenta in all kinds of colour vision.
+const DARK_AGAINST = [[8, 30, 14, 0], [18, 74, 36, 0.4], [34, 122, 58, 0.74], [82, 178, 92, 0.88], [166, 226, 160, 0.95], [240, 255, 238, 1]];
+const LIGHT_AGAINST = [[255, 255, 255, 0], [190, 230, 186, 0.6], [110, 184, 112, 0.9], [48, 128, 64, 0.95], [18, 82, 40, 0.97], [4, 40, 18, 1]];
 const BARE = 0.3; // the weakest third keeps the grey picture
 
 export const isLight = () => document.documentElement.classList.contains("light");
 const tone = (value) => Math.pow(Math.max(0, (value - BARE) / (1 - BARE)), 1.15);
 
-/** @returns {number[]} red, green, blue, and opacity of a value from 0 to 1 */
-const colourOf = (value) => {
-  const map = isLight() ? LIGHT : DARK;
+/** @returns {number[]} red, green, blue, and opacity of a value from 0 to 1, or from -1 to 1 */
+const colourOf = (signed) => {
+  const map = signed < 0 ? (isLight() ? LIGHT_AGAINST : DARK_AGAINST) : isLight() ? LIGHT : DARK;
+  const value = Math.abs(signed);
   const at = Math.max(0, Math.min(0.9999, tone(value))) * 5;
   const from = Math.floor(at);
   return map[from].map((one, channel) => one + (map[from + 1][channel] - one) * (at - from));
@@ -73,7 +77,7 @@ export const paintHeat = (pen, width, height, described, only = -1) => {
   const small = cells.getContext("2d");
   const image = small.createImageData(parts.columns, parts.rows);
   values.forEach((value, cell) => {
-    const colour = colourOf(value / 255);
+    const colour = colourOf(described.signed ? (value - 128) / 127 : value / 255);
     const seen = only < 0 || labels[cell] === only;
     image.data.set([colour[0], colour[1], colour[2], seen ? 255 * colour[3] : 0], 4 * cell);
   });
@@ -83,11 +87,12 @@ export const paintHeat = (pen, width, height, described, only = -1) => {
   pen.drawImage(cells, 0, 0, width, height);
 };
 
-/** Paint the key of the colours. */
-export const paintKey = (canvas) => {
+/** Paint the key of the colours, from weak to strong or from against to for. */
+export const paintKey = (canvas, signed) => {
   const pen = canvas.getContext("2d");
   for (let x = 0; x < canvas.width; x++) {
-    const colour = colourOf(x / (canvas.width - 1));
+    const share = x / (canvas.width - 1);
+    const colour = colourOf(signed ? 2 * share - 1 : share);
     pen.fillStyle = isLight() ? "#ddd" : "#222";
     pen.fillRect(x, 0, 1, canvas.height);
     pen.fillStyle = `rgba(${colour.join(",")})`;

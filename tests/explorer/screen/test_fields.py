@@ -32,6 +32,7 @@ def test_an_address_leads_back_to_its_state(workspace: Workspace, opened: Screen
         angle=-37.5,
         compare=2,
         weights=(1.0, 0.5, 0.0, 2.0),
+        heat="evidence",
         filter="missed",
         find="00",
         view="apart",

@@ -15,6 +15,8 @@ from explorer.screen.fields import ScreenState
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.session import _as_session_state
 from explorer.workspace import StateAnalyser, Workspace
+from lpn import explain
+from lpn.core import images
 from lpn.core.numbers import rounded_to_sum
 from lpn.retrieval import scoring
 
@@ -84,8 +86,8 @@ def test_the_strongest_cell_of_each_part_lies_in_it(workspace: Workspace) -> Non
 
 def test_a_tile_is_turned_by_the_quarters_that_its_cells_are(workspace: Workspace) -> None:
     made = result_of(workspace)
-    straight = made._heat(made.analysis.tile, "satellite", 0)
-    turned = made._heat(made.analysis.tile, "satellite", 1)
+    straight = made._heat(made.analysis.tile, "satellite", 0, None)
+    turned = made._heat(made.analysis.tile, "satellite", 1, None)
     size = straight["parts"]["rows"], straight["parts"]["columns"]
     before = np.frombuffer(b64decode(straight["heat"]), np.uint8).reshape(size)
     assert (np.frombuffer(b64decode(turned["heat"]), np.uint8).reshape(size[::-1]) == np.rot90(before)).all()
@@ -95,6 +97,29 @@ def test_a_tile_is_turned_by_the_quarters_that_its_cells_are(workspace: Workspac
     assert query is not None
     off = ((query.heading or 0) - (tile.heading or 0) + 180) % 360 - 180
     assert made.quarter(made.first) == round(off / 90) % 4
+
+
+@pytest.mark.parametrize("weights", [(), (2.0, 0.0, 1.0, 1.0)])
+def test_evidence_is_that_of_the_pair_on_one_scale(workspace: Workspace, weights: tuple[float, ...]) -> None:
+    made = result_of(workspace, query=1, heat="evidence", weights=weights)
+    message, ranking = made.message(), made.analysis.ranking
+    greatest = 0.0
+    for index, pair in made.evidence.items():
+        exact = explain.evidence(
+            made.analysis.query.trace, workspace.tile(made.task, index).trace, ranking.weights, ranking.csls_of(index)
+        )
+        assert np.allclose(pair.tile.score_map(ranking.weights), exact.tile.score_map(ranking.weights))
+        maps = pair.query.score_map(ranking.weights), pair.tile.score_map(ranking.weights)
+        greatest = max(greatest, *(float(np.abs(cells).max()) for cells in maps))
+    assert set(made.evidence) == set(made.large)
+    tile = message["tiles"][message["answer"]]
+    assert tile["signed"]
+    assert message["photo"]["signed"]
+    cells = np.frombuffer(b64decode(tile["heat"]), np.uint8).astype(float)
+    size = tile["parts"]["rows"], tile["parts"]["columns"]
+    shown = np.rot90((cells.reshape(size) - 128) / 127 * greatest, -tile["quarter"])
+    own = made.evidence[message["answer"]].tile.score_map(ranking.weights)
+    assert np.abs(shown - images.enlarge(own, *shown.shape)).max() <= greatest / 127
 
 
 def test_part_weights_widen_the_scale_of_the_bars(workspace: Workspace) -> None:
