@@ -11,11 +11,11 @@ const BARE = 0.3; // the weakest third keeps the grey picture
 export const isLight = () => document.documentElement.classList.contains("light");
 const tone = (value) => Math.pow(Math.max(0, (value - BARE) / (1 - BARE)), 1.15);
 
-/** @returns {number[]} red, green, blue, and opacity of a value from 0 to 1, or from -1 to 1 */
-const colourOf = (signed) => {
-  const map = signed < 0 ? (isLight() ? LIGHT_AGAINST : DARK_AGAINST) : isLight() ? LIGHT : DARK;
-  const value = Math.abs(signed);
-  const at = Math.max(0, Math.min(0.9999, tone(value))) * 5;
+/** @returns {number[]} red, green, blue, and opacity of a value from 0 to 1, or from -1 to 1 if it is signed */
+const colourOf = (value, signed) => {
+  const map = value < 0 ? (isLight() ? LIGHT_AGAINST : DARK_AGAINST) : isLight() ? LIGHT : DARK;
+  // The cells of outer rings are many, so each has little of its ring's evidence: the power keeps it visible.
+  const at = Math.max(0, Math.min(0.9999, signed ? Math.pow(Math.abs(value), 0.6) : tone(value))) * 5;
   const from = Math.floor(at);
   return map[from].map((one, channel) => one + (map[from + 1][channel] - one) * (at - from));
 };
@@ -77,7 +77,7 @@ export const paintHeat = (pen, width, height, described, only = -1) => {
   const small = cells.getContext("2d");
   const image = small.createImageData(parts.columns, parts.rows);
   values.forEach((value, cell) => {
-    const colour = colourOf(described.signed ? (value - 128) / 127 : value / 255);
+    const colour = colourOf(described.signed ? (value - 128) / 127 : value / 255, described.signed);
     const seen = only < 0 || labels[cell] === only;
     image.data.set([colour[0], colour[1], colour[2], seen ? 255 * colour[3] : 0], 4 * cell);
   });
@@ -92,7 +92,7 @@ export const paintKey = (canvas, signed) => {
   const pen = canvas.getContext("2d");
   for (let x = 0; x < canvas.width; x++) {
     const share = x / (canvas.width - 1);
-    const colour = colourOf(signed ? 2 * share - 1 : share);
+    const colour = colourOf(signed ? 2 * share - 1 : share, signed);
     pen.fillStyle = isLight() ? "#ddd" : "#222";
     pen.fillRect(x, 0, 1, canvas.height);
     pen.fillStyle = `rgba(${colour.join(",")})`;
