@@ -36,8 +36,8 @@ from lpn.sources import ModelOptions, OpenedSource, SourceOptions, model_names, 
 from lpn.sources.kinds.data import open_data
 from lpn.tasks.changes import by_csls, changed
 from lpn.tasks.opening import (
-    calibrated,
     choose_task,
+    new_calibration,
     no_calibration,
     scored_tasks,
     shipped_calibration,
@@ -205,7 +205,7 @@ def _offer_scorings(
 
     def prepare(_: ReportProgress) -> None:
         yield_cores()  # answers must not wait for it
-        rank_by(calibrated(model, dataset))
+        rank_by(new_calibration(model, dataset))
 
     if csls and asked is None:
         rank(by_csls(task, csls) for task in tasks if len(task.queries) >= csls)

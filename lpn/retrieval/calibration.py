@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -108,11 +108,12 @@ class Calibration:
                 f"The scale is {change.scale:g}, and the calibration zooms {view} pictures by up to {zooms.max():.3g}; "
                 f"expected a scale of at most {MAX_SCALE / zooms.max():.3g}."
             )
-        described = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
-        for zoom in np.unique(zooms):
-            rows = np.flatnonzero(zooms == zoom)
-            some = [pictures[row] for row in rows.tolist()]
-            described[rows] = read(model, some, view, replace(change, scale=change.scale * float(zoom)))
+        described = by_zoom(
+            model,
+            pictures,
+            zooms,
+            lambda some, zoom: read(model, some, view, replace(change, scale=change.scale * zoom)),
+        )
         return normalise(described - self.means[view])
 
     def stored(
@@ -336,6 +337,20 @@ def _nearest(query: Float32Array, gallery: Float32Array) -> Float64Array:
     return np.concatenate(
         [(block.reshape(len(block), -1) @ flat).max(axis=1) for block in np.split(query, range(1000, len(query), 1000))]
     ).astype(np.float64)
+
+
+def by_zoom(
+    model: Model,
+    pictures: Sequence[Picture],
+    zooms: Float64Array,
+    read: Callable[[Sequence[Picture], float], Float32Array],
+) -> Float32Array:
+    """Return a model's descriptors of pictures, (N, n, D), read at each of their zooms, (N,), in turn."""
+    described = np.zeros((len(pictures), model.n_parts, model.embedding), np.float32)
+    for zoom in np.unique(zooms).tolist():
+        rows = np.flatnonzero(zooms == zoom)
+        described[rows] = read([pictures[row] for row in rows.tolist()], zoom)
+    return described
 
 
 def centred(described: Float32Array) -> Float32Array:

@@ -241,17 +241,15 @@ def _describing(task: Task, pictures: Sequence[Picture], view: View, change: Cha
         return lambda: describe(pictures, view, change)
 
     def described() -> Float32Array:
-        assert task.model is not None
-        made = np.empty((len(pictures), task.contract.n_parts, task.contract.embedding), np.float32)
-        zooms = np.array([picture.zoom for picture in pictures])
-        done = 0
-        for zoom in np.unique(zooms).tolist():
-            rows = np.flatnonzero(zooms == zoom)
-            zoomed = replace(change, scale=change.scale * float(zoom))
-            some = [pictures[row] for row in rows.tolist()]
-            with counted_among(done, len(zooms)):
-                made[rows] = cached_descriptors(task.model, some, view, zoomed)
-            done += len(rows)
-        return made
+        model, done = task.model, 0
+        assert model is not None
+
+        def read(some: Sequence[Picture], zoom: float) -> Float32Array:
+            nonlocal done
+            before, done = done, done + len(some)
+            with counted_among(before, len(pictures)):
+                return cached_descriptors(model, some, view, replace(change, scale=change.scale * zoom))
+
+        return calibrations.by_zoom(model, pictures, np.array([picture.zoom for picture in pictures]), read)
 
     return described

@@ -25,8 +25,7 @@ from lpn.retrieval import scoring, transfer
 from lpn.retrieval.calibration import MIN_PICTURES, Calibration, calibrate
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
 from lpn.tasks import notes
-from lpn.tasks.changes import by_csls
-from lpn.tasks.changes import calibrated as calibrated_task
+from lpn.tasks.changes import by_csls, calibrated
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.notes import Note
 from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
@@ -169,7 +168,7 @@ def describe_task(
     except PictureError:  # of one list; name the broken pictures of all lists at once
         check_test_split(dataset, offered)
         raise
-    task = calibrated_task(task, calibration)
+    task = calibrated(task, calibration)
     identities = query_side.identity, gallery_side.identity
     return replace(
         task,
@@ -212,8 +211,8 @@ def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = No
     """Choose the calibration that ranks the tasks of a data set, for the library, every command, and the page; no label counts.
 
     Args:
-        calibrate: True for the calibration that ships with the data set, or else a new one, see `calibrated`; False for none;
-            None for the one that ships, if any.
+        calibrate: True for the calibration that ships with the data set, or else a new one; False for none; None for the one that
+            ships, if any.
 
     Returns:
         None to rank plain.
@@ -225,7 +224,7 @@ def task_calibration(model: Model, dataset: Dataset, calibrate: bool | None = No
     if calibrate is not None and not isinstance(calibrate, bool):
         raise InputError(f"calibrate is {printable(repr(calibrate))}; expected True, False, or None.")
     shipped = None if calibrate is False else shipped_calibration(model, dataset)
-    return calibrated(model, dataset) if calibrate and shipped is None else shipped
+    return new_calibration(model, dataset) if calibrate and shipped is None else shipped
 
 
 def alike_calibrations(
@@ -266,7 +265,7 @@ def _lists(model: Model, dataset: Dataset) -> dict[View, list[Sequence[Picture]]
     return lists
 
 
-def calibrated(model: Model, dataset: Dataset) -> Calibration:
+def new_calibration(model: Model, dataset: Dataset) -> Calibration:
     """Calibrate a model on the pictures of all tasks that it offers, so that all tasks are searched by one model.
 
     Raises:

@@ -48,7 +48,7 @@ class Verdict:
         answer: the first tile.
         rival: the tile that it is compared with; None without one.
         gains: each part's gain over the rival in d², (n,); None without one.
-        parts: those that the headline names as deciding, or as doing most for the answer.
+        parts: those that the headline names as speaking for the answer: as deciding, doing most, or preferring the wrong tile.
     """
 
     sign: bool | None
@@ -135,7 +135,7 @@ def _right(ranking: Ranking, found: Verdict, counted: Int64Array, words: _Words)
     most = _alike(found.gains, counted)
     figures = [found.figures[part] for part in most]
     alike = ", alike" if len(most) > 1 else ""
-    of = "of" if sum(figures) <= found.lead else "to"
+    of = "of" if round(sum(figures), 3) <= found.lead else "to"
     shown = listed([f"{figure:.3f}" for figure in figures])
     headline = f"{words.named(most)} add{_s(most)} most{alike}: {shown} {of} the lead of {found.lead:.3f}"
     return headline, tuple(most), f"{leads}."
@@ -151,8 +151,8 @@ def _wrong(found: Verdict, gains: Float64Array, counted: Int64Array, words: _Wor
         wrong = [part for part in counted.tolist() if gains[part] >= bound]
         true = [part for part in counted.tolist() if gains[part] <= -bound]
         if wrong and gains[wrong].sum() + gains[true].sum() > _EQUAL:
-            most = _alike(gains, counted)
-            return words.preferences(wrong, true, counted.tolist(), most), tuple(most), behind
+            named = wrong if len(wrong) < len(counted) else _alike(gains, counted)
+            return words.preferences(wrong, true, counted.tolist(), named), tuple(named), behind
     return "Nearly a tie: the nearest true tile is less than 0.001 behind", (), behind
 
 

@@ -249,7 +249,8 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 def test_a_flight_a_map_and_models_are_shown_as_text_too(
     flown: dict[str, Path], tmp_path: Path, contexts: Callable[..., BrowserContext]
 ) -> None:
-    options = ["flight", "--no-register", *(text for name, file in flown.items() for text in (f"--{name}", str(file)))]
+    named = [text for name, file in flown.items() if name != "flight" for text in (f"--{name}", str(file))]
+    options = [str(flown["flight"]), "--no-register", *named]
     with started(Path(), Path(), tmp_path / "cache", default=True, options=options) as running:
         walked = Walk(contexts().new_page(), running.url)
         explorer, page = ExplorerPage(walked.page), walked.page
@@ -316,7 +317,6 @@ def test_no_text_runs_in_the_files_that_leave(
     page, alarms = file_page
     report = [
         "report",
-        "--data",
         str(places),
         "--model",
         str(model_file),

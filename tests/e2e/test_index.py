@@ -43,7 +43,7 @@ def test_an_index_is_explored_as_its_data_set_is(
         ranking = retrieval.rank(cosines, scoring.part_weights(4, weights))
         return [(gallery[match.index].name, f"{match.distance2:.3f}") for match in ranking.top(10)]
 
-    source = ("index", "--index", str(tmp_path / "index"), "--data", app.data, "--model", app.model)
+    source = (str(tmp_path / "index"), "--data", app.data, "--model", app.model)
     with started(app.data, app.model, tmp_path / "cache", default=True, options=tuple(map(str, source))) as running:
         explorer = ExplorerPage(new_page())
         explorer.open(running.url)

@@ -34,7 +34,7 @@ from lpn.live.run import live_answer
 from lpn.locate.located import LocatedFlight
 from lpn.retrieval import scoring
 from lpn.sources import SourceOptions
-from lpn.tasks.opening import calibrated, scored_tasks
+from lpn.tasks.opening import new_calibration, scored_tasks
 from lpn.tasks.task import SCORINGS
 from tests.conftest import MakeOnce
 from tests.e2e.conftest import PATIENCE, ExplorerPage, classic, served_folder
@@ -243,7 +243,7 @@ def test_the_laboratory_lists_all_queries_worst_first_and_opens_one(windows: Win
 def test_each_scoring_ranks_as_its_task_does(windows: Windows, page: Page) -> None:
     model, dataset, queries, _ = windows.opened
     position = [one.name for one in queries].index(ONE)
-    tasks = {one.scoring: one for one in scored_tasks(model, "", dataset, calibrated(model, dataset), [TASK])}
+    tasks = {one.scoring: one for one in scored_tasks(model, "", dataset, new_calibration(model, dataset), [TASK])}
     page.goto(windows.address(scoring="plain", screen="all", query=ONE))
     shown = answer(page, name=ONE, scoring="plain")
     expect_ranking(shown, windows.ranking(ONE))

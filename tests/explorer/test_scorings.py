@@ -34,7 +34,7 @@ from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
 from lpn.retrieval.csls import NEIGHBOURS
 from lpn.tasks import opening
-from lpn.tasks.opening import calibrated
+from lpn.tasks.opening import new_calibration
 from lpn.tasks.task import SCORINGS, Scoring
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -349,14 +349,14 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
     write_places(tmp_path / "places", 22)
     counts: list[tuple[int, int]] = []
     with listening(lambda _, *count: counts.append(count)):
-        calibrated(lpn.load(model_file), open_dataset(tmp_path / "places"))
+        new_calibration(lpn.load(model_file), open_dataset(tmp_path / "places"))
     assert counts[-1] == (22, 22)
 
     def endless(*_: object) -> None:
         while True:
             report_progress("Describing", 3, 22)
 
-    monkeypatch.setattr("explorer.opening.calibrated", endless)
+    monkeypatch.setattr("explorer.opening.new_calibration", endless)
     opened, client = open_model(tmp_path / "places", model_file), object()
     job = opened.scorings.prepare(client)
     assert job is not None

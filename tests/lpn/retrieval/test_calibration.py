@@ -31,10 +31,9 @@ from lpn.report import Options
 from lpn.report.cases import Cases
 from lpn.retrieval.calibration import PRIOR, STEP, Calibration, calibrate, centred, ground_ratio
 from lpn.sources import ModelOptions
-from lpn.tasks.changes import calibrated as calibrated_task
+from lpn.tasks.changes import calibrated, changed, turned
 from lpn.tasks.changes import centred as centred_task
-from lpn.tasks.changes import changed, turned
-from lpn.tasks.opening import alike_calibrations, calibrated, describe_task, lazy_task, task_calibration
+from lpn.tasks.opening import alike_calibrations, describe_task, lazy_task, new_calibration, task_calibration
 from lpn.tasks.task import scored_key
 from tests.conftest import MakeOnce
 from tools.fixtures import small_worlds
@@ -168,7 +167,7 @@ def test_evaluation_by_a_calibration_finds_more_and_says_so(model: Model, wide: 
     dataset = open_dataset(wide)
     calibration = task_calibration(model, dataset, True)
     task = lazy_task(model, dataset, TASK)
-    better = calibrated_task(task, calibration)
+    better = calibrated(task, calibration)
     plain, moved = task.evaluate(), better.evaluate()
     assert moved.recall["1"] > plain.recall["1"]
     assert "calibrated without labels on 48 drone and 48 satellite pictures" in moved.sentence
@@ -204,9 +203,9 @@ def test_models_are_compared_plain_and_calibrated(model_file: Path, wide: Path, 
 @pytest.mark.slow
 def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    calibration = calibrated(model, dataset)
+    calibration = new_calibration(model, dataset)
     task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibration)
-    expected = calibrated_task(lazy_task(model, dataset, TASK), calibration).evaluate()
+    expected = calibrated(lazy_task(model, dataset, TASK), calibration).evaluate()
     assert task.metrics["recall@1"] == pytest.approx(expected.recall["1"])
     moved = task.model
     assert moved is not None
@@ -231,7 +230,7 @@ def test_a_task_searches_shows_and_explains_calibrated_pictures(model: Model, wi
 @pytest.mark.slow
 def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Path) -> None:
     dataset = open_dataset(wide)
-    task = describe_task(model, "model.onnx", dataset, TASK, calibration=calibrated(model, dataset))
+    task = describe_task(model, "model.onnx", dataset, TASK, calibration=new_calibration(model, dataset))
     own = OwnPicture("mine", task.queries[0].load())
     case = Cases(task, Options()).make(own)
     np.testing.assert_array_equal(case.picture, task.queries[0].load_zoomed())
@@ -288,10 +287,10 @@ def test_a_calibration_has_two_views_and_their_branches(model: Model, wide: Path
         turned(lazy_task(model, dataset, TASK), 90),
     ):
         with pytest.raises(InputError, match="leave --centre, another branch, and the released protocol out"):
-            calibrated_task(task, calibration)
+            calibrated(task, calibration)
         assert task.evaluate().calibration is None
     with pytest.raises(InputError, match="leave --centre or the calibration out"):
-        centred_task(calibrated_task(lazy_task(model, dataset, TASK), calibration))
+        centred_task(calibrated(lazy_task(model, dataset, TASK), calibration))
 
 
 def test_every_way_to_a_scoring_ranks_alike(model: Model, wide: Path, model_file: Path, tmp_path: Path) -> None:
@@ -348,7 +347,7 @@ def test_a_wrong_argument_is_told_in_one_sentence(
 
 
 def test_the_demo_is_ranked_by_the_calibration_that_ships(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lpn.tasks.opening.calibrated", None)  # nothing is calibrated anew
+    monkeypatch.setattr("lpn.tasks.opening.new_calibration", None)  # nothing is calibrated anew
     for asked, scoring, recall in ((None, "calibrated", 84.7), (True, "calibrated", 84.7), (False, "plain", 70.1)):
         task = lpn.open_task(DEMO, TASK, calibrate=asked)
         assert (task.scoring, round(task.metrics["recall@1"], 1)) == (scoring, recall)

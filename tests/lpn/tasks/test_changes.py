@@ -21,7 +21,7 @@ from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import Weather
 from lpn.models.base import Model
 from lpn.tasks.changes import averaged, by_csls, centred, changed, in_weather, turned, why_not, with_parts
-from lpn.tasks.opening import calibrated, describe_task, lazy_task
+from lpn.tasks.opening import describe_task, lazy_task, new_calibration
 from tools.fixtures import small_worlds
 
 
@@ -29,7 +29,7 @@ from tools.fixtures import small_worlds
 def test_turned_queries_have_the_figures_of_evaluate(options: list[str], model_file: Path, tmp_path: Path) -> None:
     data, out = small_worlds.make_dataset(tmp_path / "places", train=1, test=24), tmp_path / "figures.json"
     model, dataset = lpn.load(model_file), open_dataset(data)
-    task = describe_task(model, "lpn", dataset, calibration=calibrated(model, dataset) if options else None)
+    task = describe_task(model, "lpn", dataset, calibration=new_calibration(model, dataset) if options else None)
     assert turned(task, 0) is task
     counts: list[tuple[int, int]] = []
     around = turned(task, -90)

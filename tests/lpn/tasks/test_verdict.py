@@ -112,6 +112,18 @@ def test_an_answer_without_a_truth_or_a_rival() -> None:
     assert judge(ranked(two, true=(0, 1)), NAMES[:2]).headline == "Found: there is no wrong tile"
 
 
+def test_parts_of_any_number_and_name() -> None:
+    eight = judge(ranked([[0.6] * 7 + [0.8], [0.5] * 8], true=(1,)), [str(i) for i in range(1, 9)])
+    assert eight.headline == "All eight parts prefer the wrong tile, part 8 most"
+    strips = ranked([[0.6, 0.5, 0.6], [0.5, 0.7, 0.1]], true=(1,))
+    assert (
+        judge(strips, ["sky", "middle", "road"]).headline
+        == "Part middle prefers the truth, parts sky and road outvote it"
+    )
+    whole = judge(ranked([[0.9], [0.6]]), ["1 whole"])
+    assert (whole.headline, whole.parts) == ("Lead over the nearest wrong tile: 0.600", ())
+
+
 def test_junk_is_no_rival() -> None:
     cosines = np.array([[0.9, 0.9], [0.8, 0.8], [0.5, 0.6]], np.float32)
     ranking = retrieval.rank(cosines, scoring.part_weights(2), truth=Truth(np.array([0]), np.array([1])))
@@ -199,6 +211,7 @@ def check(verdict: Verdict, shares: np.ndarray, true: np.ndarray) -> str:
     ):
         parts = numbers(found[1])
         assert {1: "it", 2: "either one"}.get(len(parts), "any one of them") == found[2]
+        assert list(verdict.parts) == parts
         falls = re.findall(r"(\d+)\w\w without ring (\d)", verdict.sentence)
         assert [int(part) - 1 for _, part in falls] == parts
         for rank, part in zip((int(rank) for rank, _ in falls), parts, strict=True):
@@ -218,7 +231,7 @@ def check(verdict: Verdict, shares: np.ndarray, true: np.ndarray) -> str:
         np.testing.assert_allclose(figures, gains[parts], atol=1.1e-3)
         rest = sorted(set(range(4)) - set(parts))
         assert gains[parts].min() >= gains[rest].max(initial=-9) if rest else True
-        assert (found[4] == "of") == (sum(figures) <= verdict.lead)
+        assert (found[4] == "of") == (round(sum(figures), 3) <= verdict.lead)
         assert np.ptp(gains[parts]) <= 6e-4
         return "most"
     if headline.startswith("Nearly a tie"):
@@ -239,6 +252,7 @@ def check(verdict: Verdict, shares: np.ndarray, true: np.ndarray) -> str:
         rest = sorted(set(range(4)) - set(parts))
         assert (gains[parts] > 0).all()
         assert (abs(gains[rest]) < 0.005 + EQUAL).all()
+        assert list(verdict.parts) == parts
         assert gains[parts].min() > abs(gains[rest]).max() - EQUAL
         return "some"
     found = re.fullmatch(
@@ -246,6 +260,7 @@ def check(verdict: Verdict, shares: np.ndarray, true: np.ndarray) -> str:
     )
     assert found, headline
     for_truth, against = numbers(found[1]), numbers(found[2])
+    assert list(verdict.parts) == against
     assert (gains[for_truth] < 0).all()
     assert (gains[against] > 0).all()
     assert gains[against].sum() > -gains[for_truth].sum()
