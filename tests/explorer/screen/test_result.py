@@ -43,6 +43,8 @@ def test_each_number_is_the_analysis_own_and_they_add_up(workspace: Workspace, q
     gains = [float(row["gain"]) * (-1 if row["minus"] else 1) for row in message["rows"]]
     assert sum(gains) == pytest.approx(verdict.lead, abs=1e-9)
     assert gains == verdict.figures
+    told = [None if abs(gain) < 0.005 else (gain > 0) == verdict.sign for gain in gains]
+    assert [row["prefers"] for row in message["rows"]] == told
     assert message["headline"]["reason"].startswith(verdict.headline)
     assert message["rank"] == analysis.positive.rank if analysis.positive else message["rank"] is None
     assert message["headline"]["found"] == (message["rank"] == 1)
