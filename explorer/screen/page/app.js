@@ -128,7 +128,13 @@ let due = 0;
 const soon = () => {
   if (!due) due = requestAnimationFrame(draw);
 };
-onPicture(() => soon());
+let loaded = 0;
+onPicture(() => {
+  loaded++;
+  soon();
+});
+// What pictures, rows, and strip were drawn from: a turn of the photo alone leaves them as they are.
+let drawn = [];
 
 const draw = () => {
   due = 0;
@@ -142,11 +148,16 @@ const draw = () => {
   const stale = isStale();
   document.body.classList.toggle("turning", stale);
   document.body.classList.toggle("color", view.colour);
-  drawPictures();
-  showRows(rows, page, result, view.colour);
-  showSums(sum, result);
-  showStrip(strip, result);
-  for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  const from = [result, state.theme, view.colour, view.truth, view.focus, loaded, innerWidth];
+  if (from.some((one, at) => one !== drawn[at])) {
+    drawn = from;
+    drawPictures();
+    showRows(rows, page, result, view.colour);
+    showSums(sum, result);
+    showStrip(strip, result);
+    for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  }
+  drawTurn();
   scene.show(result.scene, state.view, page.place);
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
@@ -180,16 +191,19 @@ const drawHeadline = () => {
   }
 };
 
+const drawTurn = () => {
+  const frame = find(".frame", photo);
+  rollPicture(photo, view.result.photo, view.angle);
+  frame.setAttribute("aria-valuenow", String(view.angle));
+  frame.setAttribute("aria-valuetext", `${view.angle} degrees`);
+  find("#degrees").textContent = `${Math.round(view.angle)}°`;
+};
+
 const drawPictures = () => {
   const { page, result } = view;
   const own = result.photo;
-  const frame = find(".frame", photo);
   showPicture(photo, own, view.focus, page.parts, photoTurn(own, view.angle), `${own.name}`);
-  rollPicture(photo, own, view.angle);
-  frame.setAttribute("aria-valuenow", String(view.angle));
-  frame.setAttribute("aria-valuetext", `${view.angle} degrees`);
-  frame.classList.toggle("fixed", !page.turns);
-  find("#degrees").textContent = `${Math.round(view.angle)}°`;
+  find(".frame", photo).classList.toggle("fixed", !page.turns);
   find("figcaption b", photo).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
   find("figcaption .hint", photo).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
   find("figcaption .key", photo).hidden = !own.heat;
