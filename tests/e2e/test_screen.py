@@ -16,7 +16,7 @@ from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.core.numbers import rounded_to_sum
-from tests.e2e.conftest import box, expect_accessible, outlast
+from tests.e2e.conftest import RunningApp, box, expect_accessible, outlast
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 
@@ -397,6 +397,48 @@ def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen:
     screen.key("Escape")
     assert box(page.locator("#scene"))["height"] < 340
     assert not [one for one in screen.complaints if "WebGL" not in one]
+
+
+@pytest.mark.slow
+def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
+    panorama_app: RunningApp, new_page: Callable[[], Page]
+) -> None:
+    screen = Screen(new_page(), f"{panorama_app.screen}/").open()
+    page = screen.page
+    expect(page.locator("#photo .hint")).to_have_text("drag to roll")
+    expect(screen.rows).to_have_count(4)
+    expect(page.locator("#about")).to_contain_text("cut into parts")
+    whole, seen = box(page.locator("#photo .pan")), box(screen.photo)
+    assert whole["width"] > 2 * seen["width"], "a square window shows a piece of it"
+    page.mouse.move(seen["x"] + 300, seen["y"] + 200)
+    page.mouse.down()
+    page.mouse.move(seen["x"] + 300 - whole["width"] / 8, seen["y"] + 200)
+    page.mouse.up()
+    screen.rest("45")
+    shift = page.locator("#photo .picture").evaluate(
+        "one => parseFloat(one.style.backgroundPositionX) / one.clientWidth"
+    )
+    assert shift == pytest.approx(-45 / 360, abs=0.002)
+    assert scrolls(page) == (0, 0)
+    assert not screen.complaints
+
+
+@pytest.mark.slow
+def test_saved_descriptors_are_ranked_without_heat_or_turning(
+    saved_app: RunningApp, new_page: Callable[[], Page]
+) -> None:
+    screen = Screen(new_page(), f"{saved_app.screen}/").open()
+    page = screen.page
+    expect(screen.rows).to_have_count(4)
+    expect(page.locator("#photo .key")).to_be_hidden()
+    expect(screen.tiles).to_have_count(6)
+    screen.key("j")
+    screen.key("n")
+    screen.rest("0")
+    expect(page).to_have_url(re.compile(r"query=0008$"))
+    page.set_input_files("#file", {"name": "a.png", "mimeType": "image/png", "buffer": b"words"})
+    expect(screen.headline.locator("h1")).to_contain_text("Saved descriptors cannot describe a photo of yours")
+    assert not screen.complaints
 
 
 def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Screen) -> None:
