@@ -102,6 +102,8 @@ class ExplainCommand(SourceOptions):
         cosines = scoring.part_cosines(query.descriptor, tile.descriptor[None])[0]
         names = model.contract.names(views[0])
         console = wide_console(100)
+        if self.match is None:
+            console.print(f"The tile is {_short(files[1])}, the top match.", highlight=False, markup=False)
         losses = _losses(model, query, views[0], tile) if self.covering else None
         terms = None if csls is None else CslsTerms(csls[0], csls[1][None])
         ranking = retrieval.rank(cosines[None], weights, csls=terms)

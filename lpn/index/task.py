@@ -19,7 +19,7 @@ from lpn.index.tile_pictures import tile_pictures
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.task import Task
+from lpn.tasks.task import Task, descriptor_clause
 
 
 def index_task(
@@ -53,6 +53,7 @@ def index_task(
         data_name=queries.data_name,
         root=queries.root,
         contract=model.contract,
+        clauses=(descriptor_clause(model.contract),),
         map_sizes={view: model.map_size(view) for view in dict.fromkeys((*views, *model.views))},
         queries=queries.pictures,
         gallery=tiles,

@@ -28,7 +28,7 @@ from lpn.maps import Map
 from lpn.maps.named_window import WindowCut, caption_of, describe_place
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
-from lpn.tasks.task import Task
+from lpn.tasks.task import Task, descriptor_clause
 
 TASK = "drone-to-satellite"
 _OFF_TAG = "Distance from the photo's GPS tag, or from its correction by hand; tags themselves may be metres off"
@@ -84,6 +84,7 @@ def flight_task(model: Model, model_name: str, located: LocatedFlight, root: Pat
         data_name=printable(f"{located.flight.name} over {located.basemap.name}"),
         root=root,
         contract=model.contract,
+        clauses=(descriptor_clause(model.contract),),
         map_sizes={view: model.map_size(view) for view in model.views},
         queries=[
             _query(retrieval, i, located.frames[i].frame, retrieval.headings[i][turn], root)

@@ -29,7 +29,7 @@ from lpn.tasks.changes import by_csls, calibrated
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.notes import Note
 from lpn.tasks.shipped_calibration import FOLDER, NAME, read_calibration
-from lpn.tasks.task import Task
+from lpn.tasks.task import Task, descriptor_clause
 
 log = logging.getLogger(__name__)
 
@@ -76,8 +76,7 @@ def lazy_task(
         log.warning(
             "%s shows one place only, so that every answer is right; its metrics say nothing.", dataset.root.name
         )
-    mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
-    clauses = [f"{mirrored}each part normalised"]
+    clauses = [descriptor_clause(contract)]
     clauses += ["pictures read by Pillow without their EXIF orientation, as released"] if released else []
     carried = released and name == "street-to-street" and truth is not None
     if carried:

@@ -111,7 +111,7 @@ class Task:
     neighbours: int = 0
     no_map: str = ""
     of_index: str = ""
-    clauses: tuple[str, ...] = ("each part normalised",)
+    clauses: tuple[str, ...] = ()
     change: Change = UNCHANGED
     parts: tuple[int, ...] = ()
     describe: Callable[[Sequence[Picture], View, Change], Float32Array] | None = None
@@ -357,6 +357,12 @@ class RankUnderWeights:
             )
             self._last = weights.tobytes(), ranking
         return self._last[1]
+
+
+def descriptor_clause(contract: Contract) -> str:
+    """Return how a model makes a descriptor, as a clause of the protocol's sentence."""
+    mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
+    return f"{mirrored}{'each part ' if contract.n_parts > 1 else ''}normalised"
 
 
 def scored_key(name: str, scoring: Scoring) -> str:

@@ -30,6 +30,7 @@ from websockets.sync.client import connect
 from websockets.typing import Origin, Subprotocol
 
 from explorer.app import App, serve_in_background
+from explorer.compute.own_photos import CameraPicture
 from explorer.opening import open_model
 from explorer.panels.upload_control import UploadControl
 from explorer.server import gateway, picture_route
@@ -41,7 +42,6 @@ from explorer.server.rate_limiter import GUESSES, RateLimiter, TokenBucket
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, Workspace
 from lpn.core.errors import DataError, InputError, MissingPackageError
-from lpn.library.analyser import OwnPicture
 from tools.fixtures import small_worlds
 from tools.fixtures.small_proxy import SmallProxy
 from tools.fixtures.waiting import TIMEOUT, wait_until
@@ -728,12 +728,12 @@ def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
         handle = weakref.ref(session().client)  # type: ignore[union-attr]
         talker.upload("mine.png", picture(600))
         talker.wait(lambda: talker.status("name") == "mine.png")
-        assert len(alive(OwnPicture)) == 1
+        assert sum(one.picture.size > 0 for one in alive(CameraPicture)) == 1  # the list of own pictures has no pixels
         contents = [control._button.value.content for control in alive(UploadControl)]
         assert set(contents) == {b""}, "viser's own copy of the bytes"
     wait_until(
-        lambda: not alive(OwnPicture) and session() is None and handle() is None,
-        lambda: (alive(OwnPicture), session()),
+        lambda: not alive(CameraPicture) and session() is None and handle() is None,
+        lambda: (alive(CameraPicture), session()),
     )
     wait_until(lambda: threads_of("explorer-worker") <= workers_before)
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
+import lpn
 from lpn.cli import main
 from tests.lpn.cli.test_main import without_torch
 
@@ -77,3 +78,30 @@ def test_mistakes_get_one_sentence(
     said = capsys.readouterr().err
     assert expected in said
     assert said.count("\n") == 1
+
+
+def test_a_query_of_a_source_is_explained_by_its_name_beside_its_top_match(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "why.json"
+    given = ["explain", str(data), "--model", str(model_file), "--json", str(file)]
+    task = lpn.open_task(data, model=model_file)
+    (query,) = (one for one in task.queries if one.name == "0009")
+    top = task.search(task.queries.index(query)).order
+    assert main.main([*given, "--query", "0009"]) == 0
+    first = json.loads(file.read_text())
+    assert first["match"] == str(task.gallery[int(top[0])].path)
+    assert "the top match." in capsys.readouterr().out
+    assert main.main([*given, "--query", str(query.path), "--match", task.gallery[int(top[1])].name]) == 0
+    second = json.loads(file.read_text())
+    assert second["match"] == str(task.gallery[int(top[1])].path)
+    scores = task.search(task.queries.index(query)).scores
+    assert [first["score"], second["score"]] == pytest.approx(scores[top[:2]].tolist(), abs=1e-4)
+    for wrong, said in (
+        (["--query", "nowhere"], "has no query nowhere; did you mean 0007?"),
+        (["--query", str(query.path)], "Nothing says which tile to compare with; give it as --match."),
+    ):
+        assert main.main([*given, *wrong]) == 2
+        assert said in capsys.readouterr().err
+    assert main.main(["explain", "--query", str(query.path), "--match", str(query.path), "--csls", "3"]) == 2
+    assert "--csls is of a source, and none is given; name it: lpn explain SOURCE." in capsys.readouterr().err
