@@ -169,7 +169,7 @@ class ScreenState:
         angle: degrees counter-clockwise by which the photo is turned.
         compare: gallery position of the tile that a person compares; None for the headline's.
         weights: the part weights; empty for equal ones.
-        heat: what the cells show: a picture's activation, or the pair's evidence.
+        heat: what the cells show: a picture's activation, the pair's evidence, or the loss of its score by occlusion.
         filter: which queries the rail lists.
         find: a text that their names contain.
         view: what the scene shows.
@@ -185,7 +185,7 @@ class ScreenState:
     angle: float = _row(NumberIn(-180.0, 180.0), 0.0, "angle", of_query=True)
     compare: int | None = _row(PictureOf("gallery", optional=True), None, "with", of_query=True)
     weights: tuple[float, ...] = _row(Weights(), (), "weights")
-    heat: str = _row(OneOf(("activation", "evidence")), "activation", "shows")
+    heat: str = _row(OneOf(("activation", "evidence", "occlusion")), "activation", "shows")
     filter: str = _row(OneOf(("all", "missed")), "all", "only")
     find: str = _row(Line(), "", "find")
     view: str = _row(OneOf(("city", "apart")), "city", "view")

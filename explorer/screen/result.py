@@ -14,7 +14,7 @@ from explorer.browse.feeds import Feeds
 from explorer.screen.fields import ScreenState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
-from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, UInt8Array
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
 from lpn.core.texts import ordinal
 from lpn.core.views import View
@@ -189,7 +189,7 @@ class ScreenResult:
             "around": panorama,
             "aspect": width / height if max(width, height) >= 2 * min(width, height) else 1.0,
             "zoom": analysis.zoom,
-            **self._heat(analysis.query, self.task.query_view, 0, None if pair is None else pair.query),
+            **self._heat(analysis.query, self.task.query_view, 0, None if pair is None else self._signed(pair.query)),
         }
 
     def _tile(self, match: Match, described: bool) -> dict[str, Any]:
@@ -212,7 +212,7 @@ class ScreenResult:
         pair = self.evidence.get(match.index)
         return tile | {
             "aspect": aspect,
-            **self._heat(known, self.task.gallery_view, quarter, None if pair is None else pair.tile),
+            **self._heat(known, self.task.gallery_view, quarter, None if pair is None else self._signed(pair.tile)),
         }
 
     def described(self, match: Match) -> DescribedPicture:
@@ -232,10 +232,12 @@ class ScreenResult:
             degrees = float(wrap_degrees(degrees - self.state.angle))
         return round(degrees / 90) % 4
 
-    def _heat(self, described: DescribedPicture, view: View, quarter: int, side: SideEvidence | None) -> dict[str, Any]:
+    def _heat(
+        self, described: DescribedPicture, view: View, quarter: int, signed: FloatingArray | None
+    ) -> dict[str, Any]:
         """Return the parts of a picture and the values of its cells, turned by quarters, row by row as base64 of bytes.
 
-        Activation has bytes from 0 to 255. Evidence, of `side`, has 128 for none, and one scale for all pictures of the result.
+        Activation has bytes from 0 to 255. Values of `signed`, from -1 to 1, take its place; 0 has 128.
         """
         areas = self.workspace.areas(view, described)
         if areas is None:
@@ -248,7 +250,7 @@ class ScreenResult:
             "labels": _bytes(np.where(labels < 0, 255, labels).astype(np.uint8)),
             "boxes": boxes,
         }
-        values = described.activation if side is None else self._signed(side)
+        values = described.activation if signed is None else signed
         if values is None:
             return {"parts": parts, "heat": None}
         heat = np.rot90(images.enlarge(values, *areas.labels.shape), quarter)
@@ -257,8 +259,17 @@ class ScreenResult:
             inside = np.rot90(areas.inside[part], quarter)
             cell = int(np.argmax(np.where(inside, heat, -2.0))) if inside.any() else -1
             strongest.append([] if cell < 0 else [cell % heat.shape[1], cell // heat.shape[1]])
-        cells = np.round(255 * heat if side is None else 128 + 127 * heat).astype(np.uint8)
-        return {"parts": parts, "heat": _bytes(cells), "strongest": strongest, "signed": side is not None}
+        cells = np.round(255 * heat if signed is None else 128 + 127 * heat).astype(np.uint8)
+        return {"parts": parts, "heat": _bytes(cells), "strongest": strongest, "signed": signed is not None}
+
+    def covered(self, losses: Float32Array) -> dict[str, Any]:
+        """Return the photo's parts and, in place of its activation, how much of the score it loses by each covered square.
+
+        Args:
+            losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN where not measured yet.
+        """
+        lost = np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1)
+        return self._heat(self.analysis.query, self.task.query_view, 0, lost / overlays.evidence_limit(lost))
 
     def _signed(self, side: SideEvidence) -> Float64Array:
         """Return each cell's share of the score of its pair, from -1 to 1 of the greatest of all pairs of the result."""

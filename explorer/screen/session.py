@@ -22,6 +22,7 @@ from explorer.screen import fields
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
+from explorer.screen.occlusion import Covering, Occlusion
 from explorer.screen.rail import Rail
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import Scene, views_of
@@ -86,6 +87,7 @@ class ScreenSession:
         self._rail = Rail()
         self._loop = Loop(self._answer, send, self._requests, self._after)
         self._curve = Curve(send, screens.held)
+        self._occlusion, self._number = Occlusion(send), 0
         self._progress = RankingProgress(lambda _: None, self._show_rail)
         # The own photo by its key, the address of its picture, and the file that is being received.
         self._own: dict[str, tuple[OwnPicture, str]] = {}
@@ -132,6 +134,7 @@ class ScreenSession:
         self._left = True
         self._loop.stop()
         self._curve.stop()
+        self._occlusion.stop()
         self._painter.stop()
         self._progress.close()
         with self._lock:
@@ -373,12 +376,13 @@ class ScreenSession:
         if state.angle % STEP == 0 and opened.workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
         self._analysed = state, analysis
-        message = result.message() | {"scene": views_of(result)}
+        self._number += 1
+        message = result.message() | {"scene": views_of(result), "number": self._number}
         self._painted = result
         return message | {"state": asdict(state), "curve": _digest(key, state)}
 
     def _after(self, state: ScreenState) -> None:
-        """Begin what goes on behind an answer: the scene, the ranking of all queries, and the curve."""
+        """Begin what goes on behind an answer: the scene, the ranking of all queries, the curve, and the occlusion."""
         self._painter.wake()
         ranking = self._ranking(state)
         self._progress.follow(ranking)
@@ -388,21 +392,19 @@ class ScreenSession:
         model = opened.background.queued(opened.workspace.model, background=True)
         if shown is not state or model is None:
             self._curve.follow(None, "")
+            self._occlusion.follow(None)
             return
         index = None if state.own else state.query
         change = replace(SessionState(state.task, 1).change, weather=opened.workspace.weather)
         change = change.for_picture(analysis.task.queries[index], analysis.zoom) if index is not None else change
         key = self._curve_key(state, analysis)
-        turning = Turning(
-            key,
-            analysis.task,
-            analysis.source,
-            change,
-            index,
-            state.weights or None,
-            opened.workspace.scored_model(model, analysis.task),
-        )
+        scored = opened.workspace.scored_model(model, analysis.task)
+        turning = Turning(key, analysis.task, analysis.source, change, index, state.weights or None, scored)
         self._curve.follow(turning, _digest(key, state))
+        covering = None
+        if state.heat == "occlusion" and (result := self._painted) is not None:
+            covering = Covering((key, state.angle, result.first.index), self._number, result, scored)
+        self._occlusion.follow(covering)
 
     def _curve_key(self, state: ScreenState, analysis: StateAnalysis) -> tuple[object, ...]:
         return state.place, state.model, analysis.task.key, state.own or state.query

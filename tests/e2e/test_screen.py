@@ -266,7 +266,7 @@ def test_one_ring_is_lit_wherever_it_is_drawn(screen: Screen) -> None:
     expect(screen.rows.nth(0)).to_have_class(re.compile("on"))
 
 
-def test_evidence_takes_the_place_of_activation(screen: Screen) -> None:
+def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> None:
     screen.open()
     painted = "() => document.querySelector('#photo .heat').toDataURL()"
     before, key = screen.page.evaluate(painted), screen.page.locator("#photo .key")
@@ -275,6 +275,12 @@ def test_evidence_takes_the_place_of_activation(screen: Screen) -> None:
     screen.rest()
     assert screen.page.evaluate(painted) != before
     expect(screen.page).to_have_url(re.compile("shows=evidence"))
+    exact = screen.page.evaluate(painted)
+    screen.key("e")
+    expect(screen.page).to_have_url(re.compile("shows=occlusion"))
+    expect(key).to_have_text(re.compile("against.*for"))
+    screen.rest()
+    assert screen.page.evaluate(painted) not in (before, exact)
     screen.key("e")
     expect(key).to_have_text(re.compile("weak.*strong"))
     screen.rest()

@@ -58,6 +58,11 @@ const channel = connect(
     },
     scene: () => scene.ready(),
     picked: (found) => scene.picked(found),
+    occlusion: ({ number, done, squares, photo: covered }) => {
+      if (view.result?.number !== number) return;
+      view.result = { ...view.result, photo: { ...view.result.photo, ...covered }, measured: done < squares ? `${done} of ${squares}` : "" };
+      soon();
+    },
     busy: (text) => say(text),
     error: (text) => {
       say(text);
@@ -209,6 +214,7 @@ const drawPictures = () => {
   find("figcaption .key", photo).hidden = !own.heat;
   paintKey(find(".key canvas", photo), own.signed);
   findAll(".key u", photo).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
+  if (result.measured) find(".key u", photo).textContent = result.measured;
   const shown = view.truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer;
   const answer = result.tiles[shown];
   const role = shown === result.answer ? "Answer" : shown === result.truth ? "Truth" : "Pinned";
@@ -337,7 +343,7 @@ const commands = new Commands(find("#commands"), list, () => {
     { label: "Your photo", act: () => find("#file").click() },
     ...(state.own ? [{ label: "Forget your photo", act: () => channel.act("forget") }] : []),
     ...page.models.map((label, number) => ({ label: `Model: ${label}`, act: () => set({ model: String(number) }) })).filter((_, number) => String(number) !== state.model),
-    ...(view.result?.photo.heat ? [{ label: state.heat === "evidence" ? "Activation" : "Evidence: what speaks for the pair", key: "E", act: () => KEYS.e() }] : []),
+    ...(view.result?.photo.heat ? others("heat", HEATS, (one) => `Heat: ${one}`) : []),
     ...(state.weights.length ? [{ label: "Equal weights", act: () => set({ weights: [] }) }] : []),
     ...others("task", page.tasks, (one) => `Task: ${one}`),
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
@@ -369,13 +375,14 @@ const enlarge = (large = !document.body.classList.contains("large")) => {
   button.setAttribute("aria-label", large ? "Close" : "Enlarge");
   scene.resized();
 };
+const HEATS = ["activation", "evidence", "occlusion"];
 const KEYS = {
   x: () => set({ view: view.state.view === "city" ? "apart" : "city" }), g: () => enlarge(),
   n: () => step(1), arrowdown: () => step(1), p: () => step(-1), arrowup: () => step(-1),
   r: () => channel.act("random"), m: toggleFilter, d: flipTheme, escape,
   j: () => turnTo(view.angle + STEP), arrowleft: () => turnTo(view.angle + STEP),
   l: () => turnTo(view.angle - STEP), arrowright: () => turnTo(view.angle - STEP), 0: () => turnTo(0),
-  e: () => view.result?.photo.heat && set({ heat: view.state.heat === "evidence" ? "activation" : "evidence" }),
+  e: () => view.result?.photo.heat && set({ heat: HEATS[(HEATS.indexOf(view.state.heat) + 1) % HEATS.length] }),
   "/": () => commands.open(), t: () => show({ truth: true }), f: () => show({ colour: true }),
 };
 export const press = (event) => {

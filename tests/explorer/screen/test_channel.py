@@ -7,8 +7,10 @@ import gzip
 import http.client
 import json
 import threading
+from base64 import b64decode
 from pathlib import Path
 
+import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 
@@ -18,6 +20,7 @@ from explorer.screen.channel import Outbox
 from explorer.server.auth import Authenticator
 from explorer.workspace import Workspace
 from lpn.core import images
+from lpn.explain.occlusion import occlude
 from tests.explorer.screen.conftest import TAB, Tab
 from tools.fixtures.waiting import TIMEOUT, wait_until
 
@@ -110,6 +113,27 @@ def test_the_curve_has_the_rank_of_each_angle_as_its_result_has(tab: Tab) -> Non
         result = tab.result(angle=angle)
         point = next(one for one in curve["points"] if one[0] == angle)
         assert point == [angle, result["rank"], result["nearest"]]
+
+
+def test_occlusion_is_measured_square_by_square_and_shown_again_at_once(tab: Tab, workspace: Workspace) -> None:
+    result = tab.open("?query=0005&shows=occlusion")
+    shown = tab.until(lambda last: last.get("occlusion", {}).get("done") == 64)["occlusion"]
+    assert shown["number"] == result["number"]
+    task, model = workspace.tasks["drone-to-satellite"], workspace.model
+    assert model is not None
+    tile = workspace.tile(task, result["answer"])
+    picture = images.load_picture(task.queries[3].path)
+    losses = list(occlude(model.for_task(*task.views), picture, "drone", tile.descriptor))[-1][1]
+    lost = losses.mean(axis=0)
+    photo = shown["photo"]
+    size = photo["parts"]["rows"], photo["parts"]["columns"]
+    cells = (np.frombuffer(b64decode(photo["heat"]), np.uint8).astype(float).reshape(size) - 128) / 127
+    assert np.abs(cells - images.enlarge(lost, *size) / np.abs(lost).max()).max() < 0.02
+    del tab.last["occlusion"]
+    tab.send({"set": {"compare": result["strip"][2]}})
+    again = tab.until(lambda last: "occlusion" in last)["occlusion"]
+    assert again["done"] == 64
+    assert again["photo"]["heat"] == photo["heat"]
 
 
 def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> None:
