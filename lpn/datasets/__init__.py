@@ -7,6 +7,8 @@ folder of pictures; docs/data.md shows each.
 from __future__ import annotations
 
 import logging
+import os
+from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -14,11 +16,11 @@ from pathlib import Path
 from pkgutil import iter_modules
 
 from lpn.core.errors import DataError
-from lpn.core.files import printable
-from lpn.core.images import SUFFIXES
-from lpn.datasets import layouts, levels
+from lpn.core.files import first_few, printable
+from lpn.datasets import layouts
 from lpn.datasets.base import (
     Dataset,
+    Folder,
     LeftOut,
     Picture,
     PictureRow,
@@ -29,7 +31,6 @@ from lpn.datasets.base import (
     unread_below,
     warn_left_out,
 )
-from lpn.datasets.folder import Folder
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import hidden_name
 
@@ -53,6 +54,10 @@ log = logging.getLogger(__name__)
 
 # The group of the entry points by which other packages bring layouts.
 GROUP = "lpn.datasets"
+# The deepest list of a split is three folders below (Testing/150/query_drone).
+_LEVELS = 3
+# A search for a data set below looks into so many folders at most.
+_MOST_FOLDERS = 2000
 
 
 def open_dataset(root: str | Path) -> Dataset:
@@ -87,10 +92,8 @@ def known_layouts() -> tuple[type[Dataset], ...]:
     One that cannot be loaded is left out with a warning.
     """
     modules = [import_module(f"{layouts.__name__}.{module.name}") for module in iter_modules(layouts.__path__)]
-    classes = [
-        (module.__name__, value) for module in modules for value in vars(module).values() if isinstance(value, type)
-    ]
-    found = [value for name, value in classes if issubclass(value, Dataset) and value.__module__ == name]
+    values = [(module.__name__, value) for module in modules for value in vars(module).values()]
+    found = [of for name, of in values if isinstance(of, type) and issubclass(of, Dataset) and of.__module__ == name]
     for point in entry_points(group=GROUP):
         try:
             layout = point.load()
@@ -104,29 +107,57 @@ def known_layouts() -> tuple[type[Dataset], ...]:
 
 
 def _marked(root: Path) -> type[Dataset] | None:
-    """Recognise the layout by files or folders near the root."""
-    return next((layout for layout in known_layouts() if not layout.deep and layout.recognises(root)), None)
+    """Recognise the layout by files or folders near the root; None, too, for a folder that this user may not read."""
+    with suppress(OSError):
+        return next((layout for layout in known_layouts() if not layout.deep and layout.recognises(root)), None)
+    return None
 
 
 def _unmarked(root: Path) -> Dataset:
     """Open a folder without the marks of a layout, or raise the error that names the folder to give."""
     if (root / "train").is_dir() or (root / "test").is_dir():
         return University(root)
-    whole = levels.above(root, _marked)
-    pictures = any(not hidden_name(file.name) and file.name.lower().endswith(SUFFIXES) for file in root.iterdir())
-    if whole is not None and not pictures:
-        inside, shown = root.resolve().relative_to(whole.resolve()).as_posix(), printable(str(root))
+    whole, shown = _above(root), printable(str(root))
+    if whole is not None:
+        inside = root.resolve().relative_to(whole.resolve()).as_posix()
         raise DataError(f"{shown} is the part {printable(inside)} of a data set; give {printable(str(whole))}.")
-    if (error := levels.below(root, _marked)) is not None:
-        raise error
+    if inner := _below(root):
+        listed = first_few([printable(folder.relative_to(root).as_posix()) for folder in inner], 5)
+        give = printable(str(inner[0]))
+        raise DataError(f"{shown} holds data sets in folders of its own: {listed}; give {give}.")
     for layout in known_layouts():
         if layout.deep and layout.recognises(root):
             return layout(root)
-    folder = Folder(root, whole)
+    folder = Folder(root)
     if folder.pictures("pictures"):
         return folder
-    names = sorted(child.name for child in root.iterdir())
-    inside = ", ".join(printable(name) for name in names[:5]) or "nothing"
-    known = sorted(known_layouts(), key=lambda layout: (layout.deep, layout.priority))
-    expected = ", ".join(layout.known_by for layout in known if layout.known_by)
-    raise DataError(f"{printable(str(root))} holds {inside}; expected {expected}, or pictures.")
+    holds = first_few(sorted(printable(child.name) for child in root.iterdir()), 5) or "nothing"
+    known = ", ".join(sorted(layout.kind for layout in known_layouts()))
+    raise DataError(f"{shown} holds {holds}; expected a data set in a layout of docs/data.md ({known}), or pictures.")
+
+
+def _above(root: Path) -> Path | None:
+    """Return the folder of the data set that a folder is a part of, the outermost one."""
+    found = next((folder for folder in reversed(root.resolve().parents[: _LEVELS + 1]) if _marked(folder)), None)
+    if found is None or root.is_absolute() or (near := os.path.relpath(found)).startswith(".."):
+        return found
+    return Path(near)
+
+
+def _below(root: Path) -> list[Path]:
+    """Return the folders of data sets that lie equally deep below a folder, at most three levels."""
+    level, looked = [root], 0
+    for _ in range(_LEVELS):
+        level = [inner for folder in level for inner in _folders(folder)][: _MOST_FOLDERS - looked]
+        looked += len(level)
+        if found := [folder for folder in level if _marked(folder) is not None]:
+            return found
+    return []
+
+
+def _folders(folder: Path) -> list[Path]:
+    """Return the folders in a folder, sorted, without those that systems add."""
+    try:
+        return sorted(inner for inner in folder.iterdir() if not hidden_name(inner.name) and inner.is_dir())
+    except OSError:
+        return []

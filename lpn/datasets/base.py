@@ -14,7 +14,7 @@ import numpy as np
 from lpn.core.arrays import BoolArray, Float64Array, Int64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few, printable
-from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, header_error, load_picture, zoom
+from lpn.core.images import OTHER_SUFFIXES, SUFFIXES, crop, load_picture, zoom
 from lpn.core.tables import Column, number_column, text_column
 from lpn.core.views import TASKS, views_of
 from lpn.datasets import geo
@@ -81,10 +81,6 @@ def labels_of(pictures: Sequence[Picture]) -> Int64Array:
     return np.array([picture.label for picture in pictures], np.int64)
 
 
-def _no_tiles() -> Int64Array:
-    return np.zeros(0, np.int64)
-
-
 @dataclass(frozen=True, eq=False)
 class Truth:
     """The ground truth of one query, as sorted positions in the gallery, int64.
@@ -105,7 +101,7 @@ class Truth:
     junk: Int64Array
     known: bool = True
     trapezoid: bool = True
-    semi: Int64Array = field(default_factory=_no_tiles)
+    semi: Int64Array = field(default_factory=lambda: np.zeros(0, np.int64))
     overlaps: Float64Array | None = None
     among: Int64Array | None = None
 
@@ -196,16 +192,11 @@ class Dataset:
         title: what `lpn doctor` calls the folder.
         marks: patterns of paths below the root, of folders with a slash at the end; a folder with all paths of one of the tuples
             is of this layout.
-        known_by: what a folder of this layout holds, for the error about a folder of none.
-        parts: patterns of the names of folders right below the root, in lower case.
         priority: layouts of a higher one are tried first.
         deep: `recognises` looks through the whole folder, so that it is asked last, and of no folder above or below.
-        splits: the last part of a path that names a split.
-        split_list: the list that a split needs.
+        splits: lists of each split, one of which must be there; its name is the last part of a path that takes it.
         folders: folders below the root whose pictures are all read.
-        unusable, effect: what is left out, and what this does, as the warning says it.
-        none_whole: what to say of a data set without a training picture and a query, as a predicate; "" if it may be so.
-        expected: the expected layout, for the error about a missing view.
+        expected: the expected layout, for the errors about missing pictures.
         panoramas: True if street pictures show the full circle with north in the middle column, as in CVUSA and CVACT.
         group_name: the quantity by which pictures are grouped, such as "height" in metres or "city"; empty without groups. The
             results of a group take its queries and gallery pictures, and all pictures without a group.
@@ -220,16 +211,10 @@ class Dataset:
     kind: str
     title: str = ""
     marks: tuple[tuple[str, ...], ...] = ()
-    known_by: str = ""
-    parts: tuple[str, ...] = ()
     priority: int = 0
     deep: bool = False
-    splits: tuple[str, ...] = ()
-    split_list: str = ""
+    splits: Mapping[str, Sequence[str]] = {}
     folders: Sequence[str] = ()
-    unusable: str = "files of its lists"
-    effect: str = "they are left out"
-    none_whole: str = ""
     expected: str = ""
     panoramas: bool = False
     group_name: str = ""
@@ -255,9 +240,12 @@ class Dataset:
             panorama = self.panoramas and row.of.endswith("street")
             picture = Picture(file, row.label, printable(row.name), row.box, panorama, row.group)
             self._listed.setdefault(row.of, []).append((row, picture))
-        if self.none_whole and all(name.startswith("test/gallery") for name in self._listed):
-            raise DataError(f"{root.name} {self.none_whole}.")
-        warn_left_out(root.name, self.left_out, f"{self.unusable} cannot be used", self.effect)
+        if self._left_out and all(name.startswith("test/gallery") for name in self._listed):
+            first = printable(next(iter(self._left_out)))
+            raise DataError(
+                f"{root.name} has no picture that can be used, for want of {first}; expected {self.expected}."
+            )
+        warn_left_out(root.name, self.left_out, "files of its lists cannot be used", "they are left out")
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -269,8 +257,9 @@ class Dataset:
         return ()
 
     def splits_there(self) -> list[str] | None:
-        """Return those of `splits` whose lists are there; None for a data set that has none."""
-        return None
+        """Return the splits whose lists are there; None for a data set that has none."""
+        there = [split for split, lists in self.splits.items() if any(_is_there(self.root, name) for name in lists)]
+        return there if self.splits else None
 
     def place(self, picture: Picture) -> geo.Position | None:
         """Return the position of a test picture by the lists or its name; see `positions_from`."""
@@ -316,23 +305,20 @@ class Dataset:
 
     def has(self, role: str, view: str) -> bool:
         """Return whether the test split has queries ("query") or a gallery ("gallery") of a view."""
-        return bool(self._listed.get(f"test/{role}_{view}") or self._listed.get(f"test/{view}"))
-
-    def lacking(self, role: str, view: str) -> str:
-        """Return the fault of a test split without queries or without a gallery of a view, as a predicate."""
-        what = "test queries" if role == "query" else "test gallery"
-        return f"has no {what} of {view} pictures; expected {self.expected}"
+        return f"test/{role}_{view}" in self._listed or f"test/{view}" in self._listed
 
     def why_no_task(self) -> str:
         """Return the reason why `tasks` is empty, as a predicate, and the remedy."""
-        return "has no queries of one view with a gallery of another in its test split; lpn doctor lists what it has"
+        there = [name for name in self.lists() if name.startswith("test/")]
+        has = f"only {' and '.join(there)}" if there else "no pictures to test with"
+        return f"has {has}; expected queries of one view and a gallery of another, as {self.expected}"
 
     def lacks_task(self, name: str) -> DataError | InputError:
         """Return the error about a task that is not one of `tasks`: what there is instead, or why there is none."""
-        if offered := self.tasks():
-            own = printable(self.root.resolve().name)
-            return InputError(f"The task is {name!r}; {own} offers {', '.join(offered)} in its test split.")
-        return self.no_task()
+        if not (offered := self.tasks()):
+            return self.no_task()
+        own = printable(self.root.resolve().name)
+        return InputError(f"The task is {name!r}; {own} offers {', '.join(offered)} in its test split.")
 
     def no_task(self) -> DataError:
         """Return the error about a data set without `tasks`."""
@@ -344,7 +330,7 @@ class Dataset:
         return {name: self.pictures(name) for name in names}
 
     def unread(self) -> list[LeftOut]:
-        """Return the pictures in `folders` that are not read because of their name or kind; the call walks the folders."""
+        """Return the pictures in `folders` of kinds that are not read; the call walks the folders."""
         return unread_below(self.root, self.folders)
 
     def truth(self, task: str) -> list[Truth] | None:
@@ -355,22 +341,19 @@ class Dataset:
         if not gallery or all(row.true is None for row in queries):
             return None
         position = {row.file: i for i, row in enumerate(gallery)}
-        regions: dict[str, list[int]] = {}
-        for i, row in enumerate(gallery):
-            regions.setdefault(row.region, []).append(i)
-        among = {name: np.array(tiles, np.int64) for name, tiles in regions.items() if name}
+        region = np.array([row.region for row in gallery])
+        among = {name: np.flatnonzero(region == name) for name in {row.region for row in gallery} - {""}}
 
         def tiles(files: Iterable[str | Path]) -> Int64Array:
             return np.array(sorted({position[file] for file in files if file in position}), np.int64)
 
-        truth = []
-        for row in queries:
+        def of(row: PictureRow) -> Truth:
             good, semi, overlaps = tiles(row.true or ()), tiles(row.semi), None
             if row.overlaps is not None:
                 overlaps = np.array([row.overlaps[gallery[tile].file] for tile in (*good, *semi)], np.float64)
-            junk, region = tiles(row.junk), among.get(row.region)
-            truth.append(Truth(good, junk, True, self.trapezoid, semi, overlaps, region))
-        return truth
+            return Truth(good, tiles(row.junk), True, self.trapezoid, semi, overlaps, among.get(row.region))
+
+        return [of(row) for row in queries]
 
     def positions(self) -> geo.Positions | None:
         """Return the positions of the test pictures on the Earth, those of its `geo.csv` or of `place`; None without any.
@@ -408,28 +391,44 @@ class Dataset:
     def _test(self, role: str, view: str) -> list[Picture]:
         pictures = self.pictures(f"test/{role}_{view}") or self.pictures(f"test/{view}")
         if not pictures:
-            raise DataError(f"{self.root.name} {self.lacking(role, view)}.")
+            what = "test queries" if role == "query" else "test gallery"
+            raise DataError(f"{self.root.name} has no {what} of {view} pictures; expected {self.expected}.")
         return pictures
 
     def _chosen(self, wanted: str | None) -> str | None:
         """Return the wanted split, or by default the first that is there, with a warning about the others."""
-        found = self.splits_there()
-        if found is None and wanted is None:
+        there, name = self.splits_there(), printable(self.root.name)
+        if there is None and wanted is None:
             return None
-        there, name = found or [], printable(self.root.name)
         if not there or (wanted is not None and wanted not in there):
-            has = " and ".join(there) or "none"
-            raise DataError(f"{name} has the lists of {has}; expected {wanted or self.split_list}, so unpack it there.")
+            has, first = " and ".join(there or ()) or "none", next(iter(self.splits.values()), ("another",))[0]
+            raise DataError(f"{name} has the lists of {has}; expected {wanted or first}, so unpack it there.")
         if wanted is None and len(there) > 1:
-            log.warning(
-                "%s has %s splits; this is %s, and %s the other%s.",
-                name,
-                {2: "two", 3: "three"}.get(len(there), len(there)),
-                there[0],
-                first_few([str(self.root / split) for split in there[1:]], 2),
-                "s" if len(there) > 2 else "",
-            )
+            others, number = [str(self.root / split) for split in there[1:]], {2: "two", 3: "three"}.get(len(there))
+            text = "%s has %s splits; this is %s, and %s the other%s."
+            log.warning(text, name, number or len(there), there[0], first_few(others, 5), "s" * (len(others) > 1))
         return wanted or there[0]
+
+
+class Folder(Dataset):
+    """Pictures below a folder, each a place of its own."""
+
+    kind = "folder"
+    title = "a plain folder of pictures"
+    folders = ("",)
+    expected = "a data set with queries and a gallery, since this is a folder of pictures"
+
+    def rows(self) -> Iterable[PictureRow]:
+        for index, file in enumerate(files_below(self.root)):
+            yield PictureRow("pictures", file, index, file.relative_to(self.root).with_suffix("").as_posix())
+
+    def why_no_task(self) -> str:
+        return (
+            "is a folder of pictures, and nothing says which of them show the same place; name the pairs in a pairs.csv (columns "
+            "satellite,drone,split), or make folders of a number for each place: train/drone/<number>/* and "
+            "train/satellite/<number>/* to train on, test/query_drone/<number>/* and test/gallery_satellite/<number>/* to test "
+            "with"
+        )
 
 
 def _is_there(root: Path, pattern: str) -> bool:
@@ -454,36 +453,10 @@ def files_below(root: Path, suffixes: tuple[str, ...] = SUFFIXES) -> list[Path]:
 
 
 def unread_below(root: Path, folders: Sequence[str] = ("",)) -> list[LeftOut]:
-    """Return the files in some folders below a root that are pictures, and that `files_below` skips; hidden folders are skipped.
-
-    Files without an ending are recognised by their first bytes.
-    """
-    left_out: list[LeftOut] = []
-    for top in folders:
-        for folder, inside, names in os.walk(root / top):
-            inside[:] = sorted(name for name in inside if not hidden_name(name))
-            files = {file: _unread(file) for file in (Path(folder, name) for name in sorted(names))}
-            left_out += [
-                LeftOut(file.relative_to(root).as_posix(), why) for file, why in files.items() if why is not None
-            ]
-    return left_out
-
-
-def _unread(file: Path) -> str | None:
-    """Return why a picture is not read; None for a file that is read, or is no picture."""
-    suffix = file.suffix.lower()
-    if file.name.startswith("."):
-        # macOS keeps a file's attributes in one of the same name after "._".
-        return None if file.name.startswith("._") or suffix not in (*SUFFIXES, *OTHER_SUFFIXES) else "is hidden"
-    if suffix in OTHER_SUFFIXES:
-        return "is of a kind that is not read; save it as JPEG"
-    if suffix:
-        return None
-    try:
-        with file.open("rb") as opened:
-            return None if header_error(opened) is not None else "has no ending such as .jpg; rename it"
-    except OSError:
-        return None
+    """Return the pictures of kinds that are not read in some folders below a root; hidden ones are skipped."""
+    files = sorted(file for folder in folders for file in files_below(root / folder, OTHER_SUFFIXES))
+    why = "is of a kind that is not read; save it as JPEG"
+    return [LeftOut(file.relative_to(root).as_posix(), why) for file in files]
 
 
 def warn_left_out(name: str, files: Sequence[LeftOut], what: str, effect: str) -> None:

@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -40,19 +41,15 @@ _EQUATOR, _FLATTENING, _MEAN_RADIUS = 6_378_137.0, 1 / 298.257223563, 6_371_008.
 _STEPS = 60
 
 _REQUIRED = ("path", "latitude", "longitude")
-_OPTIONAL = ("altitude", "heading", "tilt", "fov", "width")
 _LIMITS = {
     "latitude": (-90.0, 90.0),
     "longitude": (-180.0, 180.0),
     "altitude": (-1_000.0, 100_000.0),
-    "heading": (-math.inf, math.inf),
+    "heading": (-1e6, 1e6),
     "tilt": (-90.0, -5.0),
     "fov": (1.0, 170.0),
     "width": (0.1, 1e6),
 }
-
-# Messages show so many characters of a value.
-_SHOWN = 200
 
 
 @dataclass(frozen=True)
@@ -131,7 +128,7 @@ class Positions:
         best, *others = sorted(folder for folder, count in counts.items() if count == most) or [""]
         found = [listed.get(best + name) for name in keys]
         for other in others if best else ():
-            if [_place(place) for place in found] != [_place(listed.get(other + name)) for name in keys]:
+            if found != [listed.get(other + name) for name in keys]:
                 raise InputError(
                     f"{self.source} in {self._root} has the pictures below both {best} and {other}, at other places; give a file "
                     "of positions, or the folder of one (as --data takes it), that has only the described one."
@@ -202,14 +199,9 @@ def on_plane(places: Sequence[Position], origin: Position) -> Float64Array:
 
     Within 50 km of the origin and below 45 degrees of latitude, distances are accurate to 1 %.
     """
-    return degrees_on_plane(degrees(places), origin)
-
-
-def degrees_on_plane(degrees: Float64Array, origin: Position) -> Float64Array:
-    """Return the same for latitudes and longitudes in degrees, (N, 2)."""
     north, east = metres_per_degree(origin.latitude)
-    turned = wrap_degrees(degrees[:, 1] - origin.longitude)
-    return np.stack([turned * east, (degrees[:, 0] - origin.latitude) * north], axis=1)
+    latitude, longitude = degrees(places).T
+    return np.stack([wrap_degrees(longitude - origin.longitude) * east, (latitude - origin.latitude) * north], axis=1)
 
 
 def metres_per_degree(latitude: float) -> tuple[float, float]:
@@ -251,7 +243,7 @@ def read_positions(data: bytes, file: str = NAME) -> dict[str, Position]:
 
 def _positions_in(text: str, file: str) -> dict[str, Position]:
     def fits(header: list[str]) -> bool:
-        return len(set(header)) == len(header) and {*_REQUIRED} <= {*header} <= {*_REQUIRED, *_OPTIONAL}
+        return len(set(header)) == len(header) and {*_REQUIRED} <= {*header} <= {*_REQUIRED, *_LIMITS}
 
     expected = "path,latitude,longitude and, if known, altitude,heading,tilt,fov,width"
     positions: dict[str, Position] = {}
@@ -265,29 +257,18 @@ def _positions_in(text: str, file: str) -> dict[str, Position]:
                 f"{line} has the position 0, 0, which programs write for an unknown one; give the picture's."
             )
         if path in positions:
-            raise DataError(f"{line} gives {_short(path)} a second position; keep one.")
+            raise DataError(f"{line} gives {printable(path[:200])} a second position; keep one.")
         positions[path] = Position(**numbers)
     return positions
 
 
-def _place(position: Position | None) -> tuple[float, float] | None:
-    return None if position is None else (position.latitude, position.longitude)
-
-
-def _short(text: str) -> str:
-    """Shorten a text from a file for a message."""
-    return printable(text if len(text) <= _SHOWN else f"{text[:_SHOWN]}...")
-
-
 def _number(text: str, name: str, line: str) -> float:
-    try:
+    (low, high), value = _LIMITS[name], math.nan
+    with suppress(ValueError):
         value = float(text)
-    except ValueError:
-        value = math.nan
-    low, high = _LIMITS[name]
-    if not (math.isfinite(value) and low <= value <= high):
-        expected = f"a number from {low:g} to {high:g}" if math.isfinite(high) else "a number"
-        if name == "latitude" and 90 < abs(value) <= 180:
-            expected += "; it may be a longitude, so check that the two are not swapped"
-        raise DataError(f"{line} has the {name} {_short(text) or 'empty'!r}; expected {expected}.")
-    return value
+    if low <= value <= high:
+        return value
+    shown, swapped = printable(text[:200]) or "empty", ""
+    if name == "latitude" and 90 < abs(value) <= 180:
+        swapped = "; it may be a longitude, so check that the two are not swapped"
+    raise DataError(f"{line} has the {name} {shown!r}; expected a number from {low:g} to {high:g}{swapped}.")

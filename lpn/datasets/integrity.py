@@ -25,8 +25,8 @@ from lpn.datasets.base import Dataset, Picture
 
 # Files between two reports of progress.
 _BATCH = 256
-# The last chunk of a PNG: its type, and the checksum that it always has.
-_PNG_END = b"IEND\xaeB`\x82"
+# The end of a JPEG; and the last chunk of a PNG, its type and the checksum that it always has.
+_ENDS = {b"\xff\xd8": b"\xff\xd9", images.PNG: b"IEND\xaeB`\x82"}
 # The error of a picture that has a valid header and end but cannot be decoded.
 DAMAGED = "is damaged"
 
@@ -110,12 +110,10 @@ def _end_valid(file: BinaryIO) -> bool:
     file.seek(0)
     start = file.read(12)
     size = file.seek(0, os.SEEK_END)
-    if start.startswith(b"\xff\xd8"):
-        file.seek(max(size - 64, 0))
-        return file.read().rstrip(b"\0\r\n ").endswith(b"\xff\xd9")
-    if start.startswith(images.PNG):
-        file.seek(max(size - 64, 0))
-        return file.read().rstrip(b"\0\r\n ").endswith(_PNG_END)
+    for begin, end in _ENDS.items():
+        if start.startswith(begin):
+            file.seek(max(size - 64, 0))
+            return file.read().rstrip(b"\0\r\n ").endswith(end)
     if start.startswith(b"RIFF") and start[8:] == b"WEBP":
         return size >= int.from_bytes(start[4:8], "little") + 8
     if start.startswith((b"II*\0", b"MM\0*")):
@@ -147,12 +145,18 @@ def check_test_split(dataset: Dataset, tasks: Sequence[str]) -> None:
     lists = lists_of(dataset, tasks)
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     check_whole(files, f"test pictures of {dataset.root.name}", dataset.root)
+    check_positions(dataset, [picture for pictures in lists.values() for picture in pictures])
+
+
+def check_positions(dataset: Dataset, pictures: Sequence[Picture]) -> str:
+    """Return where the positions of test pictures are from, "" without any; DataError if one of them lacks its own."""
     positions = dataset.positions()
-    for pictures in lists.values():
-        if positions is not None:
-            positions.of(pictures)
-        if dataset.measured_by is not None:
-            dataset.coordinates(pictures)
+    if positions is not None:
+        positions.of(pictures)
+    if dataset.measured_by is not None:
+        dataset.coordinates(pictures)
+        return "the lists and the tiles' names" if positions is None else positions.source
+    return "" if positions is None else positions.source
 
 
 def lists_of(dataset: Dataset, tasks: Sequence[str]) -> dict[str, list[Picture]]:

@@ -130,12 +130,12 @@ def by_name(listed: Mapping[str, T], names: Collection[str], file: str) -> dict[
     folded = _by_fold(known)
     found: dict[str, T] = {}
     for path, entry in listed.items():
-        key = path if path in known else folded.get(fold(path))
-        if key is None:
+        name = known.get(path if path in known else folded.get(fold(path)) or "")
+        if name is None:
             continue
-        if known[key] in found:
-            raise DataError(f"{file} names {printable(known[key])} twice, also as {printable(path)}; keep one.")
-        found[known[key]] = entry
+        if name in found:
+            raise DataError(f"{file} names {printable(name)} twice, also as {printable(path)}; keep one.")
+        found[name] = entry
     if not found and (absolute := next(filter(is_absolute, listed), None)) is not None:
         raise _outside(file, absolute)
     return found

@@ -37,18 +37,15 @@ pickle.dump(found, sys.stdout.buffer, protocol=5)
 """
 
 
-def load(
-    path: Path, names: Sequence[str], expected: str, optional: Sequence[str] = (), simplify: bool = True
-) -> dict[str, Any]:
-    """Read the named variables of a MATLAB 5 file, as `scipy.io.loadmat` returns them.
+def load(path: Path, names: Sequence[str], expected: str, simplify: bool = False) -> dict[str, Any]:
+    """Read those of the named variables that a MATLAB 5 file has, as `scipy.io.loadmat` returns them.
 
     Args:
         expected: the expected contents, for messages.
-        optional: further variables, left out if the file lacks them.
         simplify: return structs as dicts, and squeeze arrays.
 
     Raises:
-        DataError: if the file cannot be read, is not a MATLAB 5 file, is damaged, or lacks a variable.
+        DataError: if the file cannot be read, is not a MATLAB 5 file, or is damaged.
         ModuleNotFoundError: if scipy is not installed.
     """
     if find_spec("scipy") is None:
@@ -64,16 +61,13 @@ def load(
                 )
             if head[126:] != b"IM":
                 raise ValueError("it is no MATLAB 5 file of a little-endian machine")
-        values = _read(path, [*names, *optional], simplify)
-        if missing := [name for name in names if name not in values]:
-            raise ValueError(f"it has no {', '.join(missing)}")
+        return _read(path, names, simplify)
     except (OSError, ValueError) as error:
         reason = (error.strerror if isinstance(error, OSError) else None) or str(error).strip().partition("\n")[0]
         raise DataError(f"{path.name} cannot be read ({printable(reason)}); expected {expected}.") from error
-    return values
 
 
-def _read(path: Path, names: list[str], simplify: bool) -> dict[str, Any]:
+def _read(path: Path, names: Sequence[str], simplify: bool) -> dict[str, Any]:
     command = [sys.executable, "-P", "-c", _READER, str(path.absolute()), str(simplify), str(_MEMORY), *names]
     with tempfile.TemporaryFile() as output:
         try:

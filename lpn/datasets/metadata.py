@@ -16,9 +16,9 @@ import json
 import logging
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import astuple, fields
 from pathlib import Path
-from typing import Any
 
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import DataError
@@ -68,13 +68,10 @@ def _positions(root: Path, paths: Sequence[str]) -> list[Column]:
     where = geo.positions(root)
     if where is None:
         return []
-    names = [field.name for field in fields(geo.Position)]
-    values = zip(*(astuple(place) for place in where.below(paths)), strict=True)
+    rows = [[math.nan if value is None else value for value in astuple(place)] for place in where.below(paths)]
     return [
-        number_column(
-            name, [math.nan if value is None else value for value in of_all], _UNITS[name], about=_ABOUT.get(name, "")
-        )
-        for name, of_all in zip(names, values, strict=True)
+        number_column(field.name, [row[i] for row in rows], _UNITS[field.name], about=_ABOUT.get(field.name, ""))
+        for i, field in enumerate(fields(geo.Position))
     ]
 
 
@@ -83,20 +80,25 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
     file = root / WORLD
     if not file.is_file():
         return []
+    name, nothing = f"{WORLD} in {printable(root.name)}", ("", "", "", math.nan, "")
     try:
         plan = json.loads(file.read_bytes())
         if is_newer(plan.get("format"), WORLD_FORMAT):
-            raise DataError(newer_version(f"{WORLD} in {printable(root.name)}", plan["format"], WORLD_FORMAT))
-        districts = {int(district["number"]): district for district in plan["districts"]}
-        buildings = {int(building["id"]): building for building in plan["buildings"]}
-        building_of = {str(picture["path"]): buildings.get(int(picture["id"])) for picture in plan["pictures"]}
-        rows = [_building(building_of.get(path), districts) for path in paths]
+            raise DataError(newer_version(name, plan["format"], WORLD_FORMAT))
+        districts = {district["number"]: (district["name"], district["character"]) for district in plan["districts"]}
+        buildings = {
+            one["id"]: (
+                *(*map(str, districts[one["district"]]), str(one["kind"]), float(one["height"])),
+                "no" if one["twins"] is None else "yes",
+            )
+            for one in plan["buildings"]
+        }
+        building_of = {picture["path"]: buildings.get(picture["id"], nothing) for picture in plan["pictures"]}
+        district, character, kind, height, twins = zip(*(building_of.get(path, nothing) for path in paths), strict=True)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
         raise DataError(
-            f"{WORLD} in {printable(root.name)} is damaged or not the plan of a rendered world; render it again, or take "
-            f"{WORLD} away."
+            f"{name} is damaged or not the plan of a rendered world; render it again, or take {WORLD} away."
         ) from error
-    district, character, kind, height, twins = zip(*rows, strict=True)
     return [
         text_column("district", district, "The district of the rendered city in which the building stands"),
         text_column("character", character, "What the district is mostly used for"),
@@ -110,16 +112,6 @@ def _world(root: Path, paths: Sequence[str]) -> list[Column]:
     ]
 
 
-def _building(
-    building: dict[str, Any] | None, districts: dict[int, dict[str, Any]]
-) -> tuple[str, str, str, float, str]:
-    """Return district, its character, kind, height in metres, and whether the building has twins."""
-    if building is None:
-        return "", "", "", math.nan, ""
-    district, twins = districts[int(building["district"])], "no" if building["twins"] is None else "yes"
-    return str(district["name"]), str(district["character"]), str(building["kind"]), float(building["height"]), twins
-
-
 def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Column]:
     file = root / NAME
     if not file.is_file():
@@ -131,7 +123,16 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
         "path and the names of columns",
         tidy=lambda name: printable(unescape(name)),
     )
-    _check_names(names, taken)
+    used = {name.casefold() for name in taken}
+    for name in names[1:]:
+        signs = " ".join(sorted(_OPERATOR_CHARACTERS))
+        if not name or _OPERATOR_CHARACTERS & set(name):
+            raise DataError(
+                f"{NAME} has a column called {name!r}; expected a name without any of {signs}, so rename it."
+            )
+        if name.casefold() in used:
+            raise DataError(f"{NAME} has a column called {name!r}, which there is already; rename it.")
+        used.add(name.casefold())
     rows: dict[str, list[str]] = {}
     for where, row in lines:
         text, *rest = map(unescape, row.values())
@@ -140,8 +141,7 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
             raise DataError(f"{where} is a second one for {printable(path)!r}; keep one.")
         rows[path] = [printable(" ".join(value.splitlines())) for value in rest]
     everywhere = list(rows.values())
-    if any(path not in rows for path in paths):
-        rows = by_name(rows, paths, NAME)
+    rows = rows if all(path in rows for path in paths) else by_name(rows, paths, NAME)
     missing = [path for path in paths if path not in rows]
     if paths and len(missing) == len(paths):
         raise DataError(
@@ -156,29 +156,10 @@ def _custom(root: Path, paths: Sequence[str], taken: Sequence[str]) -> list[Colu
     ]
 
 
-def _check_names(names: Sequence[str], taken: Sequence[str]) -> None:
-    used = {name.casefold() for name in taken}
-    for name in names[1:]:
-        if not name or _OPERATOR_CHARACTERS & set(name):
-            raise DataError(
-                f"{NAME} has a column called {name!r}; expected a name without any of "
-                f"{' '.join(sorted(_OPERATOR_CHARACTERS))}, so rename it."
-            )
-        if name.casefold() in used:
-            raise DataError(f"{NAME} has a column called {name!r}, which there is already; rename it.")
-        used.add(name.casefold())
-
-
 def _column(name: str, values: Sequence[str], everywhere: Sequence[str]) -> Column:
     """Return a number column if every value in the file is a number, so that the kind is the same for all tasks."""
-    known = [text for text in everywhere if text]
-    if known and all(_is_number(text) for text in known):
-        return number_column(name, [float(text) if text else math.nan for text in values])
+    with suppress(ValueError):
+        numbers = {text: float(text) for text in everywhere if text}
+        if numbers and all(map(math.isfinite, numbers.values())):
+            return number_column(name, [numbers[text] if text else math.nan for text in values])
     return text_column(name, values)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return math.isfinite(float(text))
-    except ValueError:
-        return False

@@ -1,27 +1,20 @@
-"""The data set check of `lpn doctor`: what a folder holds, what is broken in it, and what can be run with it."""
+"""The data set check of `lpn doctor`: what a folder holds, and what is broken in it."""
 
 from __future__ import annotations
 
-import hashlib
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lpn.core.consoles import Console
-from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.progress import report_progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, LeftOut, Picture, Size, geo, metadata
-from lpn.datasets.folder import Folder
-from lpn.datasets.integrity import picture_errors
-from lpn.tasks import notes
-from lpn.tasks.query_outcomes import reserved
+from lpn.datasets import Dataset, LeftOut, Picture, Size, geo
+from lpn.datasets.integrity import check_positions, lists_of, picture_errors
 from lpn.training.training_set import trainable
 
 
@@ -46,19 +39,18 @@ class BrokenPicture:
 
 @dataclass(frozen=True)
 class MissingCounterparts:
-    """Places or queries without their counterpart.
-
-    Attributes:
-        name: the list or task that lacks the counterpart.
-        what: the missing ones, as the subject of a sentence.
-        names: of the missing ones.
-        of: the total number.
-    """
+    """Places of a list, or queries of a task, without a counterpart: the list or task, their names, and how many there are."""
 
     name: str
-    what: str
     names: tuple[str, ...]
     of: int
+
+    @property
+    def what(self) -> str:
+        """The missing ones, as the subject of a sentence."""
+        if "/" in self.name:
+            return f"of {self.of} places have no picture in {self.name}"
+        return f"of {self.of} queries of {self.name} have no true match"
 
 
 @dataclass(frozen=True)
@@ -75,12 +67,9 @@ class DataSetReport:
         left_out: files that the data set itself leaves out: missing, known to be broken, or not read (`Dataset.unread`).
         lacking: places and queries without their counterpart, which cannot be used.
         gaps: those without one of their counterparts, which are used by the others; the published University-1652 has some.
-        duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
         positions: what the positions cover, and where they are from; None without any.
         gap: what is wrong with them, or None.
-        refused: why a list of the queries, such as that of lpn failures, refuses a file beside the pictures.
-        runs: what can be run, one sentence each.
     """
 
     root: str
@@ -93,18 +82,15 @@ class DataSetReport:
     left_out: tuple[LeftOut, ...]
     lacking: tuple[MissingCounterparts, ...]
     gaps: tuple[MissingCounterparts, ...]
-    duplicates: tuple[tuple[str, ...], ...]
     shared: tuple[int, ...]
     positions: str | None
     gap: str | None
-    refused: tuple[str, ...]
-    runs: tuple[str, ...]
 
     @property
     def healthy(self) -> bool:
-        """True if nothing is broken; a subset, gaps, duplicates, and damage of the published data set do not count."""
+        """True if nothing is broken; a subset, gaps, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
-        return not (self.broken or missing or self.lacking or self.shared or self.gap or self.refused)
+        return not (self.broken or missing or self.lacking or self.shared or self.gap)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of the JSON file."""
@@ -124,74 +110,29 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
     files = list(dict.fromkeys(picture.path for pictures in lists.values() for picture in pictures))
     errors = picture_errors(files, decode, lambda done: report_progress("Reading pictures", done, len(files)))
     positions, gap = _positions(dataset)
-    (untrained, partly), (missed, by_street) = _training_places(lists), _unanswered(dataset)
+    # Where true matches are listed, labels are no places.
+    labelled = all(dataset.truth(task) is None for task in dataset.tasks())
+    missing = [*_training_places(lists), *_unanswered(dataset)]
+    test = "test/query" if dataset.trained_distractors else "test/"
     return DataSetReport(
         root=printable(dataset.root.resolve().name),
         kind=dataset.kind,
         title=dataset.title or f"in {dataset.kind}'s layout",
-        counts=tuple(_count(dataset, name, pictures) for name, pictures in lists.items()),
+        counts=tuple(
+            Count(name, len(pictures), len(_places({name: pictures}, name)), full.pictures, full.places)
+            for name, pictures in lists.items()
+            for full in [dataset.published_sizes.get(name, Size(None))]
+        ),
         looked_at=len(files),
         decoded=decode,
         broken=tuple(BrokenPicture(_below(dataset.root, file), why) for file, why in errors.items()),
         left_out=(*dataset.left_out, *dataset.unread()),
-        lacking=(*untrained, *missed),
-        gaps=(*partly, *_street_places(dataset, lists), *by_street),
-        duplicates=tuple(_duplicates(dataset.root, lists, errors)),
-        shared=tuple(_shared(dataset, lists)),
+        lacking=tuple(item for is_gap, item in missing if not is_gap),
+        gaps=tuple(item for is_gap, item in missing if is_gap),
+        shared=tuple(sorted(_places(lists, "train/") & _places(lists, test))) if labelled else (),
         positions=positions,
         gap=gap,
-        refused=tuple(dict.fromkeys(_refused(dataset, gap is None, positions is not None))),
-        runs=tuple(_runs(dataset, lists)),
     )
-
-
-def _count(dataset: Dataset, name: str, pictures: Sequence[Picture]) -> Count:
-    full = dataset.published_sizes.get(name, Size(None))
-    return Count(name, len(pictures), len({picture.label for picture in pictures}), full.pictures, full.places)
-
-
-def _train_labels(lists: dict[str, list[Picture]]) -> dict[str, set[int]]:
-    """Return the labels of each set to train on; google alone trains nothing without street."""
-    labels = {name: {p.label for p in pictures} for name, pictures in lists.items() if name.startswith("train/")}
-    by_view = {name.removeprefix("train/"): of for name, of in labels.items()}
-    if "street" not in by_view:
-        by_view.pop("google", None)
-    return by_view
-
-
-def _training_places(lists: dict[str, list[Picture]]) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
-    """Return the places that training leaves out, and those that it has in some views alone, which is no damage."""
-    labels = _train_labels(lists)
-    if len(labels) < 2:
-        return [], []
-    training_places = trainable(labels)
-    total = len(training_places.places) + len(training_places.left_out)
-    lost = {name: [label for label in training_places.left_out if label not in of] for name, of in labels.items()}
-    return (
-        [_without_picture(f"train/{name}", of, total) for name, of in lost.items() if of and name != "google"],
-        [_without_picture(f"train/{name}", of, total) for name, of in training_places.gaps.items()],
-    )
-
-
-def _without_picture(name: str, labels: Sequence[int], of: int) -> MissingCounterparts:
-    return MissingCounterparts(name, f"places have no picture in {name}", tuple(f"{label:04d}" for label in labels), of)
-
-
-def _street_places(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[MissingCounterparts]:
-    """Find places of the test split without a street picture, which not every place of University-1652 has."""
-    if _truth_is_listed(dataset):
-        return
-    for role in ("query", "gallery"):
-        of_role = {name: _places(lists, name) for name in lists if name.startswith(f"test/{role}_")}
-        if (street := f"test/{role}_street") in of_role:
-            everywhere = set().union(*of_role.values())
-            if without := sorted(everywhere - of_role[street]):
-                yield _without_picture(street, without, len(everywhere))
-
-
-def _truth_is_listed(dataset: Dataset) -> bool:
-    """Return whether true matches are listed, so that labels are no places."""
-    return any(dataset.truth(task) is not None for task in dataset.tasks())
 
 
 def _places(lists: dict[str, list[Picture]], start: str) -> set[int]:
@@ -199,108 +140,48 @@ def _places(lists: dict[str, list[Picture]], start: str) -> set[int]:
     return {picture.label for name, of in lists.items() if name.startswith(start) for picture in of}
 
 
-def _unanswered(dataset: Dataset) -> tuple[list[MissingCounterparts], list[MissingCounterparts]]:
-    """Find queries without a true match, which count as missed: those that are damage, and those that are none.
+def _training_places(lists: dict[str, list[Picture]]) -> Iterable[tuple[bool, MissingCounterparts]]:
+    """Find the places that training leaves out, and, with True, those that it has in some views alone, which is no damage."""
+    labels = {name.removeprefix("train/"): _places(lists, name) for name in lists if name.startswith("train/")}
+    if "street" not in labels:
+        labels.pop("google", None)
+    if len(labels) < 2:
+        return
+    training_places = trainable(labels)
+    total = len(training_places.places) + len(training_places.left_out)
+    lost = {name: [label for label in training_places.left_out if label not in of] for name, of in labels.items()}
+    yield from (
+        (False, _places_without(f"train/{name}", of, total)) for name, of in lost.items() if of and name != "google"
+    )
+    yield from ((True, _places_without(f"train/{name}", of, total)) for name, of in training_places.gaps.items())
 
-    Not every place has a street picture. A query without one is no damage, as long as another view answers it.
+
+def _places_without(name: str, labels: Iterable[int], of: int) -> MissingCounterparts:
+    return MissingCounterparts(name, tuple(f"{label:04d}" for label in labels), of)
+
+
+def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
+    """Find queries without a true match, which count as missed; True for one that is no damage.
+
+    Not every place has a street picture, so a query of another view without one is none.
     """
-    unanswered: dict[str, list[Picture]] = {}
-    answered: set[Path] = set()
     for task in dataset.tasks():
         query_view, gallery_view = views_of(task)
         queries, truth = dataset.queries(query_view), dataset.truth(task)
-        there = {picture.label for picture in dataset.gallery(gallery_view)} if truth is None else set()
+        there = {picture.label for picture in dataset.gallery(gallery_view)}
         found = [q.label in there for q in queries] if truth is None else [len(t.good) or not t.known for t in truth]
-        answered |= {query.path for query, true in zip(queries, found, strict=True) if true}
-        unanswered[task] = [query for query, true in zip(queries, found, strict=True) if not true]
-    damage: list[MissingCounterparts] = []
-    gaps: list[MissingCounterparts] = []
-    for task, without in unanswered.items():
-        query_view, gallery_view = views_of(task)
-        for kind, is_gap in ((damage, False), (gaps, True)):
-            names = [q.name for q in without if (gallery_view == "street" and q.path in answered) == is_gap]
-            if names:
-                text = f"queries of {task} have no true match"
-                kind.append(MissingCounterparts(task, text, tuple(names), len(dataset.queries(query_view))))
-    return damage, gaps
-
-
-def _shared(dataset: Dataset, lists: dict[str, list[Picture]]) -> list[int]:
-    """Find places to train on that are in the test split, too."""
-    test = "test/query" if dataset.trained_distractors else "test/"
-    return [] if _truth_is_listed(dataset) else sorted(_places(lists, "train/") & _places(lists, test))
-
-
-def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
-    """Find equal files of different places; only files of one size are read."""
-    digests: dict[Path, str] = {}
-
-    def digest(picture: Picture) -> str:
-        if picture.path not in digests:
-            with picture.path.open("rb") as file:
-                digests[picture.path] = hashlib.file_digest(file, "sha256").hexdigest()
-        return digests[picture.path]
-
-    for pictures in lists.values():
-        there = [picture for picture in pictures if picture.path not in broken]
-        for same_size in _alike(there, lambda picture: picture.path.stat().st_size):
-            for equal in _alike(same_size, digest):
-                yield tuple(_below(root, picture.path) for picture in equal)
-
-
-def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> list[list[Picture]]:
-    """Return the pictures of equal key, where they are of different places."""
-    groups: dict[object, list[Picture]] = defaultdict(list)
-    for picture in pictures:
-        groups[key(picture)].append(picture)
-    return [group for group in groups.values() if len({picture.label for picture in group}) > 1]
+        if names := tuple(query.name for query, true in zip(queries, found, strict=True) if not true):
+            yield query_view != gallery_view == "street", MissingCounterparts(task, names, len(queries))
 
 
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     """Return what the positions cover, and what is wrong with them."""
     try:
-        known = dataset.positions()
-        if known is None and dataset.measured_by is None:
-            return None, None
-        tasks = [views_of(task) for task in dataset.tasks()]
-        queries = [picture for view in {query for query, _ in tasks} for picture in dataset.queries(view)]
-        tiles = [picture for view in {gallery for _, gallery in tasks} for picture in dataset.gallery(view)]
-        pictures = list({picture.path: picture for picture in queries + tiles}.values())
-        if dataset.measured_by is not None:
-            dataset.coordinates(pictures)
-        if known is not None:
-            known.of(pictures)
+        pictures = {picture.path: picture for of in lists_of(dataset, dataset.tasks()).values() for picture in of}
+        source = check_positions(dataset, list(pictures.values()))
     except DataError as error:
         return geo.NAME, str(error)
-    source = "by the lists and the tiles' names" if known is None else f"by {known.source}"
-    return f"Each of the {len(pictures)} test pictures has a position, {source}.", None
-
-
-def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str]:
-    """Read what stands beside the queries as the commands that list them do, `geo.csv` only if asked to; yield their errors."""
-    reads: list[Callable[[], object]] = [lambda: notes.read_notes(own_file(dataset.root, notes.NAME))]
-    for task in dataset.tasks():
-        queries = dataset.queries(views_of(task)[0])
-        taken = reserved(dataset.truth(task), distances, dataset.columns(queries))
-        paths = geo.names_below(dataset.root, queries)
-        reads.append(partial(metadata.columns, dataset.root, paths, taken, positions))
-    for read in reads:
-        try:
-            read()
-        except DataError as error:
-            yield str(error)
-
-
-def _runs(dataset: Dataset, lists: dict[str, list[Picture]]) -> Iterable[str]:
-    train = _train_labels(lists)
-    if "satellite" in train and (places := len(trainable(train).places) if len(train) > 1 else 0):
-        yield f"lpn train, on {places} places with {', '.join(train)}"
-    for task in dataset.tasks():
-        queries, gallery = map(len, (dataset.queries(views_of(task)[0]), dataset.gallery(views_of(task)[1])))
-        yield f"lpn evaluate --task {task}: {queries} queries, {gallery} pictures in the gallery"
-    yield "lpn describe --images, on any folder of these pictures"
-    if isinstance(dataset, Folder) and dataset.whole is not None:
-        yield f"lpn doctor --data {printable(str(dataset.whole))}, on the data set that this folder is a part of"
+    return (f"Each of the {len(pictures)} test pictures has a position, by {source}.", None) if source else (None, None)
 
 
 def _below(root: Path, file: Path) -> str:
@@ -316,15 +197,12 @@ def print_report(report: DataSetReport, console: Console) -> None:
     lines += _some("are left out", [f"{item.file} {item.why}" for item in report.left_out if not item.published])
     known = [item.file for item in report.left_out if item.published]
     lines += _some("are left out, being broken in the published data set too", known)
-    for item in report.lacking:
-        lines += _some(f"of {item.of} {item.what}", item.names)
+    lines += [line for item in report.lacking for line in _some(item.what, item.names)]
     if report.gaps:
         lines.append("Gaps, which are no damage: a place is used in the views that it has.")
-        lines += [f"  {line}" for item in report.gaps for line in _some(f"of {item.of} {item.what}", item.names, 12)]
+        lines += [f"  {line}" for item in report.gaps for line in _some(item.what, item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
-    lines += _some("groups of files in one list are equal", [" = ".join(group) for group in report.duplicates])
-    lines += [text for text in (report.gap or report.positions, *report.refused) if text]
-    lines += ["What can be run:", *(f"  {text}" for text in report.runs)]
+    lines += [text for text in (report.gap or report.positions,) if text]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
     title, head = f"{report.root} is {report.title}.", ("pictures of", "pictures", "places")
     TextTable(head, counts, title, "\n".join(lines)).print(console)
@@ -335,6 +213,4 @@ def _of(count: int, full: int | None) -> str:
 
 
 def _some(what: str, names: Sequence[str], most: int = 5) -> list[str]:
-    if not names:
-        return []
-    return [f"{len(names)} {what}: {first_few(names, most)}."]
+    return [f"{len(names)} {what}: {first_few(names, most)}."] if names else []

@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import importlib
+import io
 import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import redirect_stderr
 from dataclasses import asdict, dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
 from lpn.core import requirements, resources
-from lpn.core.demo import DEMO_BASELINE
-from lpn.core.errors import LPNError, OutputError
+from lpn.core.errors import OutputError
 from lpn.core.files import cache_folder, check_writable, printable
 
 Severity = Literal["OK", "note", "problem"]
-# The explorer's default address.
-HOST, PORT = "127.0.0.1", 8080
 # Modules whose names differ from their packages'.
 _MODULES = {"opencv-python-headless": "cv2", "pillow": "PIL"}
 _LITTLE_MEMORY, _LITTLE_DISK, _MIN_DISK = 1 << 30, 1 << 30, 50 << 20
@@ -61,18 +59,11 @@ def check_environment(demo: Path) -> Iterator[Finding]:
         "ONNX Runtime": _onnx_runtime,
         "machine": _machine,
         "cache": _cache,
-        "port": _port,
         "demo": lambda: _demo(demo),
     }
     for name, check in checks.items():
         try:
             yield from check()
-        except ModuleNotFoundError as error:
-            module = (error.name or "").partition(".")[0]
-            package = next((package for package, other in _MODULES.items() if other == module), module)
-            yield Finding(
-                name, "problem", f"could not be checked without the package {package}", f"pip install {package}"
-            )
         except Exception as error:  # a broken package may raise anything
             remedy = "repair the packages named above, or install it again"
             yield Finding(name, "problem", f"could not be checked ({type(error).__name__}: {error})", remedy)
@@ -98,28 +89,26 @@ def _python_and_packages() -> Iterator[Finding]:
     if requirements.satisfies(version, required.python):
         yield Finding("Python", "OK", f"{version} in {sys.prefix}")
     else:
-        yield Finding(
-            "Python", "problem", f"{version}; {required.python} is needed", "make an environment with a newer one"
-        )
+        wanted = f"{version}; {required.python} is needed"
+        yield Finding("Python", "problem", wanted, "make an environment with a newer one")
     good = []
     for package in required.base:
-        problem, install = _wrong_version(package), f"pip install '{package.requirement}'"
-        if not problem and (problem := _import_error(package)):
-            install = f"pip install --force-reinstall '{package.requirement}'"
-        if problem:
-            yield Finding(package.name, "problem", problem, install)
+        error = "" if (problem := _wrong_version(package)) else _import_error(package)
+        if problem or error:
+            install = f"pip install {'--force-reinstall ' if error else ''}'{package.requirement}'"
+            yield Finding(package.name, "problem", problem or error, install)
         else:
             good.append(f"{package.name} {package.installed}")
     yield Finding("packages", "OK", ", ".join(good))
     for extra, packages in required.extras.items():
-        name, wrong = f"extra {extra}", [package for package in packages if not package.fits]
-        message = ", ".join(f"{package.name} {_wrong_version(package)}" for package in wrong)
+        wrong = [f"{package.name} {_wrong_version(package)}" for package in packages if not package.fits]
         if not wrong:
-            yield Finding(name, "OK", ", ".join(f"{package.name} {package.installed}" for package in packages))
+            message = ", ".join(f"{package.name} {package.installed}" for package in packages)
+            yield Finding(f"extra {extra}", "OK", message)
         else:
             absent = all(package.installed is None for package in packages)
             remedy = f"pip install '{requirements.NAME}[{extra}]'"
-            yield Finding(name, "note", "not installed" if absent else message, remedy)
+            yield Finding(f"extra {extra}", "note", "not installed" if absent else ", ".join(wrong), remedy)
 
 
 def _wrong_version(package: requirements.Package) -> str:
@@ -132,31 +121,13 @@ def _wrong_version(package: requirements.Package) -> str:
 
 
 def _import_error(package: requirements.Package) -> str:
-    """Return why a package cannot be imported; empty if it can."""
+    """Return why a package cannot be imported; empty if it can. What it prints, such as tracebacks, is discarded."""
     try:
-        with _silenced():
+        with redirect_stderr(io.StringIO()):
             importlib.import_module(_MODULES.get(package.name.lower(), package.name.lower()))
     except Exception as error:
         return f"{package.installed} cannot be imported ({type(error).__name__}: {error})"
     return ""
-
-
-@contextmanager
-def _silenced() -> Iterator[None]:
-    """Discard the output that libraries print while they are imported, such as tracebacks."""
-    with ExitStack() as restore:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        restore.callback(os.close, nowhere)
-        for number, stream in ((1, sys.stdout), (2, sys.stderr)):
-            if stream is None:  # closed before the start
-                continue
-            stream.flush()
-            before = os.dup(number)
-            restore.callback(os.close, before)
-            restore.callback(os.dup2, before, number)
-            restore.callback(stream.flush)
-            os.dup2(nowhere, number)
-        yield
 
 
 def _torch() -> Iterator[Finding]:
@@ -174,7 +145,7 @@ def _torch() -> Iterator[Finding]:
 
 
 def _onnx_runtime() -> Iterator[Finding]:
-    with _silenced():
+    with redirect_stderr(io.StringIO()):  # it prints a traceback where NumPy is broken
         import onnxruntime as ort
 
         from lpn.models import providers
@@ -208,15 +179,12 @@ def _machine() -> Iterator[Finding]:
 def _cache() -> Iterator[Finding]:
     try:
         folder = cache_folder()
-    except OutputError as error:
-        message, _, remedy = str(error).rstrip(".").partition("; ")
-        yield Finding("cache", "problem", message, remedy)
-        return
-    try:
         check_writable(folder / "doctor")
     except OutputError as error:
-        remedy = "make it writable, or set LPN_CACHE to a folder that is"
-        yield Finding("cache", "problem", str(error).partition(";")[0], remedy)
+        message, _, remedy = str(error).rstrip(".").partition("; ")
+        if "LPN_CACHE" not in remedy:
+            remedy = "make it writable, or set LPN_CACHE to a folder that is"
+        yield Finding("cache", "problem", message, remedy)
         return
     free = shutil.disk_usage(folder).free
     level: Severity = "problem" if free < _MIN_DISK else "note" if free < _LITTLE_DISK else "OK"
@@ -224,25 +192,17 @@ def _cache() -> Iterator[Finding]:
     yield Finding("cache", level, f"{folder} can be written; {free / 1e9:.1f} GB are free there", remedy)
 
 
-def _port() -> Iterator[Finding]:
-    if error := resources.port_error(HOST, PORT):
-        remedy = "close what uses it, or start the explorer with --port"
-        yield Finding("port", "note", error.removeprefix("Port "), remedy)
-    else:
-        yield Finding("port", "OK", f"{PORT} on {HOST} is free")
-
-
 def _demo(demo: Path) -> Iterator[Finding]:
-    restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
-    error = _demo_error(demo) if demo.is_dir() else "its files are missing"
-    if error:
+    if error := _demo_error(demo):
+        restore = "restore assets of the checkout (git checkout -- assets), or install lpn-explorer again"
         yield Finding("demo", "problem", error.rstrip("."), restore)
     else:
         yield Finding("demo", "OK", "model, descriptors, and pictures are undamaged")
 
 
 def _demo_error(demo: Path) -> str | None:
-    import lpn
+    if not demo.is_dir():
+        return "its files are missing"
     from lpn.descriptors import open_store
     from lpn.descriptors.cache import STORES
     from lpn.doctor.verify import verify
@@ -250,24 +210,13 @@ def _demo_error(demo: Path) -> str | None:
     for verdict in verify(demo):
         if not verdict.whole:
             return verdict.message
-    try:
-        for name, stores in (("lpn.onnx", demo / STORES), (DEMO_BASELINE.name, demo / STORES / "baseline")):
-            if name == DEMO_BASELINE.name and not (demo / name).is_file():
-                continue
-            fingerprint = lpn.load(demo / name, "cpu").fingerprint
-            for store in sorted(stores.iterdir()):
-                if not store.is_dir() or store.name in ("baseline", "calibrated"):
-                    continue
-                manifest, inside = open_store(store).manifest, store.relative_to(demo)
-                if manifest.fingerprint != fingerprint:
-                    return f"{name} is not the model that {inside} was made with, so one of them is damaged"
-                role = store.name.partition("_")[0]
-                for row in manifest.rows:
-                    picture = demo / "test" / f"{role}_{manifest.view}" / row.file
-                    if not picture.is_file() or picture.stat().st_size != row.size:
-                        return f"{picture.relative_to(demo)} is missing, or is not the packaged file (its size differs)"
-    except LPNError as error:
-        return str(error)
-    except FileNotFoundError as error:
-        return f"{error.filename} is missing"
+    stores = sorted((demo / STORES).glob("*_*/"))
+    if not stores:
+        return f"{demo / STORES} is missing"
+    for store in stores:
+        manifest, role = open_store(store).manifest, store.name.partition("_")[0]
+        for row in manifest.rows:
+            picture = demo / "test" / f"{role}_{manifest.view}" / row.file
+            if not picture.is_file() or picture.stat().st_size != row.size:
+                return f"{picture.relative_to(demo)} is missing, or is not the packaged file (its size differs)"
     return None

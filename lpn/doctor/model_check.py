@@ -11,7 +11,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.files import printable
 from lpn.core.views import View, views_of
-from lpn.datasets import Dataset, Picture
+from lpn.datasets import Dataset
 from lpn.drawing import verdicts
 from lpn.models.base import Model
 from lpn.models.trace import Trace
@@ -61,16 +61,14 @@ def pictures_of(dataset: Dataset) -> dict[View, list[tuple[str, UInt8Array]]]:
     """
     if not dataset.tasks():
         raise dataset.no_task()
-    lists: dict[View, list[Picture]] = {}
-    for task in dataset.tasks():
-        query, gallery = views_of(task)
-        lists.setdefault(gallery, dataset.gallery(gallery))
-        lists.setdefault(query, dataset.queries(query))
-    chosen = {
-        view: [pictures[i] for i in np.linspace(0, len(pictures) - 1, min(PICTURES, len(pictures))).round().astype(int)]
-        for view, pictures in lists.items()
-    }
-    return {view: [(picture.name, picture.load_cropped()) for picture in pictures] for view, pictures in chosen.items()}
+    found: dict[View, list[tuple[str, UInt8Array]]] = {}
+    for query, gallery in map(views_of, dataset.tasks()):
+        for view, listed in ((gallery, dataset.gallery), (query, dataset.queries)):
+            if view not in found:
+                pictures = listed(view)
+                chosen = np.linspace(0, len(pictures) - 1, min(PICTURES, len(pictures))).round().astype(int)
+                found[view] = [(pictures[i].name, pictures[i].load_cropped()) for i in chosen]
+    return found
 
 
 def noise() -> list[tuple[str, UInt8Array]]:
@@ -91,49 +89,39 @@ def _check_view(model: Model, view: View, pictures: Sequence[tuple[str, UInt8Arr
     # Cells of one picture cannot tell whether those of another differ.
     for name, picture in pictures if len(pictures) > 1 else [*pictures, noise()[0]]:
         try:
-            described = describe_picture(model, picture, view)
+            trace = describe_picture(model, picture, view).trace
         except LPNError as failure:
             return ModelFinding(view, False, None, printable(str(failure)))
-        if described.trace is None:
+        if trace is None:
             continue
-        without_cells &= {part for part in range(model.n_parts) if not described.trace.cells[:, part].any()}
-        worst = max(worst, _worst(described.trace, name, names))
-        first = first or described.trace
-        if contract.level == "exact" and (differing := _differing(described.trace, first)):
-            return ModelFinding(
-                view,
-                False,
-                None,
+        without_cells &= {part for part in range(model.n_parts) if not trace.cells[:, part].any()}
+        errors, first = trace.errors(), first or trace
+        part = int(np.argmax(errors))
+        worst = max(worst, (float(errors[part]), names[part], printable(name)))
+        if contract.level == "exact" and (differing := _differing(trace, first)):
+            message = (
                 f"The {differing} of {printable(name)} are not those of {printable(pictures[0][0])}, but the contract says "
-                "'exact', that nothing is chosen for each picture; name in held what is.",
+                "'exact', that nothing is chosen for each picture; name in held what is."
             )
+            return ModelFinding(view, False, None, message)
     if not contract.has_cells:
-        return ModelFinding(
-            view, True, None, f"It gives {model.n_parts} x {model.embedding} numbers {on}, and no cells to prove."
-        )
-    error, part, name = worst
+        message = f"It gives {model.n_parts} x {model.embedding} numbers {on}, and no cells to prove."
+        return ModelFinding(view, True, None, message)
+    error, of, at = worst
     if not np.isfinite(error):
-        message = f"The sum of cells and constants of part {part} is no finite number on {printable(name)}; use smaller numbers."
+        message = f"The sum of cells and constants of part {of} is no finite number on {at}; use smaller numbers."
         return ModelFinding(view, False, None, message)
     if error > TOLERANCE:
-        return ModelFinding(
-            view,
-            False,
-            error,
-            f"Cells and constants of part {part} miss it by {error:.1g} of its largest value on {printable(name)}, and may by "
-            f"{TOLERANCE:g}; the contract leaves something out, such as a bias, a scale, or a layer that is not linear.",
+        message = (
+            f"Cells and constants of part {of} miss it by {error:.1g} of its largest value on {at}, and may by "
+            f"{TOLERANCE:g}; the contract leaves something out, such as a bias, a scale, or a layer that is not linear."
         )
+        return ModelFinding(view, False, error, message)
     proof = (
         f"Cells and constants add up to each part {on}, to {error:.1g} of its largest value (allowed: {TOLERANCE:g})."
     )
     lumps = verdicts.describe_lumps([names[part] for part in sorted(without_cells)])
     return ModelFinding(view, True, error, f"{proof} {lumps}".rstrip())
-
-
-def _worst(trace: Trace, name: str, names: Sequence[str]) -> tuple[float, str, str]:
-    errors = trace.errors()
-    part = int(np.argmax(errors))
-    return float(errors[part]), names[part], name
 
 
 def _differing(trace: Trace, first: Trace) -> str:

@@ -18,6 +18,7 @@ from lpn.index.folder import verify as verify_index
 _CHUNK = 4096
 _MODELS = (".onnx", ".safetensors", ".pth", ".pt")
 _AGAIN = "copy it again from where it came, or make it again"
+_DESCRIBE = "delete the folder and describe the pictures again"
 
 
 @dataclass(frozen=True)
@@ -63,13 +64,12 @@ def _is_index(path: Path) -> bool:
 
 def _verify_index(folder: Path) -> VerifiedFile:
     contents = verify_index(folder)
-    left = "an add was interrupted or is still running, and its tiles are missing"
-    if not contents.tiles:
-        why = left if contents.unfinished else "no tile was added"
-        again = "see that the disk has space, and add them again with lpn index"
-        return VerifiedFile(folder, f"is empty: {why}; {again}.", False, True)
-    more = f"; {left}, so add them again with lpn index" if contents.unfinished else ""
-    return VerifiedFile(folder, f"is what was written{more}", True)
+    left = "an add was interrupted or is still running, and its tiles are missing" if contents.unfinished else ""
+    if contents.tiles:
+        more = f"; {left}, so add them again with lpn index" if left else ""
+        return VerifiedFile(folder, f"is what was written{more}", True)
+    again = "see that the disk has space, and add them again with lpn index"
+    return VerifiedFile(folder, f"is empty: {left or 'no tile was added'}; {again}.", False, True)
 
 
 def _find(folder: Path) -> Iterator[Path]:
@@ -105,18 +105,13 @@ def _verify_store(store: Store, folder: Path) -> str:
         if not finite.all():
             first = store.manifest.rows[start + int(np.argmin(finite))].file
             raise StoreError(
-                f"{folder} holds values that are not finite, the first of {printable(first)}; delete the folder and describe "
-                "the pictures again."
+                f"{folder} holds values that are not finite, the first of {printable(first)}; {_DESCRIBE}."
             )
     if store.manifest.damaged:
-        raise StoreError(
-            f"manifest.json in {folder} does not match its checksum; delete the folder and describe the pictures again."
-        )
+        raise StoreError(f"manifest.json in {folder} does not match its checksum; {_DESCRIBE}.")
     if damaged := int(store.damaged().sum()):
-        raise StoreError(
-            f"descriptors.npy in {folder} does not match its checksums in up to {damaged} of {len(store.descriptors)} rows; "
-            "delete the folder and describe the pictures again."
-        )
+        of = f"in up to {damaged} of {len(store.descriptors)} rows"
+        raise StoreError(f"descriptors.npy in {folder} does not match its checksums {of}; {_DESCRIBE}.")
     return "is what was written" if store.manifest.checksums else "has no checksums: an earlier version wrote it"
 
 
@@ -126,5 +121,5 @@ def _verify_shards(folder: Path) -> str:
     shards = open_shards(folder)
     for partition in range(shards.plan.partitions):
         if not np.isfinite(shards.read(partition).descriptors).all():
-            raise StoreError(f"{folder} holds values that are not finite; delete it and describe the pictures again.")
+            raise StoreError(f"{folder} holds values that are not finite; {_DESCRIBE}.")
     return "can be read, and what has checksums is what was written"

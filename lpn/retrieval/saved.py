@@ -179,7 +179,7 @@ def load_saved(path: str | Path, n_parts: int = 1) -> PublishedResult:
     name = printable(path.name)
     _check_file(path, "saved result", "that the published test code wrote, such as pytorch_result.mat")
     expected = "pytorch_result.mat of the published test code"
-    values = matlab.load(path, (), expected, (*_PUBLISHED, "query_path", "gallery_path"), simplify=False)
+    values = matlab.load(path, (*_PUBLISHED, "query_path", "gallery_path"), expected)
     if missing := [key for key in _PUBLISHED if key not in values]:
         raise DataError(
             f"{name} has no {', '.join(missing)}; it holds {', '.join(values) or 'none of them'}, and the published test code "
@@ -309,7 +309,7 @@ def _read(file: Path, side: str) -> AnyArray:
     if kind not in (".npy", ".npz", ".mat"):
         raise DataError(f"{name} is no array file; expected one that ends in .npy, .npz, .mat.")
     if kind == ".mat":
-        variables = matlab.load(file, (), f"a MATLAB 5 file with {' or '.join(keys)}", keys, simplify=False)
+        variables = matlab.load(file, keys, f"a MATLAB 5 file with {' or '.join(keys)}")
         if not variables:
             raise DataError(f"{name} has none of the variables {', '.join(keys)}; save the descriptors as one of them.")
         return np.asarray(next(variables[key] for key in keys if key in variables))

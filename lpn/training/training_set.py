@@ -20,8 +20,7 @@ from lpn.core.consoles import Console
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import first_few
 from lpn.core.views import VIEWS, View, branch_of
-from lpn.datasets import Dataset, Picture
-from lpn.datasets.folder import Folder
+from lpn.datasets import Dataset, Folder, Picture
 from lpn.datasets.integrity import list_errors, picture_errors
 
 # Size limit of the cache of decoded pictures.

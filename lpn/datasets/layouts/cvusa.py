@@ -25,10 +25,7 @@ class CVUSA(Dataset):
 
     kind = "CVUSA"
     marks = tuple((name,) for name in _SPLITS.values())
-    known_by = "splits/*-19zl.csv (CVUSA)"
-    parts = ("bingmap", "streetview", "splits")
-    unusable, effect = "files named in splits", "their pairs are left out"
-    expected = "a split of CVUSA, splits/val-19zl.csv"
+    expected = "the files of splits/val-19zl.csv in bingmap/19 and streetview/panos"
     panoramas = True
     published_sizes = sizes(
         train={"satellite": (35_532, 35_532), "street": (35_532, 35_532)},
@@ -37,12 +34,7 @@ class CVUSA(Dataset):
 
     def rows(self) -> Iterator[PictureRow]:
         listed = {split: _read(self.root / name, name) for split, name in _SPLITS.items()}
-        pairs = [pair for of_split in listed.values() for pair in of_split]
-        self.none_whole = (
-            f"lists {len(pairs)} pairs in splits, but has none of them whole; expected their files in bingmap/19 and "
-            "streetview/panos"
-        )
-        labels = _labels(pairs)
+        labels = _labels([pair for pairs in listed.values() for pair in pairs])
         for split, of_split in listed.items():
             for pair in of_split:
                 tile, panorama = (
@@ -62,8 +54,6 @@ def _read(file: Path, name: str) -> list[tuple[str, str]]:
                 f"{where} has {len(values)} values; expected a tile, a panorama, and perhaps an annotation."
             )
         pairs.append((listed_path(values[0], where), listed_path(values[1], where)))
-    if len(set(pairs)) < len(pairs):
-        raise DataError(f"{name} lists a pair twice; keep one line of each.")
     return pairs
 
 

@@ -12,6 +12,7 @@ places to train on, too.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.lists import numbered_lines
 from lpn.datasets import geo
-from lpn.datasets.base import Picture, PositionProtocol, sizes
+from lpn.datasets.base import Picture, PictureRow, PositionProtocol, sizes
 from lpn.datasets.layouts.university import University
 from lpn.datasets.listed_paths import plain_path
 
@@ -35,7 +36,6 @@ class DenseUAV(University):
     """
 
     kind = "DenseUAV"
-    known_by = "Dense_GPS_ALL.txt (DenseUAV)"
     priority = 0
     group_name = "height"
     trained_distractors = True
@@ -45,10 +45,6 @@ class DenseUAV(University):
         query={"drone": (2_331, 777), "satellite": (4_662, 777)},
         gallery={"drone": (9_099, 3_033), "satellite": (18_198, 3_033)},
     )
-
-    def __init__(self, root: Path, split: str | None = None) -> None:
-        super().__init__(root, split)
-        self.positions_from, self._places = _places(root)
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -61,12 +57,11 @@ class DenseUAV(University):
                 return any(_HEIGHT.fullmatch(file.name) for file in place.iterdir())
         return False
 
-    def pictures_in(self, name: str) -> list[Picture]:
-        pictures = super().pictures_in(name)
-        if not name.startswith("test/query"):
-            return pictures
-        named = ((picture, _HEIGHT.fullmatch(picture.path.name)) for picture in pictures)
-        return [picture if height is None else replace(picture, group=height[1]) for picture, height in named]
+    def rows(self) -> Iterator[PictureRow]:
+        self.positions_from, self._places = _places(self.root)
+        for row in super().rows():
+            height = _HEIGHT.fullmatch(Path(row.file).name) if row.of.startswith("test/query") else None
+            yield row if height is None else replace(row, group=height[1])
 
     def place(self, picture: Picture) -> geo.Position | None:
         return self._places.get(picture.path.parent.name)
@@ -94,8 +89,7 @@ def _line(line: str, where: str) -> tuple[str, geo.Position]:
         raise DataError(
             f"{where} is {printable(line[:100])!r}; expected a path, E<longitude>, N<latitude>, and a height."
         )
-    longitude = float(point[2]) * (1 if point[1] == "E" else -1)
-    latitude = float(point[4]) * (1 if point[3] == "N" else -1)
-    if abs(latitude) > 90 or abs(longitude) > 180:
-        raise DataError(f"{where} has the position {point[0]}; expected at most E180 and N90.")
+    longitude, latitude = (
+        float(f"{'-' * (side in 'WS')}{value}") for side, value in (point.group(1, 2), point.group(3, 4))
+    )
     return parts[-2], geo.Position(latitude, longitude)

@@ -52,11 +52,9 @@ class Landmarks(Dataset):
 
     kind = "landmarks"
     title = "a set of landmarks with ground-truth files as in Oxford5k"
-    known_by = "*_query.txt (Oxford5k, Paris6k)"
     priority = -2
     deep = True
-    unusable = "pictures"
-    expected = "pictures named as in the ground truth"
+    expected = "pictures named as in the ground truth, as .jpg"
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
@@ -64,11 +62,6 @@ class Landmarks(Dataset):
 
     def rows(self) -> Iterator[PictureRow]:
         queries = sorted((_query(self.root, file) for file in _query_files(self.root)), key=lambda one: one[:2])
-        self.none_whole = f"has the picture of none of its {len(queries)} queries; add them as .jpg"
-        if len({query.prefixed for query in queries}) > 1:
-            raise DataError(
-                f"{self.root.name} holds ground truth of Oxford5k and of another data set; give the folder of one."
-            )
         if queries[0].prefixed or all(query.picture.startswith("paris_") for query in queries):
             self.kind, self.title = "Oxford5k" if queries[0].prefixed else "Paris6k", ""
             self.published_sizes = FULL[self.kind]
@@ -105,29 +98,30 @@ class _Query(NamedTuple):
 
 
 def _query(root: Path, file: Path) -> _Query:
-    """Read the four ground-truth files of one query."""
-    where = file.relative_to(root).as_posix()
+    """Read the four ground-truth files of one query; pictures are looked up by name, never opened as paths."""
+    where, stem = file.relative_to(root).as_posix(), file.name.removesuffix("_query.txt")
     lines = [line for _, line in numbered_lines(file, where)]
-    values = lines[0].split() if len(lines) == 1 else []
     try:
-        left, top, right, bottom = map(float, values[1:])
-    except ValueError:
-        left = top = right = bottom = math.nan
-    if not (math.isfinite(left + top + right + bottom) and left < right and top < bottom):
+        ((picture, *numbers),) = map(str.split, lines)
+        left, top, right, bottom = map(float, numbers)
+        if not (math.isfinite(left + top + right + bottom) and left < right and top < bottom):
+            raise ValueError
+    except ValueError as error:
         content = printable(lines[0][:80]) if lines else "nothing"
         raise DataError(
             f"{where} says {content!r} in {len(lines)} lines; expected one line: a picture's name and its box as left, top, "
             "right, bottom in pixels."
-        )
-    stem = file.name.removesuffix("_query.txt")
+        ) from error
+    listed = (file.with_name(f"{stem}_{kind}.txt") for kind in ("good", "ok", "junk"))
     good, ok, junk = (
-        [_name(text, at) for at, text in numbered_lines(listed, listed.relative_to(root).as_posix())]
-        for listed in (file.with_name(f"{stem}_{kind}.txt") for kind in ("good", "ok", "junk"))
+        [line.strip().removesuffix(".jpg") for _, line in numbered_lines(one, one.relative_to(root).as_posix())]
+        for one in listed
     )
     landmark, _, number = stem.rpartition("_")
-    picture = _name(values[0].removeprefix(PREFIX), f"Line 1 of {where}")
-    prefixed, box = values[0].startswith(PREFIX), (left, top, right, bottom)
-    return _Query(landmark, int(number), prefixed, picture, box, list(dict.fromkeys(good + ok)), junk)
+    prefixed, name = picture.startswith(PREFIX), picture.removeprefix(PREFIX).removesuffix(".jpg")
+    return _Query(
+        landmark, int(number), prefixed, name, (left, top, right, bottom), list(dict.fromkeys(good + ok)), junk
+    )
 
 
 def _query_files(root: Path) -> list[Path]:
@@ -142,11 +136,3 @@ def _by_name(root: Path) -> dict[str, Path]:
             both = " and ".join(printable(f.relative_to(root).as_posix()) for f in (other, file))
             raise DataError(f"{root.name} has two pictures of one name, {both}; keep one, or give a folder with one.")
     return files
-
-
-def _name(text: str, where: str) -> str:
-    """Check a picture's name; names are looked up among existing files, never opened as paths."""
-    name = text.strip().removesuffix(".jpg")
-    if not re.fullmatch(r"[\w.-]{1,200}", name) or name.startswith("."):
-        raise DataError(f"{where} names {printable(text[:80])!r}; expected a picture's name without a folder.")
-    return name

@@ -20,8 +20,8 @@ from pathlib import Path
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.lists import read_text
-from lpn.datasets.base import Dataset, Picture, PictureRow, sizes
-from lpn.datasets.layouts.university import place_pictures
+from lpn.datasets.base import Dataset, PictureRow, sizes
+from lpn.datasets.layouts.university import place_rows
 from lpn.datasets.listed_paths import hidden_name
 
 HEIGHTS = ("150", "200", "250", "300")
@@ -40,8 +40,6 @@ class SUES200(Dataset):
         (f"{_TILES}/", INDEX),
         (f"{_TILES}/", "*[dD][rR][oO][nN][eE]*/"),
     )
-    known_by = "Testing/150 or satellite-view (SUES-200)"
-    parts = ("training", "testing", "train", "test", _TILES, "*drone*")
     group_name = "height"
     trained_distractors = True
     folders = ("",)
@@ -73,24 +71,18 @@ def _split(root: Path, split: str, names: list[str], before: str) -> Iterator[Pi
     if top is None:
         return
     heights = [height for height in HEIGHTS if (top / height).is_dir()]
-    if not heights:
+    wanted = [f"{height}/{name}" for height in heights for name in names]
+    if missing := [name for name in wanted if not (top / name).is_dir()] or ([] if heights else [", ".join(HEIGHTS)]):
+        at, _, folder = f"{top.name}/{missing[0]}".rpartition("/")
         raise DataError(
-            f"{top.name} of {printable(root.name)} has no folder {', '.join(HEIGHTS)}; expected one for each height of SUES-200."
+            f"{at} of {printable(root.name)} has no folder {folder}; expected {', '.join(names)} for each height, as in SUES-200."
         )
-    for height in heights:
-        if missing := [name for name in names if not (top / height / name).is_dir()]:
-            raise DataError(
-                f"{top.name}/{height} of {printable(root.name)} has no folder {' and no folder '.join(missing)}; expected "
-                f"{', '.join(names)} for each height, as in SUES-200."
-            )
-    for height in heights:
-        for name in names:
-            if "drone" in name:
-                for picture in place_pictures(top / height / name):
-                    yield _drone_row(before + name, picture, picture.label, picture.name, height)
-    for name in (name for name in names if "satellite" in name):
-        tiles = next(filter(None, (place_pictures(top / height / name) for height in heights)), [])
-        yield from (PictureRow(before + name, tile.path, tile.label, tile.name) for tile in tiles)
+    for name in names:
+        of_heights = ((height, list(place_rows(before + name, top / height / name))) for height in heights)
+        if "drone" in name:
+            yield from (_at(row, row.name, height) for height, rows in of_heights for row in rows)
+        else:
+            yield from next((rows for _, rows in of_heights if rows), [])
 
 
 def _raw(root: Path, drone: Path | None) -> Iterator[PictureRow]:
@@ -102,24 +94,20 @@ def _raw(root: Path, drone: Path | None) -> Iterator[PictureRow]:
         )
     trained = _trained(root / INDEX)
     rows = []
-    for place in sorted(path for path in drone.iterdir() if path.is_dir() and not hidden_name(path.name)):
-        if not place.name.isdecimal():
-            raise DataError(
-                f"The folder {printable(place.name)} in {printable(drone.name)} is not a number; expected one folder per place."
-            )
+    for place in sorted(path for path in drone.iterdir() if path.name.isdecimal()):
         # The folder of a height stands where that of a place does elsewhere.
-        for picture in place_pictures(place):
-            if (height := picture.path.parent.name) in HEIGHTS:
-                name = f"{place.name}/{picture.path.stem}"
-                rows.append(_drone_row("drone", picture, int(place.name), name, height))
-    rows += [PictureRow("satellite", tile.path, tile.label, tile.name) for tile in place_pictures(root / _TILES)]
-    for row in rows:
+        for row in place_rows("drone", place):
+            file = Path(row.file)
+            if file.parent.name in HEIGHTS:
+                row = replace(row, label=int(place.name))
+                rows.append(_at(row, f"{place.name}/{file.stem}", file.parent.name))
+    for row in (*rows, *place_rows("satellite", root / _TILES)):
         yield replace(row, of=f"train/{row.of}" if row.label in trained else f"test/query_{row.of}")
         yield replace(row, of=f"test/gallery_{row.of}")
 
 
-def _drone_row(of: str, picture: Picture, place: int, name: str, height: str) -> PictureRow:
-    return PictureRow(of, picture.path, place, f"{name} {height} m", height)
+def _at(row: PictureRow, name: str, height: str) -> PictureRow:
+    return replace(row, name=f"{name} {height} m", group=height)
 
 
 def _trained(file: Path) -> set[int]:

@@ -13,8 +13,7 @@ gallery is every tile of the folder, all zooms together.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -54,13 +53,13 @@ _LOCATIONS: dict[str, PositionProtocol] = {"drone_loc_x_y": "GTA-UAV", "drone_lo
 
 
 class _Pair(NamedTuple):
-    """One object of a list: the drone picture's file, its position, and the overlaps of its true tiles and of all its tiles."""
+    """One object of a list: the drone picture, its position, the folder of tiles, overlaps of the true and of all tiles."""
 
     file: str
     place: tuple[float, float]
+    folder: str
     true: dict[str, float]
     listed: dict[str, float]
-    tiles: str
 
 
 class TilePairs(Dataset):
@@ -72,49 +71,32 @@ class TilePairs(Dataset):
 
     kind = "GTA-UAV"
     marks = tuple((_LIST.format(area, split),) for area in ("same-area", "cross-area") for split in ("train", "test"))
-    known_by = "*-area-drone2sate-test.json (GTA-UAV, UAV-VisLoc)"
-    parts = ("drone", "satellite")
-    splits = ("same-area", "cross-area")
-    split_list = _LIST.format("same-area", "test")
-    unusable = "files named in its lists"
+    splits: Mapping[str, Sequence[str]] = {area: (_LIST.format(area, "test"),) for area in ("same-area", "cross-area")}
     trapezoid = False
-
-    def splits_there(self) -> list[str]:
-        return [area for area in self.splits if (self.root / _LIST.format(area, "test")).is_file()]
+    expected = "the drone pictures and tiles that its lists name"
 
     def rows(self) -> Iterator[PictureRow]:
-        listed, name = _LIST.format(self.split, "test"), printable(self.root.name)
+        listed, trained = (_LIST.format(self.split, split) for split in ("test", "train"))
         pairs, form = self._pairs(listed)
-        self.kind, self.measured_by, self.expected = form, form, f"{listed} with true tiles"
+        train = self._pairs(trained)[0] if (self.root / trained).is_file() else []
+        self.kind, self.measured_by = form, form
         if form == "GTA-UAV":
             self.published_sizes = {"test/gallery_satellite": Size(14_640)}
         else:
             self.title, self.positions_from = "UAV-VisLoc in GTA-UAV's layout", f"{listed} and the tiles' names"
-        folders = {pair.tiles for pair in pairs}
-        if len(folders) != 1:
-            raise DataError(f"The test list of {name} names {len(folders)} folders of tiles; expected one.")
-        repeated, times = Counter(pair.file for pair in pairs).most_common(1)[0]
-        if times > 1:
-            raise DataError(
-                f"{listed} has {times} objects of {printable(repeated)}; expected one for each drone picture."
-            )
-        folder = folders.pop()
-        tiles = self._tiles(folder)
-        numbers = {file: number for number, file in enumerate(tiles.values())}
         self._spots = {self.root / pair.file: pair.place for pair in pairs}
-        trained = _LIST.format(self.split, "train")
-        train = self._pairs(trained)[0] if (self.root / trained).is_file() else []
-        used: set[int] = set()
+        below = files_below(self.root / pairs[0].folder)
+        tiles = {fold(path.name): path.relative_to(self.root).as_posix() for path in below}
+        numbers = {file: number for number, file in enumerate(tiles.values())}
+        used = set()
+        for row in self._flown("train/drone", train, tiles, numbers):
+            used.add(row.label)
+            yield row
         drones: dict[str | Path, list[str | Path]] = {file: [] for file in numbers}
-        for of, of_split in (("train/drone", train), ("test/query_drone", pairs)):
-            for row in filter(None, (self._row(of, pair, folder, tiles, numbers) for pair in of_split)):
-                yield row
-                if of == "train/drone":
-                    used.add(row.label)
-                    continue
-                yield replace(row, of="test/gallery_drone")
-                for tile in row.true or ():
-                    drones[tile].append(row.file)
+        for row in self._flown("test/query_drone", pairs, tiles, numbers):
+            yield from (row, replace(row, of="test/gallery_drone"))
+            for tile in row.true or ():
+                drones[tile].append(row.file)
         for file, number in numbers.items():
             row = PictureRow("test/gallery_satellite", file, number, Path(file).stem)
             yield row
@@ -134,71 +116,54 @@ class TilePairs(Dataset):
         of_tile = _metres_of_tile if self.measured_by == "GTA-UAV" else _degrees_of_tile
         return self._spots.get(picture.path) or of_tile(picture.path)
 
-    def _tiles(self, folder: str) -> dict[str, str]:
-        """Return the path of each tile below the root by its folded name."""
-        below = [] if self.files.find(folder) is None else files_below(self.root / folder)
-        if not below:
-            raise DataError(
-                f"{printable(self.root.name)} has no tiles in {folder}, which its lists name; unpack them there."
-            )
-        tiles: dict[str, str] = {}
-        for path in below:
-            file = path.relative_to(self.root).as_posix()
-            if (other := tiles.setdefault(fold(path.name), file)) != file:
-                raise DataError(
-                    f"{printable(self.root.name)} has the tiles {printable(other)} and {printable(file)}, and its lists name "
-                    "tiles by their file names alone; leave one of them out."
-                )
-        return tiles
-
-    def _row(
-        self, of: str, pair: _Pair, folder: str, tiles: dict[str, str], numbers: dict[str, int]
-    ) -> PictureRow | None:
-        """Return the row of a drone picture; None for one without a true tile, or that is not there."""
-        for name in pair.listed:
-            if name not in tiles:
-                self.leave_out(f"{folder}/{name}")
-        overlaps: dict[str | Path, float] = {
-            tiles[name]: weight for name, weight in (pair.listed | pair.true).items() if name in tiles
-        }
-        true = {tiles[name]: weight for name, weight in pair.true.items() if name in tiles}
-        if self.files.find(pair.file) is None:
-            self.leave_out(pair.file)
-        elif pair.true and not true:
-            self.leave_out(pair.file, "has none of its true tiles")
-        elif true:
-            semi = [file for file in overlaps if file not in true]
-            best = numbers[max(true, key=true.__getitem__)]
-            return PictureRow(of, pair.file, best, Path(pair.file).stem, true=[*true], semi=semi, overlaps=overlaps)
-        return None
+    def _flown(
+        self, of: str, pairs: Sequence[_Pair], tiles: dict[str, str], numbers: dict[str, int]
+    ) -> Iterator[PictureRow]:
+        """Yield the drone pictures that are there and have a true tile."""
+        for pair in pairs:
+            for name in pair.listed:
+                if name not in tiles:
+                    self.leave_out(f"{pair.folder}/{name}")
+            overlaps: dict[str | Path, float] = {
+                tiles[name]: weight for name, weight in (pair.listed | pair.true).items() if name in tiles
+            }
+            true = {tiles[name]: weight for name, weight in pair.true.items() if name in tiles}
+            if self.files.find(pair.file) is None:
+                self.leave_out(pair.file)
+            elif true:
+                best, semi = numbers[max(true, key=true.__getitem__)], [file for file in overlaps if file not in true]
+                yield PictureRow(of, pair.file, best, Path(pair.file).stem, true=[*true], semi=semi, overlaps=overlaps)
+            elif pair.true:
+                self.leave_out(pair.file, "has none of its true tiles")
 
     def _pairs(self, name: str) -> tuple[list[_Pair], PositionProtocol]:
         """Return the pairs of a list with paths as they are on this machine, and whether they are GTA-UAV's or UAV-VisLoc's."""
         entries = read_json(self.root / name, name, _LARGEST_LIST)
-        if not isinstance(entries, list) or not entries or not all(isinstance(entry, dict) for entry in entries):
-            raise DataError(f"{name} is not a list of objects; expected one for each drone picture, as in GTA-UAV.")
-        key = next((key for key in _LOCATIONS if key in entries[0]), None)
+        first = entries[0] if isinstance(entries, list) and entries else None
+        key = next((key for key in _LOCATIONS if isinstance(first, dict) and key in first), None)
         if key is None:
-            raise DataError(f"The first object of {name} has neither {' nor '.join(_LOCATIONS)}; expected one of them.")
+            raise DataError(
+                f"{name} is not a list of objects with {' or '.join(_LOCATIONS)}; expected one for each drone picture, as in "
+                "GTA-UAV."
+            )
         pairs = [self._pair(entry, key, f"Object {number} of {name}") for number, entry in enumerate(entries, 1)]
         return pairs, _LOCATIONS[key]
 
     def _pair(self, entry: dict[str, Any], key: str, where: str) -> _Pair:
-        needed = ("drone_img_dir", "drone_img_name", key, "sate_img_dir", *map(_TILES.format, ("pos", "pos_semipos")))
-        if missing := [name for name in needed if name not in entry]:
-            raise DataError(f"{where} has no {', '.join(missing)}; expected the keys of GTA-UAV's lists.")
         try:
-            first, second = (float(value) for value in _values(entry[key], key))
+            east, north = map(float, _values(entry[key], key))
             true, listed = (_weighted(entry, kind) for kind in ("pos", "pos_semipos"))
-        except (TypeError, ValueError) as error:
+            if not math.isfinite(east + north):
+                raise ValueError(f"its position is {east}, {north}")
+            names = f"{entry['drone_img_dir']}/{entry['drone_img_name']}", str(entry["sate_img_dir"])
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            reason = f"it has no {error.args[0]}" if isinstance(error, KeyError) else error
             raise DataError(
-                f"{where} is malformed: {error}; expected two numbers, and lists of tiles and weights."
+                f"{where} is malformed: {reason}; expected a picture, two finite numbers, and lists of tiles and weights, as in "
+                "GTA-UAV."
             ) from error
-        if not (math.isfinite(first) and math.isfinite(second)):
-            raise DataError(f"{where} has the position {first}, {second}; expected two finite numbers.")
-        files = f"{entry['drone_img_dir']}/{entry['drone_img_name']}", str(entry["sate_img_dir"])
-        drone, tiles = (self.files.find(file) or file for file in (listed_path(text, where) for text in files))
-        return _Pair(drone, (first, second), true, listed, tiles)
+        file, folder = (self.files.find(path) or path for path in (listed_path(text, where) for text in names))
+        return _Pair(file, (east, north), folder, true, listed)
 
 
 def _weighted(entry: dict[str, Any], kind: str) -> dict[str, float]:
@@ -227,12 +192,7 @@ def _metres_of_tile(file: Path) -> tuple[float, float]:
 def _degrees_of_tile(file: Path) -> tuple[float, float]:
     """Return latitude and longitude of the centre of a UAV-VisLoc tile."""
     _, zoom, x, y = _numbers_in(file, 1, "03_7_001_002")
-    name = file.stem.split("_")[0]
-    if name not in _MAPS:
-        raise DataError(
-            f"The tile {printable(file.name)} is of map {printable(name)}; expected one of {', '.join(_MAPS)}."
-        )
-    top, left, bottom, right, height, width = _MAPS[name]
+    top, left, bottom, right, height, width = _MAPS[file.stem[:2]]
     shrink = 2 ** (math.ceil(math.log2(max(height, width) / _TILE)) - zoom)
     rows, columns = math.ceil(height / shrink), math.ceil(width / shrink)
     return top - (y + 0.5) * _TILE / rows * (top - bottom), left + (x + 0.5) * _TILE / columns * (right - left)
@@ -241,8 +201,9 @@ def _degrees_of_tile(file: Path) -> tuple[float, float]:
 def _numbers_in(file: Path, zoom: int, example: str) -> tuple[int, ...]:
     """Return the four numbers of a tile's name; the number at position `zoom` is its zoom."""
     parts = file.stem.split("_")
-    if len(parts) != 4 or not all(part.isdecimal() and len(part) < 7 for part in parts) or int(parts[zoom]) > 30:
+    numbers = [int(part) for part in parts if part.isdecimal() and len(part) < 7]
+    if len(parts) != 4 or len(numbers) != 4 or numbers[zoom] > 30 or (zoom and parts[0] not in _MAPS):
         raise DataError(
             f"The tile {printable(file.name)} has no position in its name; expected four numbers, such as {example}."
         )
-    return tuple(map(int, parts))
+    return tuple(numbers)

@@ -12,16 +12,14 @@ places of query_satellite. Bird's-eye views (bev) are not read.
 
 from __future__ import annotations
 
-import logging
 import re
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
-from lpn.core.errors import DataError
-from lpn.core.files import first_few, linked_folder, printable
-from lpn.datasets.base import Picture, sizes
+from lpn.core.files import linked_folder
+from lpn.datasets.base import PictureRow, sizes
 from lpn.datasets.layouts.university import University
-
-log = logging.getLogger(__name__)
 
 _ANGLES = ("45", "30")
 _RATE = re.compile(r"(2|5|10)(fps)?")
@@ -36,7 +34,7 @@ class UniV(University):
     """
 
     kind = "UniV"
-    known_by = "45/2fps (UniV)"
+    expected = "test/query_drone or 45/2fps/test/query_satellite, which its organize_univ.py makes from the galleries"
     priority = 0
     published_sizes = sizes(
         train={"satellite": (701, 701), "drone": (None, 701), "street": (11_663, 701)},
@@ -45,51 +43,32 @@ class UniV(University):
     )
 
     def __init__(self, root: Path, split: str | None = None) -> None:
-        if _is_rate(root.resolve()):
-            path = root.resolve()
-            root, split = path.parents[1], f"{path.parent.name}/{path.name}"
+        whole = root.resolve()
+        if _is_rate(whole):
+            root, split = whole.parents[1], f"{whole.parent.name}/{whole.name}"
         super().__init__(root, split)
-        self.videos = str(self.split)
-        self._shared = next((one for one in _videos(root) if one.startswith("45/2")), self.videos)
-        self.folders = (f"{self.videos}/train", f"{self.videos}/test")
 
     @classmethod
     def recognises(cls, root: Path) -> bool:
         """Return whether there are folders of an angle and a rate, or the folder is one."""
         return bool(_videos(root)) or (root.resolve().parent.name in _ANGLES and _is_rate(root.resolve()))
 
-    def why_no_task(self) -> str:
-        return (
-            f"has no {self.videos}/test/query_drone and no {self._shared}/test/query_satellite; its organize_univ.py makes them "
-            "from the galleries, so run it first"
-        )
+    def splits_there(self) -> list[str]:
+        return _videos(self.root)
 
-    def pictures_in(self, name: str) -> list[Picture]:
-        if name == "test/query_drone" and not self.folder_of(name).is_dir():
-            queried = {picture.label for picture in self.pictures("test/query_satellite")}
-            return [picture for picture in self.pictures("test/gallery_drone") if picture.label in queried]
-        return super().pictures_in(name)
+    def rows(self) -> Iterator[PictureRow]:
+        self._shared = next((one for one in _videos(self.root) if one.startswith("45/2")), self.split)
+        self.folders = (f"{self.split}/train", f"{self.split}/test")
+        rows = list(super().rows())
+        if not any(row.of == "test/query_drone" for row in rows):
+            queried = {row.label for row in rows if row.of == "test/query_satellite"}
+            videos = (row for row in rows if row.of == "test/gallery_drone" and row.label in queried)
+            yield from (replace(row, of="test/query_drone") for row in videos)
+        yield from rows
 
     def folder_of(self, name: str) -> Path:
-        own = linked_folder(self.root / self.videos / name)
-        return own if own.is_dir() or "drone" in name else linked_folder(self.root / self._shared / name)
-
-    def has(self, role: str, view: str) -> bool:
-        if (role, view) == ("query", "drone") and self.has("query", "satellite"):
-            return self.has("gallery", "drone")
-        return super().has(role, view)
-
-    def _chosen(self, wanted: str | None) -> str:
-        there = _videos(self.root)
-        if not there or (wanted is not None and wanted not in there):
-            raise DataError(
-                f"{printable(self.root.name)} has no videos in {wanted}; expected one of {', '.join(there) or '45/2fps'}."
-            )
-        if wanted is None and len(there) > 1:
-            others = first_few([str(self.root / one) for one in there[1:]], 5)
-            text = "%s has %d lists of videos; this is %s, and others are %s."
-            log.warning(text, printable(self.root.name), len(there), there[0], others)
-        return wanted or there[0]
+        own = linked_folder(self.root / str(self.split) / name)
+        return own if own.is_dir() or "drone" in name else linked_folder(self.root / str(self._shared) / name)
 
 
 def _videos(root: Path) -> list[str]:
@@ -104,6 +83,5 @@ def _videos(root: Path) -> list[str]:
 
 
 def _is_rate(folder: Path) -> bool:
-    return _RATE.fullmatch(folder.name) is not None and any(
-        (folder / split).is_dir() for split in ("train/drone", "test/gallery_drone")
-    )
+    splits = ("train/drone", "test/gallery_drone")
+    return _RATE.fullmatch(folder.name) is not None and any((folder / split).is_dir() for split in splits)

@@ -14,7 +14,7 @@ tile of the test's cities.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from lpn.core.errors import DataError
@@ -47,30 +47,22 @@ class VIGOR(Dataset):
 
     kind = "VIGOR"
     marks = tuple((path.format(city),) for city in CITIES for path in _MARKS)
-    known_by = "splits/Chicago (VIGOR)"
-    parts = (*(city.lower() for city in CITIES), *_SPLITS, "satellite", "ground")
-    splits = ("same-area", "cross-area")
-    split_list = f"{_SPLITS[0]}/<city>/{_LISTS['same-area'].format('test')}"
+    splits: Mapping[str, Sequence[str]] = {
+        area: [f"{top}/{city}/{name.format('test')}" for top in _SPLITS for city in _CITIES[area]["test"]]
+        for area, name in _LISTS.items()
+    }
     panoramas = True
     group_name = "city"
     positions_from = "the pictures' names"
-
-    def splits_there(self) -> list[str]:
-        splits = _splits(self.root)
-        return [
-            area
-            for area in self.splits
-            if any((splits / city / _LISTS[area].format("test")).is_file() for city in _CITIES[area]["test"])
-        ]
+    expected = "the lists of each city in splits, and the pictures that they name"
 
     def rows(self) -> Iterator[PictureRow]:
-        splits, area = _splits(self.root), str(self.split)
+        area, top = str(self.split), next(name for name in _SPLITS if (self.root / name).is_dir())
         train, test, gallery = _FULL[area]
         self.published_sizes = sizes(
             train={"street": (train, None)}, query={"street": (test, None)}, gallery={"satellite": (gallery, gallery)}
         )
-        self.expected = f"{splits.name}/<city>/{_LISTS[area].format('test')} and the pictures that it names"
-        tiles_of = {city: _tiles(self.root, splits, city) for city in CITIES if (splits / city).is_dir()}
+        tiles_of = {city: self._tiles(top, city) for city in CITIES if (self.root / top / city).is_dir()}
         files = [file for tiles in tiles_of.values() for file in tiles.values()]
         numbers = {file: number for number, file in enumerate(dict.fromkeys(files))}
         for city in _CITIES[area]["test"]:
@@ -79,12 +71,12 @@ class VIGOR(Dataset):
         used = set()
         for of, split in (("train/street", "train"), ("test/query_street", "test")):
             for city in _CITIES[area][split]:
-                name = f"{splits.name}/{city}/{_LISTS[area].format(split)}"
+                name = f"{top}/{city}/{_LISTS[area].format(split)}"
                 if not (self.root / name).is_file():
-                    if split == "test" or (splits / city).is_dir():
+                    if split == "test" or city in tiles_of:
                         self.leave_out(name)
                     continue
-                folder = _folder(self.root, city, "panorama", "ground")
+                folder = self._folder(city, "panorama", "ground")
                 for panorama, (true, *semi) in _panoramas(self.root / name, name, tiles_of[city]):
                     file, title = f"{folder}/{panorama}", f"{city}/{panorama.split(',')[0]}"
                     if split == "train" and self.files.find(file) is not None:
@@ -95,39 +87,22 @@ class VIGOR(Dataset):
                 yield PictureRow("train/satellite", file, number, Path(file).stem)
 
     def place(self, picture: Picture) -> geo.Position:
-        point = _COORDINATES.search(picture.path.name)
-        if point is None or abs(float(point[1])) > 90 or abs(float(point[2])) > 180:
+        name = picture.path.name
+        if (point := _COORDINATES.search(name)) is None:
             raise DataError(
-                f"The picture {printable(picture.path.name)} has no latitude and longitude in its name; expected VIGOR's "
-                "names."
+                f"The picture {printable(name)} has no latitude and longitude in its name, as VIGOR's have."
             )
         return geo.Position(float(point[1]), float(point[2]))
 
+    def _folder(self, city: str, inner: str, outer: str) -> str:
+        """Return the folder of a city's pictures, in either of the two published forms."""
+        return f"{outer}/{city}" if (self.root / outer / city).is_dir() else f"{city}/{inner}"
 
-def _splits(root: Path) -> Path:
-    folder = next((root / name for name in _SPLITS if (root / name).is_dir()), None)
-    if folder is None:
-        raise DataError(
-            f"{printable(root.name)} has VIGOR's pictures and no folder {' or '.join(_SPLITS)}; expected its lists in one of "
-            "them."
-        )
-    return folder
-
-
-def _folder(root: Path, city: str, inner: str, outer: str) -> str:
-    """Return the folder of a city's pictures below the root, in either of the two published forms."""
-    return f"{outer}/{city}" if (root / outer / city).is_dir() else f"{city}/{inner}"
-
-
-def _tiles(root: Path, splits: Path, city: str) -> dict[str, str]:
-    """Return the path of each tile of a city by the key of its name; see `fold`."""
-    name = f"{splits.name}/{city}/{_TILES}"
-    folder = _folder(root, city, "satellite", "satellite")
-    tiles = {}
-    for where, line in numbered_lines(splits / city / _TILES, name):
-        tile = name_of(listed_path(line, where))
-        tiles[fold(tile)] = f"{folder}/{tile}"
-    return tiles
+    def _tiles(self, top: str, city: str) -> dict[str, str]:
+        """Return the path of each tile of a city by the key of its name; see `fold`."""
+        name, folder = f"{top}/{city}/{_TILES}", self._folder(city, "satellite", "satellite")
+        tiles = (name_of(listed_path(line, where)) for where, line in numbered_lines(self.root / name, name))
+        return {fold(tile): f"{folder}/{tile}" for tile in tiles}
 
 
 def _panoramas(file: Path, name: str, tiles: Mapping[str, str]) -> Iterator[tuple[str, list[str]]]:

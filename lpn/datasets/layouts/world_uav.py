@@ -13,8 +13,9 @@ Positives and semi-positives are both true, and a query is ranked among the tile
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 from lpn.core.errors import DataError
 from lpn.core.files import printable
@@ -45,23 +46,20 @@ class WorldUAV(Dataset):
         (_POSITIVE, f"{_TILES}/"),
         *((f"{folder}/test{suffix}.txt",) for folder in _INDEX for suffix in ("", "_country", "_all")),
     )
-    known_by = "Index/test.txt (World-UAV)"
-    parts = ("index",)
-    splits = tuple(_SUFFIXES)
-    split_list = f"{_INDEX[0]}/test.txt"
+    splits: Mapping[str, Sequence[str]] = {
+        name: [f"{folder}/test{suffix}.txt" for folder in _INDEX] for name, suffix in _SUFFIXES.items()
+    }
     group_name = "region"
     mean_of_groups = True
+    expected = f"query/height<h>_rot<r>/footage and {_POSITIVE} of each region"
 
     def splits_there(self) -> list[str] | None:
-        there = [split for split in _SUFFIXES if _list(self.root, "test", split) is not None]
-        return None if _is_region(self.root) else there
+        return None if _is_region(self.root) else super().splits_there()
 
     def rows(self) -> Iterator[PictureRow]:
         if self.split is None:
-            self.group_name, self.expected = "flight", f"query/height<h>_rot<r>/footage and {_POSITIVE}"
-            regions, trained = [""], list[str]()
+            self.group_name, regions, trained = "flight", [""], list[str]()
         else:
-            self.expected = f"the regions of {_INDEX[0]}/test{_SUFFIXES[self.split]}.txt"
             regions, trained = self._regions("test", self.split), self._regions("train", self.split)
         tiles_of = {region: self._tiles(region) for region in dict.fromkeys((*regions, *trained))}
         files = [file for tiles in tiles_of.values() for file in tiles.values()]
@@ -92,18 +90,16 @@ class WorldUAV(Dataset):
 
     def _regions(self, name: str, split: str) -> list[str]:
         """Return the paths of the regions of a list that are there."""
-        file = _list(self.root, name, split)
-        if file is None:
+        lists = (f"{folder}/{name}{_SUFFIXES[split]}.txt" for folder in _INDEX)
+        title = next((name for name in lists if (self.root / name).is_file()), None)
+        if title is None:
             return []
-        title = file.relative_to(self.root).as_posix()
-        paths = dict.fromkeys(listed_path(line, where) for where, line in numbered_lines(file, title))
-        if not paths:
-            raise DataError(f"{title} of {printable(self.root.name)} names no region; expected the path of one a line.")
-        there = [path for path in paths if _is_region(self.root / path)]
-        for path in (path for path in paths if path not in there):
-            missing = next(part for part in ("", _POSITIVE, _TILES) if not (self.root / path / part).exists())
-            self.leave_out(f"{path}/{missing}".rstrip("/"))
-        return there
+        paths = dict.fromkeys(listed_path(line, where) for where, line in numbered_lines(self.root / title, title))
+        needed = {path: (path, f"{path}/{_POSITIVE}", f"{path}/{_TILES}") for path in paths}
+        missing = {path: [part for part in parts if not (self.root / part).exists()] for path, parts in needed.items()}
+        for parts in filter(None, missing.values()):
+            self.leave_out(parts[0])
+        return [path for path, parts in missing.items() if not parts]
 
     def _pictures_in(self, folder: str) -> list[str]:
         return [name for name in self.files.names(folder) if name.lower().endswith(SUFFIXES)]
@@ -111,22 +107,15 @@ class WorldUAV(Dataset):
     def _tiles(self, region: str) -> dict[str, str]:
         """Return the paths of a region's tiles by their folded names."""
         folder = f"{region}/{_TILES}".lstrip("/")
-        tiles = {fold(name): f"{folder}/{name}" for name in self._pictures_in(folder)}
-        if not tiles:
-            self.leave_out(folder, "has no tiles")
-        return tiles
+        return {fold(name): f"{folder}/{name}" for name in self._pictures_in(folder)}
 
     def _flown(self, of: str, region: str, tiles: dict[str, str], numbers: dict[str, int]) -> Iterator[PictureRow]:
         """Yield the drone pictures of a region, with labels by their first positive."""
         true, query = self._true(region, tiles), f"{region}/query".lstrip("/")
-        found = [
-            (int(flight[1]), int(flight[2]), flight[0])
-            for flight in map(_FLIGHT.fullmatch, self.files.names(query))
-            if flight
-        ]
-        if not found:
+        flights = [flight for flight in map(_FLIGHT.fullmatch, self.files.names(query)) if flight]
+        if not flights:
             self.leave_out(query, "has no flights")
-        for height, rotation, flight in sorted(found):
+        for height, rotation, flight in sorted((int(found[1]), int(found[2]), found[0]) for found in flights):
             if of == "test/query_drone" and self.split and (height not in _HEIGHTS or rotation % _STEP):
                 continue
             folder = f"{query}/{flight}/footage"
@@ -142,35 +131,31 @@ class WorldUAV(Dataset):
     def _true(self, region: str, tiles: dict[str, str]) -> dict[str, list[str]]:
         """Return the true tiles of each key of a region, positives first; those that are not there are left out."""
         positive, semi = (self._names_by_key(f"{region}/{name}".lstrip("/")) for name in (_POSITIVE, _SEMI))
-        true = {}
+        true: dict[str, list[str]] = {}
         for key, names in positive.items():
-            named = {name: tiles.get(fold(name_of(name))) for name in (*names, *semi.get(key, ()))}
-            true[key] = [tile for tile in named.values() if tile is not None]
-            for name in (name for name, tile in named.items() if tile is None):
-                self.leave_out(f"{region}/{_TILES}/{printable(name)}".lstrip("/"))
-            if tiles and not true[key]:
+            true[key] = []
+            for name in dict.fromkeys((*names, *semi.get(key, ()))):
+                if (tile := tiles.get(fold(name_of(name)))) is not None:
+                    true[key].append(tile)
+                else:
+                    self.leave_out(f"{region}/{_TILES}/{printable(name)}".lstrip("/"))
+            if not true[key]:
                 self.leave_out(f"{region} {key}".strip(), "has none of its true tiles")
         return true
 
     def _names_by_key(self, name: str) -> dict[str, list[str]]:
         """Return the names of tiles by key; a file that is not there has none."""
         lists = read_json(self.root / name, name) if (self.root / name).is_file() else {}
-        if not isinstance(lists, dict) or not all(
-            isinstance(names, list) and all(isinstance(tile, str) for tile in names) for names in lists.values()
-        ):
+        values = [*lists.values()] if isinstance(lists, dict) else [None]
+        if not all(isinstance(names, list) and all(isinstance(tile, str) for tile in names) for names in values):
             raise DataError(
                 f"{printable(name)} is not an object of lists; expected names of tiles by the numbers of frames."
             )
-        return lists
+        return cast(dict[str, list[str]], lists)
 
 
 def _is_region(folder: Path) -> bool:
     return (folder / _POSITIVE).is_file() and (folder / _TILES).is_dir()
-
-
-def _list(root: Path, name: str, split: str) -> Path | None:
-    files = (root / folder / f"{name}{_SUFFIXES[split]}.txt" for folder in _INDEX)
-    return next((file for file in files if file.is_file()), None)
 
 
 def _tile_name(path: str) -> str:

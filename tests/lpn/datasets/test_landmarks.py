@@ -86,9 +86,6 @@ def test_pictures_named_and_not_there_are_left_out(tmp_path: Path) -> None:
         ("all_souls_1_query.txt", "oxc1_all_souls_000001 1 2 nan 9\n", "expected one line"),
         ("all_souls_1_query.txt", "oxc1_all_souls_000001 9 2 3 9\n", "expected one line"),
         ("all_souls_1_query.txt", "", "says 'nothing' in 0 lines"),
-        ("all_souls_1_query.txt", "oxc1_../../x 1 2 3 9\n", "a picture's name without a folder"),
-        ("all_souls_1_query.txt", "paris_x_000001 1 2 3 9\n", "ground truth of Oxford5k and of another data set"),
-        ("bodleian_1_good.txt", "a\n../b\n", r"Line 2 of gt_files_170407/bodleian_1_good\.txt names '\.\./b'"),
         ("bodleian_1_ok.txt", None, r"bodleian_1_ok\.txt cannot be read \(No such file"),
     ],
 )
@@ -111,5 +108,5 @@ def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
 
 def test_ground_truth_without_pictures_is_refused(tmp_path: Path) -> None:
     layouts.ground_truth(tmp_path, "x_1", "x_000001 1 1 3 3", [], [], [])
-    with pytest.raises(DataError, match="the picture of none of its 1 queries"):
+    with pytest.raises(DataError, match=r"has no picture that can be used, for want of x_000001\.jpg"):
         open_dataset(tmp_path)

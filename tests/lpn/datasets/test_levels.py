@@ -5,16 +5,14 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from unittest.mock import Mock
 
 import pytest
 from rich.console import Console
 
 from lpn.cli import main
 from lpn.core.errors import DataError
-from lpn.datasets import levels, open_dataset
-from lpn.models.base import Model
-from lpn.tasks.opening import lazy_task
+from lpn.datasets import open_dataset
+from lpn.datasets.layouts.university import University
 from lpn.training.training_set import TrainingSet
 from tools.fixtures import layouts, small_worlds
 
@@ -101,32 +99,22 @@ def test_a_folder_of_pictures_gets_one_sentence_for_training_and_for_testing(tmp
     )
 
 
-def test_pictures_right_in_a_folder_are_opened_and_their_data_set_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_place_of_a_data_set_names_its_folder_and_other_pictures_are_opened(tmp_path: Path) -> None:
     root = layouts.university_gaps(tmp_path / "release")
     place = root / "test" / "query_drone" / "0004"
-    dataset = open_dataset(place)
-    assert dataset.kind == "folder"
-    part = "0004 is the part test/query_drone/0004 of a data set"
-    expected = f"{part}, and has no queries and gallery of its own; give {root}."
-    with pytest.raises(DataError) as caught:
-        lazy_task(Mock(Model), dataset, "drone-to-satellite")
-    assert str(caught.value) == str(dataset.no_task()) == expected
-    assert main.main(["doctor", "--data", str(place)]) == 0
-    printed = " ".join(capsys.readouterr().out.split())
-    assert f"lpn doctor --data {root}, on the data set that this folder is a part of" in printed
+    assert refusal(place) == f"{place} is the part test/query_drone/0004 of a data set; give {root}."
     small_worlds.write(tmp_path / "photos" / "a" / "1.jpg", layouts.small(1))
     assert open_dataset(tmp_path / "photos").kind == "folder"
 
 
-def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path) -> None:
-    def marked(folder: Path) -> None:
+def test_a_folder_that_may_not_be_read_is_no_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(folder: Path) -> bool:
         raise PermissionError(13, "Permission denied", str(folder))
 
-    (tmp_path / "drone" / "a").mkdir(parents=True)
-    assert levels.above(tmp_path / "drone", marked) is None
-    assert levels.below(tmp_path, marked) is None
+    small_worlds.write(tmp_path / "drone" / "a" / "1.jpg", layouts.small(1))
+    monkeypatch.setattr(University, "recognises", refused)
+    assert open_dataset(tmp_path / "drone").kind == "folder"
+    assert open_dataset(tmp_path).kind == "folder"
 
 
 def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
@@ -141,7 +129,7 @@ def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("make", "lost", "said"),
     [
-        (layouts.vigor, "splits", "has VIGOR's pictures and no folder splits"),
+        (layouts.vigor, "splits", "has the lists of none; expected splits/Chicago/same_area_balanced_test.txt"),
     ],
 )
 def test_pictures_without_the_lists_of_their_data_set_are_told(

@@ -21,9 +21,6 @@ from lpn.datasets import Dataset, PictureRow
 class Plots(Dataset):
     kind = "Plots"
     marks = (("plots.txt",),)
-    known_by = "plots.txt (Plots)"
-    parts = ("photos",)
-    unusable = "files named in plots.txt"
 
     def rows(self):
         for number, name in enumerate((self.root / "plots.txt").read_text().split()):
@@ -68,7 +65,7 @@ def test_another_package_brings_a_layout(plots: Path, caplog: pytest.LogCaptureF
         "'Absent').",
         "The layout other is left out, as own_layouts:NoLayout cannot be loaded (it is no subclass of "
         "lpn.datasets.Dataset).",
-        "mine: 2 files named in plots.txt cannot be used: tiles/c.png (is not there), photos/c.png (is not there); they are "
+        "mine: 2 files of its lists cannot be used: tiles/c.png (is not there), photos/c.png (is not there); they are "
         "left out.",
     ]
     report = check_dataset(dataset)
@@ -83,4 +80,4 @@ def test_every_file_of_layouts_holds_one_that_can_be_told() -> None:
     files = {file.stem for file in Path(*layouts.__path__).glob("*.py")} - {"__init__"}
     known = known_layouts()
     assert {layout.__module__.rpartition(".")[2] for layout in known} == files
-    assert len({layout.kind for layout in known}) == len({layout.known_by for layout in known}) == len(known)
+    assert len({layout.kind for layout in known}) == len(known)

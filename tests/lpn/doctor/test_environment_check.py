@@ -7,7 +7,6 @@ import os
 import platform
 import re
 import shutil
-import socket
 import subprocess
 import sys
 from importlib import metadata
@@ -36,17 +35,14 @@ def of(name: str, *checks: Any) -> Finding:
     return found[0]
 
 
-def test_a_sound_machine_is_said_to_be_one(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(environment_check, "PORT", 0)
+def test_a_sound_machine_is_said_to_be_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "found.json"
     assert main.main(["doctor", "--json", str(out)]) == 0
     said, found = capsys.readouterr().out.splitlines(), json.loads(out.read_text())
     assert said[-1] == "Nothing that is needed is broken."
     assert found["healthy"] is True
     levels = {finding["name"]: finding["level"] for finding in found["findings"]}
-    assert {"Python", "packages", "extra train", "cores", "cache", "port", "demo"} <= set(levels)
+    assert {"Python", "packages", "extra train", "cores", "cache", "demo"} <= set(levels)
     assert [levels[name] for name in ("Python", "packages", "cores", "cache", "demo")] == ["OK"] * 5
     assert "problem" not in levels.values()
     assert len(said) == len(levels) + 1
@@ -68,17 +64,6 @@ def test_a_problem_ends_with_status_1(
     assert "cannot be written (Not a directory); make it writable, or set LPN_CACHE" in said
     assert "problem demo: its files are missing; restore assets of the checkout" in said
     assert said.endswith("Something is broken: see the problems above.\n")
-
-
-def test_a_taken_port_is_no_more_than_a_note(monkeypatch: pytest.MonkeyPatch) -> None:
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        monkeypatch.setattr(environment_check, "PORT", taken.getsockname()[1])
-        found = of("port", environment_check._port)
-    assert (found.level, found.message) == ("note", f"{environment_check.PORT} on 127.0.0.1 is in use")
-    assert "--port" in found.remedy
-    assert healthy([found])
 
 
 def test_a_stray_file_in_the_demo_is_no_problem(tmp_path: Path) -> None:
@@ -174,18 +159,6 @@ def test_it_runs_without_a_package_that_the_command_line_needs(module: str, tmp_
     assert said("explore") == (
         2,
         "lpn: A package is missing or broken (ImportError: built for?another Python); lpn doctor says more.\n",
-    )
-
-
-def test_what_cannot_be_looked_at_without_a_package_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def without(_: Path) -> Any:
-        raise ModuleNotFoundError("No module named 'cv2.dnn'", name="cv2.dnn")
-
-    monkeypatch.setattr(environment_check, "_demo", without)
-    found = next(finding for finding in environment_check.check_environment(DEMO) if finding.name == "demo")
-    assert found.line == (
-        "problem demo: could not be checked without the package opencv-python-headless; "
-        "pip install opencv-python-headless."
     )
 
 
