@@ -210,10 +210,10 @@ class ScreenResult:
         height, width = self.workspace.as_partitioned(known.picture, self.task.gallery_view).shape[:2]
         aspect = width / height if max(width, height) >= 2 * min(width, height) else 1.0
         pair = self.evidence.get(match.index)
-        return tile | {
-            "aspect": aspect,
-            **self._heat(known, self.task.gallery_view, quarter, None if pair is None else self._signed(pair.tile)),
-        }
+        cells = self._heat(known, self.task.gallery_view, quarter, None if pair is None else self._signed(pair.tile))
+        if self.state.heat == "occlusion":  # the photo alone is covered
+            cells["heat"] = None
+        return tile | {"aspect": aspect, **cells}
 
     def described(self, match: Match) -> DescribedPicture:
         """Return a tile, described."""

@@ -117,6 +117,7 @@ def test_the_curve_has_the_rank_of_each_angle_as_its_result_has(tab: Tab) -> Non
 
 def test_occlusion_is_measured_square_by_square_and_shown_again_at_once(tab: Tab, workspace: Workspace) -> None:
     result = tab.open("?query=0005&shows=occlusion")
+    assert result["tiles"][str(result["answer"])]["heat"] is None, "the photo alone is covered"
     shown = tab.until(lambda last: last.get("occlusion", {}).get("done") == 64)["occlusion"]
     assert shown["number"] == result["number"]
     task, model = workspace.tasks["drone-to-satellite"], workspace.model
