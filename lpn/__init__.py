@@ -41,6 +41,7 @@ from lpn.core.version import __version__
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from lpn.analysis.model_table import compare
     from lpn.core.consoles import progress_bars
     from lpn.core.images import load_picture
     from lpn.core.resources import ProviderName
@@ -71,6 +72,7 @@ __all__ = [
     "Partition",
     "Task",
     "__version__",
+    "compare",
     "evaluate",
     "explore",
     "load",
@@ -90,6 +92,7 @@ _MODULE_OF = {
     "Model": "lpn.models.base",
     "Partition": "lpn.models.partition",
     "Task": "lpn.tasks.task",
+    "compare": "lpn.analysis.model_table",
     "load_picture": "lpn.core.images",
     "open_dataset": "lpn.datasets",
     "progress_bars": "lpn.core.consoles",
@@ -205,9 +208,9 @@ def evaluate(
 
     if change is not None and not isinstance(change, Change):
         raise InputError(f"The change is of the type {type(change).__name__}; expected an lpn.Change.")
-    network, dataset = _opened_model(model)[0], _opened_data(data)
-    calibration = task_calibration(network, dataset, calibrate)
-    opened = lazy_task(network, dataset, choose_task(network, dataset, task), descriptor_reader(dataset.root))
+    (network, model_name), dataset = _opened_model(model), _opened_data(data)
+    calibration, read = task_calibration(network, dataset, calibrate), descriptor_reader(dataset.root)
+    opened = lazy_task(network, dataset, choose_task(network, dataset, task), read, model_name=model_name)
     opened = changed(calibrated(opened, calibration), change or UNCHANGED)
     return by_csls(with_parts(opened, parts), csls).evaluate()
 

@@ -16,9 +16,13 @@ import pytest
 import yaml
 
 import lpn
+from explorer.cli import Explore
 from lpn.cli import main, parsing
+from lpn.cli.compare import CompareCommand
+from lpn.cli.explain import ExplainCommand
 from lpn.core import log
 from lpn.core.errors import LPNError
+from lpn.sources import SourceOptions
 from tools.world.__main__ import Rendering
 
 ROOT = Path(__file__).parents[1]
@@ -170,7 +174,11 @@ def refusal(arguments: list[str]) -> str:
     said = io.StringIO()
     try:
         with redirect_stderr(said):
-            main.reader(command)(arguments[1:], f"lpn {arguments[0]}")
+            parsed = main.reader(command)(arguments[1:], f"lpn {arguments[0]}")
+        # The demo and two pictures need no source, and take no option of one.
+        needs_one = not isinstance(parsed, Explore | ExplainCommand) or {"--data", "--map"} & set(parsed.of_source())
+        if isinstance(parsed, SourceOptions | CompareCommand) and not parsed.source and needs_one:
+            return "there is no SOURCE"
     except LPNError as error:
         return str(error)
     except SystemExit as error:
@@ -204,15 +212,24 @@ python -m lpn train --data ROOT --out run ... [--epochs many]
 lpn evaluate ROOT --model lpn.onnx [--csls K] --task TASK
 lpn evaluate index --index tiles --model lpn.onnx
 lpn describe --model lpn.onnx
+lpn evaluate --model lpn.onnx --data ROOT
+lpn compare --model n4.onnx n1.onnx
+lpn explore --model lpn.onnx --data ROOT
+lpn explore --calibrate
+lpn explain --model lpn.onnx --query drone.jpg --match tile.jpg
 ```
 """
     found = refused_commands(page)
-    assert [text.partition(":")[0] for text in found] == ["line 4", "line 6", "line 10", "line 12", "line 13"]
+    assert [text.partition(":")[0] for text in found] == [
+        *("line 4", "line 6", "line 10", "line 12", "line 13"),
+        *("line 14", "line 15", "line 16"),
+    ]
     assert "--learning-speed" in found[0]
     assert "lpn has no command 'exploit'" in found[1]
     assert "--epochs" in found[2]
     assert "the source, which says itself what it is: lpn evaluate SOURCE" in found[3]
     assert "--out" in found[4]
+    assert all(text.endswith("there is no SOURCE") for text in found[5:])
     assert unknown_options(
         "`lpn train --teacher x`, `lpn index --teach D`, `--dead`, `--no-calibrate`, `lpn exploit`, and `pip --quiet`"
     ) == [

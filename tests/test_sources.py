@@ -17,6 +17,7 @@ import explorer.app
 from explorer.workspace import Workspace
 from lpn import descriptors
 from lpn.cli import parsing
+from lpn.cli.compare import CompareCommand
 from lpn.cli.main import commands, main
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
@@ -152,6 +153,87 @@ def test_sources_of_one_model_have_the_same_figures(options: Callable[[str, str]
     assert ranks[0] == ranks[1] == ranks[2] == ranks[3]
 
 
+@pytest.mark.parametrize("source", ["published", "arrays", "index"])
+def test_each_source_with_pictures_has_the_table_of_queries(
+    source: str, options: Callable[[str, str], list[str]], tmp_path: Path
+) -> None:
+    rows = []
+    for one in ("data", source):
+        given = ["evaluate", *options("failures", one), "--per-query", str(tmp_path / "queries.csv")]
+        assert main([*given, "--task", TASK] if one == "data" else given) == 0
+        lines = (tmp_path / "queries.csv").read_text().splitlines()
+        rows.append([line.split(",")[1:3] for line in lines])
+        assert len(lines) == 15
+        assert lines[1].split(",")[3]
+    assert rows[0] == rows[1]
+
+
+def test_arrays_stand_beside_a_data_set(options: Callable[[str, str], list[str]], tmp_path: Path) -> None:
+    (root, *model), (query, *more) = options("failures", "data"), options("failures", "arrays")
+    given = ["compare", root, query, *more, *model, "--task", TASK, "--resamples", "20"]
+    assert main([*given, "--json", str(tmp_path / "table.json")]) == 0
+    one, other = json.loads((tmp_path / "table.json").read_text())["models"]
+    assert one["name"] != other.pop("name")
+    assert other.items() <= one.items()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("DATA DATA2 --page page.md", "A page is about one data set, and 2 are given; give one, or leave --page out."),
+        (
+            "DATA SAVED --calibrate",
+            "is a result of the published test code, and --calibrate fits a data set; leave it out.",
+        ),
+        (
+            "DATA INDEX --data DATA --calibrate --page page.md",
+            "is an index, and --calibrate fits a data set; leave it out.",
+        ),
+        ("DATA ARRAYS --gallery ARRAYS ARRAYS", "and --gallery names 2; give one for each .npy, .npz, or .mat"),
+    ],
+)
+def test_what_would_be_compared_unlike_is_refused(
+    words: str,
+    said: str,
+    options: Callable[[str, str], list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    root, *model = options("failures", "data")
+    (tmp_path / "other").symlink_to(root)
+    names = {"DATA": root, "DATA2": "other", "SAVED": options("failures", "published")[0]}
+    names |= {"INDEX": options("failures", "index")[0], "ARRAYS": options("failures", "arrays")[0]}
+    assert main(["compare", *(names.get(word, word) for word in words.split()), *model]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "page.md").exists()
+
+
+def test_beside_an_index_a_data_set_is_ranked_plain_and_a_page_names_the_scoring(
+    options: Callable[[str, str], list[str]], tmp_path: Path
+) -> None:
+    root, (index, *more) = options("failures", "data")[0], options("failures", "index")
+    beside, alone = (CompareCommand(source=source)._sources().values() for source in ((root, index), (root,)))
+    assert [one.options.calibrate for one in beside] == [False, None]
+    assert [one.options.calibrate for one in alone] == [None]
+    given = ["compare", root, index, *more, "--csls", "3", "--resamples", "20"]
+    assert main([*given, "--page", str(tmp_path / "page.md"), "--json", str(tmp_path / "page.json")]) == 0
+    models = json.loads((tmp_path / "page.json").read_text())["models"]
+    assert list(models) == [f"{Path(one).name}, CSLS" for one in (root, index)]
+    assert all(one["megabytes"] for one in models.values())
+
+
+def test_the_model_that_ships_is_told_once(
+    options: Callable[[str, str], list[str]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    sources = [options("failures", one)[0] for one in ("data", "index")]
+    for source in CompareCommand(source=tuple(sources))._sources().values():
+        assert source.options.load().n_parts == 4
+    told = capsys.readouterr()
+    assert (told.out + told.err).count("The model is city-lpn, which ships") == 1
+
+
 @pytest.mark.parametrize("source", SOURCES)
 def test_an_option_that_does_not_fit_names_the_kind_and_those_that_take_it(
     source: str, options: Callable[[str, str], list[str]], capsys: pytest.CaptureFixture[str]
@@ -236,15 +318,26 @@ def test_queries_without_a_label_and_part_weights_do_not_count(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("FILE --data FOLDER", "file.mp4 is a file; expected a data set's folder, so give "),
-        ("FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
-        ("FLIGHT", "flight is a flight; give the map under it as --map"),
         (
-            "index",
+            "failures FILE --data FOLDER",
+            "file.mp4 is a file; expected a data set's folder, so make a flight of it with lpn flight",
+        ),
+        ("failures FOLDER --map FILE", "file.mp4 is a video or its subtitles; make a flight of it"),
+        ("failures FLIGHT", "flight is a flight; give the map under it as --map"),
+        (
+            "failures index",
             "There is nothing at index; give the path of the source, which says itself what it is: lpn failures SOURCE",
         ),
-        ("", "There is no SOURCE; give its path first"),
-        ("RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
+        ("failures", "There is no SOURCE; give its path first"),
+        ("failures RESULT", "r.mat holds no pictures; give the data set that it was computed on as --data"),
+        ("evaluate nowhere", "There is no data set folder at nowhere; check the path."),  # and no model is named first
+        ("evaluate FOLDER --gallery FILE", "folder is a data set, and --gallery fits arrays of descriptors; leave it"),
+        ("evaluate RESULT --gallery RESULT --centre", "Plain arrays are measured with their list of pictures"),
+        ("compare RESULT FOLDER RESULT", "r.mat is compared with itself; give each source once."),
+        ("compare RESULT RESULT --gallery FILE RESULT", "Plain arrays are measured with their list of pictures"),
+        ("compare FOLDER --kind dac", "--kind needs --model; give both, or leave it out."),
+        ("compare FOLDER --pooling mean", "--pooling needs --model; give both, or leave it out."),
+        ("evaluate FLIGHT --map nowhere --rotate 10", "flight is a flight, whose queries are cut out of photos"),
     ],
 )
 def test_a_source_that_cannot_be_opened_gets_one_sentence(
@@ -256,7 +349,7 @@ def test_a_source_that_cannot_be_opened_gets_one_sentence(
     (tmp_path / "flight" / "flight.json").touch()
     names = {"FOLDER": "folder", "FILE": "file.mp4", "FLIGHT": "flight", "RESULT": "r.mat"}
     words = " ".join(str(tmp_path / names[word]) if word in names else word for word in words.split())
-    assert main(["failures", *words.split()]) == 2
+    assert main(words.split()) == 2
     said = capsys.readouterr().err
     assert message in said
     assert said.count("\n") == 1

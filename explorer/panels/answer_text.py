@@ -431,9 +431,10 @@ def own_hint(workspace: Workspace, rendered: bool) -> str:
     compared = (
         "" if workspace.own_photos is None else ", then compares its details with the map, which can take a minute"
     )
+    chosen = f" They are tiles {task.of_index}." if task.of_index else ""
     return (
         f"Choose pictures on this device (JPEG, PNG, or WebP){above}. The model finds the most similar of the {task.tiles:,} "
-        f"{pictures_of(task)} here{compared}.{city} {OWN_KEPT}"
+        f"{pictures_of(task)} here{compared}.{chosen}{city} {OWN_KEPT}"
     )
 
 

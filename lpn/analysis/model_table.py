@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from itertools import combinations
@@ -16,7 +16,7 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.text_tables import TextTable
-from lpn.tasks.measure import RankedModel
+from lpn.tasks.measure import RankedModel, Result, scored_name
 
 DEPTHS = (1, 5, 10)
 # Values of queries that differ by no more are equal: sums of runs round differently.
@@ -219,18 +219,26 @@ def _repeated(names: Sequence[str]) -> str:
 
 
 def compare(
-    models: Sequence[RankedModel], seed: int = 0, resamples: int = RESAMPLES, groups: Sequence[str] = ()
+    results: Sequence[Result | RankedModel], seed: int = 0, resamples: int = RESAMPLES, groups: Sequence[str] = ()
 ) -> ModelTable:
-    """Compare two or more models.
+    """Compare two or more models on the same queries and gallery.
 
     Args:
+        results: of `lpn.evaluate`, on the full gallery, each by its model's name with its scoring; or rankings.
         seed, resamples: of the bootstrap.
         groups: the group of each model, such as the method of several runs; each model by itself by default.
 
     Raises:
-        InputError: when there are fewer than two, names repeat, tasks, galleries, or queries differ, a repeated query has
-            another place in the order of one of them, or there are more or fewer groups than models.
+        InputError: when there are fewer than two, names repeat, no query's truth is known, tasks, galleries, or queries differ, a
+            repeated query has another place in the order of one of them, or there are more or fewer groups than models.
     """
+    models = list[RankedModel]()
+    for one in results if isinstance(results, Collection) else [results]:
+        if not isinstance(one, Result | RankedModel):
+            raise InputError(f"One of the results is of the type {type(one).__name__}; expected those of lpn.evaluate.")
+        if isinstance(one, Result):
+            one = replace(one.ranked(), name=scored_name(one.name, one.calibration, one.neighbours))
+        models.append(one)
     if len(models) < 2:
         raise InputError(f"A comparison takes two models or more; found {len(models)}.")
     if not (seed >= 0 and 1 <= resamples <= 1_000_000):
@@ -245,6 +253,8 @@ def compare(
             "order, the same for runs of one method."
         )
     first = models[0]
+    if not first.queries:
+        raise InputError(f"The true place of no query of {first.name} is known, so there is nothing to compare.")
     for other in models[1:]:
         if other.task != first.task:
             raise InputError(

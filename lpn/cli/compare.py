@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import tyro
 
 from lpn.core.errors import InputError
-from lpn.core.files import distinct_names
+from lpn.core.files import distinct_names, printable
+from lpn.core.texts import listed
 from lpn.core.views import TaskName
 from lpn.models.adapters import Kind
 from lpn.sources import (
@@ -24,6 +25,7 @@ from lpn.sources import (
     kind_of,
     model_names,
     of_each,
+    shipped_model,
     source_of,
 )
 from lpn.sources.kinds.data import DataSource
@@ -32,7 +34,6 @@ from lpn.sources.kinds.saved import ResultSource
 if TYPE_CHECKING:
     from lpn.analysis.leaderboard import Leaderboard
     from lpn.analysis.model_table import ModelTable
-    from lpn.retrieval.calibration import Calibration
     from lpn.tasks.measure import RankedModel
     from lpn.tasks.task import Task
 
@@ -70,7 +71,7 @@ class CompareCommand:
     calibrate: CalibrateOption = None
     csls: CslsOption = 0
     gallery: Advanced[tuple[Path, ...]] = ()
-    """Of arrays: descriptors of the gallery for each source in their order."""
+    """Of arrays: descriptors of the gallery for each of the arrays in their order."""
     paths: Advanced[Path | None] = None
     """Of arrays: list of the pictures, a .csv with file, side, label (docs/data.md)."""
     order: Advanced[Literal["parts-first", "parts-last"]] = "parts-first"
@@ -93,7 +94,7 @@ class CompareCommand:
     """File to write everything to, as JSON."""
     page: Path | None = None
     """Page to write in place of one table: all tasks, both galleries, parts, speed, and size of each model. It is HTML,
-    Markdown, or LaTeX, as the name ends in .html, .md, or .tex."""
+    Markdown, LaTeX, or CSV, as the name ends in .html, .md, .tex, or .csv."""
     turns: Annotated[tuple[float, ...], tyro.conf.arg(metavar="DEGREES")] = ()
     """Turns of all queries, counter-clockwise, that the page measures as well (Table IV)."""
     weathers: bool = False
@@ -104,6 +105,9 @@ class CompareCommand:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs
 
+        for option, values in {"--kind": self.kind, "--pooling": self.pooling}.items():
+            if values and not self.model:
+                raise InputError(f"{option} needs --model; give both, or leave it out.")
         if self.page is not None:
             self._measure_page(self.page)
             return
@@ -123,43 +127,65 @@ class CompareCommand:
         """
         if not self.source:
             raise InputError("There is no SOURCE; give its path first, as lpn evaluate takes it.")
-        if self.gallery and len(self.gallery) != len(self.source):
-            raise InputError(
-                f"{len(self.source)} sources and --gallery with {len(self.gallery)} files are given; give a gallery for each."
-            )
         shared = ("provider", "data", "map", "task", "calibrate", "csls", "paths", "order", "n_parts")
         given = [
             SourceOptions(source=source, gallery=gallery, **{name: getattr(self, name) for name in shared})
-            for source, gallery in zip(self.source, self.gallery or [None] * len(self.source), strict=True)
+            for source, gallery in zip(self.source, self._galleries(), strict=True)
         ]
         kinds = [kind_of(options) for options in given]
         taken = frozenset[str]().union(*(kind.takes for kind in kinds))
         if self.model and "model" not in taken:
             source_of(replace(given[0], model=self.model[0]))  # names the kinds that take one
-        models = self._models()
+        models = self._models() if "model" in taken else {}
         names = distinct_names([Path(source) for source in self.source])
         several = sum("model" in kind.takes for kind in kinds) > 1
+        mixed = not all("calibrate" in kind.takes for kind in kinds)
         found: dict[str, TaskSource] = {}
         for options, kind, name in zip(given, kinds, names, strict=True):
+            # A scoring that is asked for is of all or of none: `source_of` names the kinds that take it.
+            asked = {name for name in ("calibrate", "csls") if getattr(self, name)}
             unfit: dict[str, Any] = {
-                one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes
+                one.name: one.default for one in fields(SourceOptions) if one.name in taken - kind.takes - asked
             }
+            if mixed and "calibrate" in kind.takes - asked:
+                unfit["calibrate"] = False
             options = replace(options, **unfit)
             if kind is ResultSource and self.data is None and kinds[0] is DataSource:
                 options.data = given[0].path
             if "model" not in kind.takes:
+                if options.gallery is not None and names.count(name) > 1:  # the same queries with another gallery
+                    name += f", {distinct_names(self.gallery)[self.gallery.index(options.gallery)]}"
                 found[name] = source_of(options)
                 continue
             for model_name, model in models.items():
                 own = {one.name: getattr(model, one.name) for one in fields(ModelOptions)}
                 title = (name if len(models) == 1 else f"{model_name}, {name}") if several else model_name
                 found[title] = source_of(replace(options, **own))
+        if len(found) < sum(len(models) if "model" in kind.takes else 1 for kind in kinds):
+            twice = next((name for name in names if names.count(name) > 1), names[0])
+            raise InputError(f"{twice} is compared with itself; give each source once.")
         return found
+
+    def _galleries(self) -> list[Path | None]:
+        """Return the gallery of each source in their order, None of those that take none."""
+        if not self.gallery:
+            return [None] * len(self.source)
+        endings = [Path(source).suffix.lower() for source in self.source]
+        # A .mat holds arrays if a gallery is left for it, and else a result of the published test code.
+        for taken in ((".npy", ".npz", ".mat"), (".npy", ".npz")):
+            if sum(ending in taken for ending in endings) == len(self.gallery):
+                left = iter(self.gallery)
+                return [next(left) if ending in taken else None for ending in endings]
+        raise InputError(
+            f"{listed(list(map(printable, self.source)))} are the sources, and --gallery names {len(self.gallery)}; give one for "
+            "each .npy, .npz, or .mat of queries in their order."
+        )
 
     def _models(self) -> dict[str, ModelOptions]:
         """Return the options of each model by a name that tells it from the others."""
         if not self.model:
-            return {ModelOptions().name: ModelOptions(provider=self.provider)}
+            shipped = ModelOptions(model=shipped_model(), provider=self.provider)  # named once, however many sources
+            return {shipped.name: shipped}
         count = len(self.model)
         kinds = cast("list[Kind | None]", of_each("--kind", self.kind, count, "models"))
         poolings = of_each("--pooling", self.pooling, count, "models")
@@ -174,7 +200,7 @@ class CompareCommand:
         }
 
     def _ranked(self) -> Iterator[RankedModel]:
-        from lpn.tasks.measure import measure
+        from lpn.tasks.measure import measure, scored_name
 
         sources = list(self._sources().items())
         if len(sources) == 1 and (self.calibrate or self.csls):  # one model is compared with itself, ranked plain
@@ -192,7 +218,7 @@ class CompareCommand:
                 if task.calibration is not None:
                     alike = source_of(replace(sources[place][1].options, calibrate=False))
                     tasks[place] = name, alike.to_measure()[0]
-        scored = {_scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
+        scored = {scored_name(name, task.calibration, task.neighbours): task for name, task in tasks}
         for title, task in scored.items():
             result = measure(task.with_fields(model_name=title))
             yield result.ranked("without-distractors" if self.without_distractors else "full")
@@ -204,6 +230,7 @@ class CompareCommand:
         from lpn.descriptors import descriptor_reader
         from lpn.models.shipped import model_file
         from lpn.tasks.changes import by_csls, calibrated
+        from lpn.tasks.measure import scored_name
         from lpn.tasks.opening import alike_calibrations, lazy_task
 
         if self.table is not None:
@@ -221,10 +248,14 @@ class CompareCommand:
         files = {name: model_file(source.options.file) for name, source in sources.items()}
         sizes = {name: file.stat().st_size for name, file in files.items() if file.is_file()}
         if all(isinstance(source, DataSource) for source in sources.values()):
+            if len(self.source) > 1:
+                raise InputError(
+                    f"A page is about one data set, and {len(self.source)} are given; give one, or leave --page out."
+                )
             networks = {name: source.options.load() for name, source in sources.items()}
             dataset = open_dataset(Path(self.source[0]))
             chosen = alike_calibrations(list(networks.values()), dataset, self.calibrate)
-            calibrations = {_scored_name(name, one, self.csls): one for name, one in zip(networks, chosen, strict=True)}
+            calibrations = {scored_name(name, one, self.csls): one for name, one in zip(networks, chosen, strict=True)}
             sizes = {title: sizes[name] for title, name in zip(calibrations, networks, strict=True) if name in sizes}
             models = dict(zip(calibrations, networks.values(), strict=True))
             read, names, title = (
@@ -239,7 +270,12 @@ class CompareCommand:
         else:
             if self.turns or self.weathers:
                 raise InputError("--turns and --weathers are of a data set's queries; leave them out.")
-            located = {name: source.open() for name, source in sources.items()}
+            located = {}
+            for name, source in sources.items():
+                one = source.open()
+                title = scored_name(name, one.task.calibration, one.task.neighbours)
+                located[title] = one
+                sizes |= {title: sizes[name]} if name in sizes else {}
             models = {name: one.network for name, one in located.items() if one.network is not None}
             first = next(iter(located.values())).task
             names, title = [first.name], first.data_name
@@ -263,11 +299,6 @@ class CompareCommand:
         _write(board, page, self.json)
         tables = f"{len(board.tables)} table{'s' * (len(board.tables) > 1)} of tasks and galleries"
         print(f"{page}: {len(board.facts)} models, {tables}")
-
-
-def _scored_name(name: str, calibration: Calibration | None, csls: int) -> str:
-    """Return a model's name with how it is ranked."""
-    return name + (", calibrated" if calibration else "") + (", CSLS" if csls else "")
 
 
 def _write(result: Leaderboard | ModelTable, page: Path | None, json: Path | None) -> None:

@@ -54,14 +54,17 @@ class EvaluateCommand(SourceOptions):
             raise InputError(
                 "--per-query lists the queries in one weather; choose one with --weather, or leave it out."
             )
-        if self.centre and self.n_parts is None and self.path.suffix.lower() == ".mat":
+        if self.centre and self.n_parts is None and self.gallery is None and self.path.suffix.lower() == ".mat":
             raise InputError(
                 "Centring normalises each part, and a saved result does not contain the number of parts; give it with --n-parts "
                 "(1 for a baseline)."
             )
         source = source_of(self)
-        tasks = [self._changed(task) for task in source.to_measure()]
-        title = f"{tasks[0].model_name} ({tasks[0].contract.title}) on {tasks[0].data_name}"
+        opened = source.to_measure()
+        tasks = [self._changed(task) for task in opened]
+        title = tasks[0].model_name
+        if opened[0].model is not None:  # nobody knows the network of saved descriptors
+            title += f" ({tasks[0].contract.title}) on {tasks[0].data_name}"
         if self.weather == "all":
             weathers = measure_weathers(tasks)
             _print_weathers(title, weathers)

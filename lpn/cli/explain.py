@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from lpn.core.consoles import Console
     from lpn.datasets import Picture
     from lpn.explain import Evidence
+    from lpn.library.answer import Answer
     from lpn.models.base import Model
     from lpn.retrieval import DescribedPicture
     from lpn.retrieval.calibration import Calibration
@@ -71,7 +73,7 @@ class ExplainCommand(SourceOptions):
         from lpn.retrieval.csls import CslsTerms
 
         check_outputs((self.json, ".json"), (self.png, ".png"))
-        task = None if self.source is None else source_of(self).open().task
+        task = None if self.source is None else source_of(self).open((), part_values(self.weights)).task
         if task is None and (of_source := self.of_source()):
             raise InputError(f"{of_source[0]} is of a source, and none is given; name it: lpn explain SOURCE.")
         model = self.load() if task is None else task.model
@@ -89,7 +91,8 @@ class ExplainCommand(SourceOptions):
                 f"{verdicts.no_cells(model.contract)} Give --covering and --json to measure places instead."
             )
         weights = scoring.part_weights(model.n_parts, part_values(self.weights))
-        files, pictures = zip(*self._pair(task), strict=True)
+        positions, pair = self._pair(task)
+        files, pictures = zip(*pair, strict=True)
         query, tile = (
             retrieval.describe_picture(
                 model, picture, view, Change(turn, zoom=_zoom(calibration, model, file, picture, view))
@@ -106,9 +109,11 @@ class ExplainCommand(SourceOptions):
             console.print(f"The tile is {_short(files[1])}, the top match.", highlight=False, markup=False)
         losses = _losses(model, query, views[0], tile) if self.covering else None
         terms = None if csls is None else CslsTerms(csls[0], csls[1][None])
-        ranking = retrieval.rank(cosines[None], weights, csls=terms)
-        gallery = [Picture(files[1], 0, str(files[1]))]
-        answer = answer_of(model, views, query, gallery, tile.descriptor[None], ranking, str(files[0]))
+        answer = None if task is None else _answer(task, positions, query, weights, str(files[0]))
+        if answer is None:
+            ranking = retrieval.rank(cosines[None], weights, csls=terms)
+            gallery = [Picture(files[1], 0, str(files[1]))]
+            answer = answer_of(model, views, query, gallery, tile.descriptor[None], ranking, str(files[0]))
         of: dict[str, Any] = {"model": model.fingerprint, "match": str(files[1]), "rotate": self.rotate}
         of |= {"view_query": views[0], "view_match": views[1]}
         if losses is not None:
@@ -132,27 +137,54 @@ class ExplainCommand(SourceOptions):
             )
             write_atomic(self.png, pair_figure.encode(figure))
 
-    def _pair(self, task: Task | None) -> list[tuple[Path, UInt8Array]]:
-        """Return the paths and the pixels of query and tile."""
+    def _pair(self, task: Task | None) -> tuple[list[int | None], list[tuple[Path, UInt8Array]]]:
+        """Return the positions of query and tile in a task, None for a file's, and the paths and the pixels of both."""
         from lpn.core import images
+        from lpn.descriptors.transforms import Change
         from lpn.sources.opened import query_positions
 
-        def found(given: str, pictures: Sequence[Picture]) -> Picture | None:
-            if task is None or Path(given).is_file():
-                return None
-            return pictures[query_positions([given], pictures, task.data_name)[0]]
+        positions: list[int | None] = [None, None]
+        sides: tuple[Sequence[Picture], ...] = ((), ()) if task is None else (task.queries, task.gallery)
+        for side, given in enumerate((self.query, self.match)):
+            if task is not None and given is not None and not Path(given).is_file():
+                (positions[side],) = query_positions([given], sides[side], task.data_name)
+        if self.match is None:
+            if task is None or positions[0] is None:
+                raise InputError("Nothing says which tile to compare with; give it as --match.")
+            positions[1] = int(task.search(positions[0], change=Change(self.rotate)).order[0])
+        pair = []
+        for given, position, pictures in zip((self.query, self.match), positions, sides, strict=True):
+            if position is None:
+                pair.append((Path(given or ""), images.load_picture(given or "")))
+            else:
+                pair.append((pictures[position].path, pictures[position].load_cropped()))
+        return positions, pair
 
-        query = None if task is None else found(self.query, task.queries)
-        if self.match is not None:
-            match = None if task is None else found(self.match, task.gallery)
-        elif task is None or query is None:
-            raise InputError("Nothing says which tile to compare with; give it as --match.")
-        else:
-            match = task.gallery[int(task.search(task.queries.index(query)).order[0])]
-        return [
-            (Path(given or ""), images.load_picture(given or "")) if one is None else (one.path, one.load_cropped())
-            for given, one in ((self.query, query), (self.match, match))
-        ]
+
+def _answer(
+    task: Task, positions: Sequence[int | None], query: DescribedPicture, weights: Float32Array, name: str
+) -> Answer | None:
+    """Return the answer of a task to a described query, compared with a tile; None if the task does not rank that tile."""
+    from lpn.library.analyser import describe_tile
+    from lpn.library.answer import SHOWN, Answer
+
+    index, tile = positions
+    ranking = task.start_search(index, query.descriptor)(weights)
+    if tile is None or not ranking.holds(tile):
+        return None
+    return Answer(
+        task=task,
+        name=name,
+        index=index,
+        query=query,
+        ranking=ranking,
+        matches=ranking.top(SHOWN),
+        chosen=ranking.find(tile),
+        describe_tile=partial(describe_tile, model=task.model),
+        source=query.picture,
+        positive=ranking.positive(),
+        errors_m=None if task.geometry is None or index is None else task.geometry.errors_m(index),
+    )
 
 
 def _zoom(calibration: Calibration | None, model: Model, file: Path, picture: UInt8Array, view: View) -> float:

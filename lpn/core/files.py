@@ -295,11 +295,11 @@ def exclusive_lock(folder: Path, wait: bool) -> Iterator[None]:
 
 
 def distinct_names(files: Sequence[Path]) -> list[str]:
-    """Return the files' printable names, with as many folders above as it takes to tell them apart."""
+    """Return the files' printable names, with as many folders above as it takes to tell different ones apart."""
     names: list[str] = []
     for depth in range(1, _MAX_FOLDERS + 2):
         names = ["/".join(file.absolute().parts[-depth:]) for file in files]
-        if len(set(names)) == len(names):
+        if len(set(names)) == len(set(files)):
             break
     return [printable(name) for name in names]
 

@@ -54,6 +54,15 @@ log = logging.getLogger(__name__)
 
 # The group of the entry points by which other packages bring layouts.
 GROUP = "lpn.datasets"
+# What to do with a file that is no picture, by its ending or its name.
+_INSTEAD = {
+    **dict.fromkeys(
+        (".zip", ".tar", ".tgz", ".gz", ".xz", ".7z", ".rar"), "unpack it first, and give the folder that it makes"
+    ),
+    **dict.fromkeys((".mp4", ".mov", ".srt"), "make a flight of it with lpn flight, and give that with a --map"),
+    **dict.fromkeys((".pth", ".safetensors", ".onnx"), "give it as --model, beside a data set's folder"),
+    "descriptors.npy": "give the index that lpn index --descriptors makes of such a store",
+}
 # The deepest list of a split is three folders below (Testing/150/query_drone).
 _LEVELS = 3
 # A search for a data set below looks into so many folders at most.
@@ -74,15 +83,21 @@ def open_dataset(root: str | Path) -> Dataset:
     if not given.exists() and any(given.name in layout.splits for layout in known_layouts()):
         root, split = given.parent, given.name
     if not root.is_dir():
-        shown, parent = printable(str(root)), printable(str(root.parent))
+        shown, above = printable(str(root)), root.resolve().parent
         if root.exists():
-            raise DataError(f"{shown} is a file; expected a data set's folder, so give {parent}.")
+            around = f"give {printable(str(above))}" if _marked(above) else "check the path"
+            todo = _instead(root.name) or around
+            raise DataError(f"{shown} is a file; expected a data set's folder, so {todo}.")
         raise DataError(f"There is no data set folder at {shown}; check the path.")
     layout = _marked(root)
     if split is not None and (layout is None or split not in layout.splits):
         shown, name = printable(str(given)), printable(str(root))
         raise DataError(f"There is no data set folder at {shown}; check the path, as {name} has no {split} split.")
     return _unmarked(root) if layout is None else layout(root, split)
+
+
+def _instead(name: str) -> str | None:
+    return _INSTEAD.get(name) or _INSTEAD.get(Path(name).suffix.lower())
 
 
 @cache
@@ -131,7 +146,10 @@ def _unmarked(root: Path) -> Dataset:
     folder = Folder(root)
     if folder.pictures("pictures"):
         return folder
-    holds = first_few(sorted(printable(child.name) for child in root.iterdir()), 5) or "nothing"
+    names = sorted(child.name for child in root.iterdir())
+    holds = first_few(list(map(printable, names)), 5) or "nothing"
+    if todo := next(filter(None, map(_instead, names)), None):
+        raise DataError(f"{shown} holds {holds}; {todo}.")
     known = ", ".join(sorted(layout.kind for layout in known_layouts()))
     raise DataError(f"{shown} holds {holds}; expected a data set in a layout of docs/data.md ({known}), or pictures.")
 

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import hashlib
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from lpn.core.consoles import Console
+from lpn.core.demo import own_file
 from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.progress import report_progress
 from lpn.core.text_tables import TextTable
 from lpn.core.views import views_of
-from lpn.datasets import Dataset, LeftOut, Picture, Size, geo
+from lpn.datasets import Dataset, LeftOut, Picture, Size, geo, metadata
 from lpn.datasets.integrity import check_positions, lists_of, picture_errors
+from lpn.tasks import notes
+from lpn.tasks.query_outcomes import reserved
 from lpn.training.training_set import trainable
 
 
@@ -67,9 +73,11 @@ class DataSetReport:
         left_out: files that the data set itself leaves out: missing, known to be broken, or not read (`Dataset.unread`).
         lacking: places and queries without their counterpart, which cannot be used.
         gaps: those without one of their counterparts, which are used by the others; the published University-1652 has some.
+        duplicates: groups of files of one list with equal content and different labels.
         shared: places in both train and test.
         positions: what the positions cover, and where they are from; None without any.
         gap: what is wrong with them, or None.
+        refused: why a list of the queries, such as that of lpn failures, refuses a file beside the pictures.
     """
 
     root: str
@@ -82,15 +90,17 @@ class DataSetReport:
     left_out: tuple[LeftOut, ...]
     lacking: tuple[MissingCounterparts, ...]
     gaps: tuple[MissingCounterparts, ...]
+    duplicates: tuple[tuple[str, ...], ...]
     shared: tuple[int, ...]
     positions: str | None
     gap: str | None
+    refused: tuple[str, ...]
 
     @property
     def healthy(self) -> bool:
-        """True if nothing is broken; a subset, gaps, and damage of the published data set do not count."""
+        """True if nothing is broken; a subset, gaps, duplicates, and damage of the published data set do not count."""
         missing = [item for item in self.left_out if not item.published]
-        return not (self.broken or missing or self.lacking or self.shared or self.gap)
+        return not (self.broken or missing or self.lacking or self.shared or self.gap or self.refused)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents of the JSON file."""
@@ -129,9 +139,11 @@ def check_dataset(dataset: Dataset, decode: bool = True) -> DataSetReport:
         left_out=(*dataset.left_out, *dataset.unread()),
         lacking=tuple(item for is_gap, item in missing if not is_gap),
         gaps=tuple(item for is_gap, item in missing if is_gap),
+        duplicates=tuple(_duplicates(dataset.root, lists, errors)),
         shared=tuple(sorted(_places(lists, "train/") & _places(lists, test))) if labelled else (),
         positions=positions,
         gap=gap,
+        refused=tuple(dict.fromkeys(_refused(dataset, gap is None, positions is not None))),
     )
 
 
@@ -174,6 +186,31 @@ def _unanswered(dataset: Dataset) -> Iterable[tuple[bool, MissingCounterparts]]:
             yield query_view != gallery_view == "street", MissingCounterparts(task, names, len(queries))
 
 
+def _duplicates(root: Path, lists: dict[str, list[Picture]], broken: Collection[Path]) -> Iterable[tuple[str, ...]]:
+    """Find equal files of different places; only files of one size are read."""
+    digests: dict[Path, str] = {}
+
+    def digest(picture: Picture) -> str:
+        if picture.path not in digests:
+            with picture.path.open("rb") as file:
+                digests[picture.path] = hashlib.file_digest(file, "sha256").hexdigest()
+        return digests[picture.path]
+
+    for pictures in lists.values():
+        there = [picture for picture in pictures if picture.path not in broken]
+        for same_size in _alike(there, lambda picture: picture.path.stat().st_size):
+            for equal in _alike(same_size, digest):
+                yield tuple(_below(root, picture.path) for picture in equal)
+
+
+def _alike(pictures: Sequence[Picture], key: Callable[[Picture], object]) -> list[list[Picture]]:
+    """Return the pictures of equal key, where they are of different places."""
+    groups: dict[object, list[Picture]] = defaultdict(list)
+    for picture in pictures:
+        groups[key(picture)].append(picture)
+    return [group for group in groups.values() if len({picture.label for picture in group}) > 1]
+
+
 def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     """Return what the positions cover, and what is wrong with them."""
     try:
@@ -182,6 +219,21 @@ def _positions(dataset: Dataset) -> tuple[str | None, str | None]:
     except DataError as error:
         return geo.NAME, str(error)
     return (f"Each of the {len(pictures)} test pictures has a position, by {source}.", None) if source else (None, None)
+
+
+def _refused(dataset: Dataset, positions: bool, distances: bool) -> Iterable[str]:
+    """Read what stands beside the queries as the commands that list them do, `geo.csv` only if asked to; yield their errors."""
+    reads: list[Callable[[], object]] = [lambda: notes.read_notes(own_file(dataset.root, notes.NAME))]
+    for task in dataset.tasks():
+        queries = dataset.queries(views_of(task)[0])
+        taken = reserved(dataset.truth(task), distances, dataset.columns(queries))
+        paths = geo.names_below(dataset.root, queries)
+        reads.append(partial(metadata.columns, dataset.root, paths, taken, positions))
+    for read in reads:
+        try:
+            read()
+        except DataError as error:
+            yield str(error)
 
 
 def _below(root: Path, file: Path) -> str:
@@ -202,7 +254,8 @@ def print_report(report: DataSetReport, console: Console) -> None:
         lines.append("Gaps, which are no damage: a place is used in the views that it has.")
         lines += [f"  {line}" for item in report.gaps for line in _some(item.what, item.names, 12)]
     lines += _some("places are in train and in test", [f"{label:04d}" for label in report.shared])
-    lines += [text for text in (report.gap or report.positions,) if text]
+    lines += _some("groups of files in one list are equal", [" = ".join(group) for group in report.duplicates])
+    lines += [text for text in (report.gap or report.positions, *report.refused) if text]
     lines.append("Nothing is broken." if report.healthy else "Something is broken: see above.")
     title, head = f"{report.root} is {report.title}.", ("pictures of", "pictures", "places")
     TextTable(head, counts, title, "\n".join(lines)).print(console)

@@ -124,6 +124,14 @@ class FlightSource(TaskSource):
             return WindowSource(self.options).open(names, weights)
         return self.locate(None, names, weights)
 
+    def to_measure(self) -> list[Task]:
+        if getattr(self.options, "rotate", 0):  # of lpn evaluate; one picture, as of lpn explain, can be turned
+            raise InputError(
+                f"{printable(self.options.path.name)} is a flight, whose queries are cut out of photos and not turned; leave "
+                "--rotate out."
+            )
+        return super().to_measure()
+
     def locate(
         self,
         overlap: float | None = None,

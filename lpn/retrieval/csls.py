@@ -54,10 +54,10 @@ class CslsTerms:
 
 def check_neighbours(neighbours: int, queries: int, where: str = "") -> None:
     """Raise InputError unless K is from 1 to the number of queries; `where` names what they are a part of."""
-    if not isinstance(neighbours, int) or not 1 <= neighbours <= queries:
+    if not isinstance(neighbours, int) or isinstance(neighbours, bool) or not 1 <= neighbours <= queries:
         raise InputError(
-            f"CSLS takes the mean over {neighbours!r:.40} nearest queries, and there are {queries}{where}; expected 1 to "
-            f"{queries}."
+            f"CSLS takes the mean over {neighbours!r:.40} nearest queries, and there are {queries}{where}; expected "
+            f"{'' if type(neighbours) is int else 'a whole number from '}1 to {queries}."
         )
 
 

@@ -61,7 +61,7 @@ def weighted(task: Task, weights: Sequence[float] | None, neighbours: int = 0) -
 
     scoring.part_weights(task.contract.n_parts, weights)
     if neighbours:
-        csls.check_neighbours(neighbours, len(task.queries))
+        csls.check_neighbours(neighbours, len(task.query_labels))
     return replace(task, weights=weights, neighbours=neighbours)
 
 

@@ -7,7 +7,7 @@ Pictures are described when the descriptors of the changed task are first read. 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -178,9 +178,11 @@ def with_parts(task: Task, parts: Sequence[int] | None) -> Task:
     """Compare some parts only (Table V): numbers from 1, without duplicates, in the given order; None for all.
 
     Raises:
-        InputError: when a part does not exist, or no part is given.
+        InputError: when a part does not exist, or is not a whole number, or no part is given.
     """
     count = task.contract.n_parts
+    if parts is not None and not (isinstance(parts, Collection) and all(map(_whole, parts))):
+        raise InputError(f"The parts are {parts!r:.60}; expected whole numbers from 1 to {count}, such as [1].")
     chosen = tuple(range(1, count + 1) if parts is None else dict.fromkeys(parts))
     if not chosen or any(not 1 <= part <= count for part in chosen):
         raise InputError(f"The parts are {', '.join(map(str, chosen)) or 'none'}; there are parts 1 to {count}.")
@@ -205,6 +207,10 @@ def with_parts(task: Task, parts: Sequence[int] | None) -> Task:
             part_names={view: [task.contract.names(view)[i] for i in columns] for view in task.contract.views},
         ),
     )
+
+
+def _whole(value: object) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def by_csls(task: Task, neighbours: int) -> Task:

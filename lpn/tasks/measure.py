@@ -21,7 +21,7 @@ from lpn.retrieval import csls, metrics
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.field_metrics import field_figures, nearest
 from lpn.retrieval.metrics import Retrieval
-from lpn.tasks.task import Task
+from lpn.tasks.task import Task, no_pictures
 
 # Distances in metres within which an answer counts as near.
 WITHIN = (25, 50, 100)
@@ -99,6 +99,11 @@ class RankedModel:
         rows = np.array([at[query] for query in queries], np.int64)
         sides = self.labels[rows], self.first[rows], self.precision[rows]
         return RankedModel(self.name, self.task, self.gallery_name, tuple(queries), self.gallery, *sides)
+
+
+def scored_name(name: str, calibration: Calibration | None, neighbours: int) -> str:
+    """Return a model's name with how it is ranked, such as "city-lpn, calibrated, CSLS"."""
+    return name + (", calibrated" if calibration else "") + (", CSLS" if neighbours else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,13 +188,15 @@ class Result:
         """Return the ranking of one gallery, to compare it with others; queries whose truth is not known are left out.
 
         Raises:
-            InputError: when the gallery has no distractors to leave out.
+            InputError: when the gallery has no distractors to leave out, or there are no pictures.
         """
+        if len(self.pictures[0]) < len(self.labels[0]):
+            raise no_pictures(self.root.name)
         if gallery != "full" and len(self.galleries) == 1:
             reason = "True matches of {} are listed, so no gallery picture is a distractor"
             if not self.listed:
                 reason = "Each place of the gallery of {} has a query, so it has no distractors"
-            raise InputError(f"{reason.format(self.root.name)}; leave --gallery out.")
+            raise InputError(f"{reason.format(self.root.name)}; leave --without-distractors out.")
         one = int(gallery != "full")
         kept = np.isin(self.labels[1], self.labels[0]) if one else np.ones(len(self.labels[1]), bool)
         queries, tiles = (np.array(geo.names_below(self.root, side), object) for side in self.pictures)
@@ -264,11 +271,14 @@ def measure(task: Task, depth: int = 0) -> Result:
         depth: number of nearest tiles of each query in `Result.nearest`; 0 for none.
 
     Raises:
-        InputError: when no query can be measured, or CSLS takes more queries than there are in a group.
+        InputError: when no query can be measured, CSLS takes more queries than there are in a group, or there are no pictures
+            whose names `Result.nearest` needs.
         DataError: when a picture lacks the position that the data set's metrics take.
         LPNError: when a picture or an index cannot be read.
     """
     started = time.perf_counter()
+    if depth and len(task.queries) < len(task.query_labels):
+        raise no_pictures(task.data_name)
     task = task.with_fields(weights=None)
     data, known = task.dataset, task.known
     counted = known if known is not None and known.any() else np.ones(len(task.query_labels), bool)

@@ -160,7 +160,7 @@ class Task:
     @property
     def gallery_description(self) -> str:
         """The gallery in words, such as "951 tiles"."""
-        noun = "tiles" if self.gallery_view == "satellite" else "gallery pictures"
+        noun = "tiles" if self.name.endswith("-to-satellite") else "gallery pictures"
         return f"{self.tiles:,} {noun}{self.of_index and f' {self.of_index}'}"
 
     @cached_property
@@ -214,7 +214,13 @@ class Task:
 
     @cached_property
     def table(self) -> Table:
-        """One row per query: outcome, metadata, tags, and notes; see `query_outcomes.table` for the errors."""
+        """One row per query: outcome, metadata, tags, and notes.
+
+        Raises:
+            InputError: if there are no pictures, see also `query_outcomes.table`.
+        """
+        if len(self.queries) < len(self.query_labels):
+            raise no_pictures(self.data_name)
         table = self.tabulate(self.outcomes, self.part_names)
         return table.with_columns(notes.columns(self.notes, table.paths))
 
@@ -328,7 +334,7 @@ class Task:
         """The task in a notebook: recall and AP of all queries."""
         names = {"recall@1": "Recall@1", "recall@5": "Recall@5", "recall@10": "Recall@10", "ap": "AP"}
         figures = {title: self.metrics[name] for name, title in names.items()}
-        caption = f"{self.data_name}, {self.name}: {len(self.queries):,} queries, {self.gallery_description}"
+        caption = f"{self.data_name}, {self.name}: {len(self.query_labels):,} queries, {self.gallery_description}"
         return percentages(caption, "model", {self.model_name: figures})
 
 
@@ -363,6 +369,11 @@ def descriptor_clause(contract: Contract) -> str:
     """Return how a model makes a descriptor, as a clause of the protocol's sentence."""
     mirrored = "descriptors of picture and mirror added, " if contract.mirror == "sum" else ""
     return f"{mirrored}{'each part ' if contract.n_parts > 1 else ''}normalised"
+
+
+def no_pictures(name: str) -> InputError:
+    """Return the error for a saved result that was opened without the data set of its pictures."""
+    return InputError(f"{name} holds no pictures; give the data set that it was computed on as --data.")
 
 
 def scored_key(name: str, scoring: Scoring) -> str:

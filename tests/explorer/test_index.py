@@ -234,7 +234,9 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
             # It is the nearest of all windows that hold the tag.
             assert ranks[0].score == pytest.approx(ranks[1].score, abs=1e-6)
     workspace = open_source(source)
-    assert "that its engine (exact) proposes for each query" in pages.header(workspace, workspace.tasks[TASK])
+    said = "that its engine (exact) proposes for each query"
+    assert said in pages.header(workspace, workspace.tasks[TASK])
+    assert said in answer_text.own_hint(workspace, rendered=False)
 
 
 def test_windows_without_their_map_are_placeholders(

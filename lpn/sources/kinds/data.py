@@ -20,7 +20,7 @@ class DataSource(TaskSource):
 
     noun = "a data set"
     takes = NETWORK | {"task", "calibrate", "csls", "parts", "shift", "scale", "weather", "per_query", "beside_weather"}
-    takes |= {"beside", "beside_kind", "beside_pooling", "turns", "weathers", "without_distractors"}
+    takes |= {"beside", "beside_kind", "beside_pooling"}
     priority = -1  # `open_dataset` says of anything else what is wrong with it
 
     @classmethod
@@ -48,7 +48,7 @@ class DataSource(TaskSource):
         from lpn.tasks.opening import lazy_task, no_task_error, offered_tasks, task_calibration
 
         options = self.options
-        model, dataset = options.load(), open_dataset(options.path)
+        dataset, model = open_dataset(options.path), options.load()
         tasks = offered_tasks(model, dataset)
         if options.task is None and not tasks:
             raise no_task_error(model, dataset)

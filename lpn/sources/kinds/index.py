@@ -23,7 +23,7 @@ class IndexSource(TaskSource):
     noun = "an index"
     # The map that windows are cut from; None without one.
     basemap: Any = None
-    takes = NETWORK | {"data", "pictures", "csls", "parts", "centre"}
+    takes = NETWORK | {"data", "pictures", "csls", "parts", "centre", "per_query"}
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from lpn.retrieval.saved import PublishedResult
     from lpn.tasks.task import Task
 
-_TAKEN = frozenset(("data", "n_parts", "csls", "centre", "parts"))
+_TAKEN = frozenset(("data", "n_parts", "csls", "centre", "parts", "per_query"))
 
 
 class SavedSource(TaskSource):
@@ -36,7 +36,7 @@ class ResultSource(SavedSource):
     """A result of the published test code on its pictures."""
 
     noun = "a result of the published test code"
-    takes = _TAKEN | {"without_distractors"}
+    takes = _TAKEN
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
@@ -49,11 +49,10 @@ class ResultSource(SavedSource):
     def task(self) -> Task:
         from lpn.datasets import open_dataset
         from lpn.tasks.saved import published_task
+        from lpn.tasks.task import no_pictures
 
         if self.options.data is None:
-            raise InputError(
-                f"{printable(self.options.path.name)} holds no pictures; give the data set that it was computed on as --data."
-            )
+            raise no_pictures(printable(self.options.path.name))
         return published_task(self.load(), open_dataset(self.options.data))
 
     def to_measure(self) -> list[Task]:
@@ -74,11 +73,12 @@ class ArraySource(SavedSource):
     """Descriptors that any model made."""
 
     noun = "arrays of descriptors"
-    takes = _TAKEN | {"gallery", "paths", "order", "without_distractors"}
+    takes = _TAKEN | {"gallery", "paths", "order"}
 
     @classmethod
     def recognises(cls, options: SourceOptions) -> bool:
-        return options.path.suffix.lower() in (".npy", ".npz") or options.gallery is not None
+        ending = options.path.suffix.lower()
+        return ending in (".npy", ".npz") or (ending == ".mat" and options.gallery is not None)
 
     @property
     def title(self) -> str:

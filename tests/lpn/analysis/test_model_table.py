@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.stats import ttest_ind
 
+import lpn
 from lpn.analysis.model_table import compare
 from lpn.analysis.statistics import holm, intervals, randomization_test
 from lpn.cli.main import main
@@ -296,6 +297,31 @@ def test_a_saved_result_in_an_order_of_its_own_has_the_data_sets_listed_matches(
     twice = replace(saved, gallery_paths=(paths[1][1], *paths[1][1:]))
     with pytest.raises(InputError, match="twice"):
         saved_task(twice, dataset).evaluate().ranked()
+
+
+def test_results_are_compared_by_their_models_and_scorings(data: Path, model_file: Path) -> None:
+    plain, moved = (lpn.evaluate(model_file, data, calibrate=False, csls=neighbours) for neighbours in (0, 3))
+    found = lpn.compare([plain, moved], resamples=20)
+    assert [one.name for one in found.models] == [model_file.name, f"{model_file.name}, CSLS"]
+    assert [of["R@1"].value for of in found.figures] == pytest.approx([plain.recall["1"], moved.recall["1"]])
+    for wrong in ([plain, None], [plain, "a"], 3):
+        with pytest.raises(InputError, match=r"One of the results is of the type .*expected those of lpn\.evaluate"):
+            lpn.compare(wrong)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="takes two models or more; found 1"):
+        lpn.compare(plain)  # type: ignore[arg-type]
+
+
+def test_where_no_truth_is_known_nothing_is_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drawn = np.random.default_rng(5).standard_normal((7, 1, 8)).astype(np.float32)
+    for name, one in (("q", drawn[:3]), ("again", drawn[:3]), ("g", drawn[3:])):
+        np.save(tmp_path / f"{name}.npy", one)
+    lines = [f"{'q' if i < 3 else 'g'}{i}.jpg,{'query' if i < 3 else 'gallery'},30.{i},120.1" for i in range(7)]
+    (tmp_path / "list.csv").write_text("\n".join(["file,side,latitude,longitude", *lines]))
+    q, again, g, listed = (str(tmp_path / name) for name in ("q.npy", "again.npy", "g.npy", "list.csv"))
+    assert main(["compare", q, again, "--gallery", g, g, "--paths", listed]) == 2
+    said = capsys.readouterr()
+    assert said.err.endswith("lpn: The true place of no query of q.npy is known, so there is nothing to compare.\n")
+    assert not said.out
 
 
 def test_plain_arrays_may_name_a_picture_twice(tmp_path: Path) -> None:

@@ -78,6 +78,15 @@ def test_many_queries_of_one_place_are_no_further_evidence() -> None:
     assert as_if_independent < once[0]
 
 
+def test_places_without_a_difference_alter_no_p() -> None:
+    differences = np.random.default_rng(6).normal(0.2, 1, (2, 30))
+    among_others = np.zeros((2, 300))
+    among_others[:, ::10] = differences
+    alone = randomization_test(differences, np.arange(30), seed=1)
+    assert randomization_test(among_others, np.arange(300), seed=1) == alone
+    assert randomization_test(np.zeros((1, 300)), np.arange(300), seed=1) == [1.0]
+
+
 def test_random_swaps_agree_with_all_of_them() -> None:
     rng = np.random.default_rng(4)
     differences = rng.normal(0.3, 1, (3, 18))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +13,17 @@ import pytest
 
 import lpn
 from lpn.cli import main
+from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from tests.lpn.cli.test_main import without_torch
+
+
+def _rounded(value: Any) -> Any:
+    """Return JSON values with numbers to four places."""
+    if isinstance(value, dict):
+        return {key: _rounded(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_rounded(one) for one in value]
+    return pytest.approx(value, abs=1e-4) if isinstance(value, float) else value
 
 
 @pytest.fixture
@@ -95,8 +107,25 @@ def test_a_query_of_a_source_is_explained_by_its_name_beside_its_top_match(
     assert main.main([*given, "--query", str(query.path), "--match", task.gallery[int(top[1])].name]) == 0
     second = json.loads(file.read_text())
     assert second["match"] == str(task.gallery[int(top[1])].path)
-    scores = task.search(task.queries.index(query)).scores
+    place = task.queries.index(query)
+    scores = task.search(place).scores
     assert [first["score"], second["score"]] == pytest.approx(scores[top[:2]].tolist(), abs=1e-4)
+    # The answer is the library's: the source knows the ranks and what is right.
+    answer = QueryAnalyser(task.model, partial(describe_tile, model=task.model)).analyse(task, QueryRequest(place), 5)
+    named, expected = first | {"query": "0009"}, answer.to_dict()
+    for key in ("query", "task", "verdict", "compared", "nearest"):
+        assert _rounded(named[key]) == _rounded(expected[key]), key
+    assert named["verdict"]["sign"] is not None
+    assert main.main([*given, "--query", "0009", "--match", task.gallery[int(top[1])].name]) == 0
+    compared = json.loads(file.read_text())["compared"]
+    assert (compared["rank"], compared["true"]) == (2, bool(task.search(place).match(1).true))
+    # The tile that nobody names is the first under the same weights and turn.
+    for options, ranking in (
+        (["--weights", "0,0,0,1"], task.search(place, weights=[0, 0, 0, 1])),
+        (["--rotate", "90"], task.search(place, change=lpn.Change(rotate=90))),
+    ):
+        assert main.main([*given, "--query", "0009", *options]) == 0
+        assert json.loads(file.read_text())["match"] == str(task.gallery[int(ranking.order[0])].path)
     for wrong, said in (
         (["--query", "nowhere"], "has no query nowhere; did you mean 0007?"),
         (["--query", str(query.path)], "Nothing says which tile to compare with; give it as --match."),

@@ -122,6 +122,9 @@ def test_a_file_and_an_absent_folder_are_told(tmp_path: Path) -> None:
     assert (
         refusal(root / "pairs.csv") == f"{root / 'pairs.csv'} is a file; expected a data set's folder, so give {root}."
     )
+    lone = tmp_path / "list.txt"
+    lone.touch()
+    assert refusal(lone) == f"{lone} is a file; expected a data set's folder, so check the path."
     absent = tmp_path / "University-Release"
     assert refusal(absent) == f"There is no data set folder at {absent}; check the path."
 
@@ -151,3 +154,28 @@ def test_a_list_in_another_encoding_is_refused(tmp_path: Path) -> None:
     root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
     (root / "pairs.csv").write_bytes("satellite,drone\nZürich.jpg,1.jpg\n".encode("cp1252"))
     assert refusal(root) == "pairs.csv is not text in UTF-8 or UTF-16; expected a list of pictures."
+
+
+@pytest.mark.parametrize(
+    ("name", "todo"),
+    [
+        ("University-Release.zip", "unpack it first, and give the folder that it makes"),
+        ("DJI_0001.MP4", "make a flight of it with lpn flight, and give that with a --map"),
+        ("net_119.pth", "give it as --model, beside a data set's folder"),
+        ("descriptors.npy", "give the index that lpn index --descriptors makes of such a store"),
+    ],
+)
+def test_an_archive_a_video_or_a_model_in_place_of_a_data_set_says_what_to_do(
+    tmp_path: Path, name: str, todo: str
+) -> None:
+    (tmp_path / name).write_bytes(b"what it holds does not matter")
+    assert refusal(tmp_path / name) == f"{tmp_path / name} is a file; expected a data set's folder, so {todo}."
+    assert refusal(tmp_path) == f"{tmp_path} holds {name}; {todo}."
+
+
+def test_a_file_in_the_working_folder_names_its_data_set_by_a_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = layouts.pairs(tmp_path / "mine", "satellite,drone\nb.jpg,1.jpg\n")
+    monkeypatch.chdir(root)
+    assert refusal(Path("pairs.csv")) == f"pairs.csv is a file; expected a data set's folder, so give {root}."

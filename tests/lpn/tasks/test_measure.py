@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -94,6 +95,12 @@ def test_figures_in_training_leave_nothing_in_the_cache(data: Path, model_file: 
 def test_parts_that_do_not_exist_are_refused(data: Path, model_file: Path, parts: tuple[int, ...]) -> None:
     with pytest.raises(InputError, match="parts 1 to 4"):
         with_parts(lazy_task(lpn.load(model_file), open_dataset(data), "drone-to-satellite"), parts)
+
+
+@pytest.mark.parametrize("parts", ["a", 2, ["1"], [1.5], [True], [[1]]])
+def test_parts_that_are_no_whole_numbers_are_refused(data: Path, model_file: Path, parts: Any) -> None:
+    with pytest.raises(InputError, match=r"The parts are .*expected whole numbers from 1 to 4, such as \[1\]"):
+        lpn.evaluate(model_file, data, parts=parts)
 
 
 def labels(pictures: list[Picture]) -> list[int]:

@@ -119,6 +119,38 @@ def test_what_needs_pictures_is_refused(data: Path, model_file: Path, tmp_path: 
         changed(saved_task(load_saved(tmp_path / "r.mat")), Change(shift=3))
 
 
+def test_without_pictures_nothing_is_named_or_paired(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = contents(data, model_file)
+    for name in ("r.mat", "s.mat"):
+        savemat(tmp_path / name, {key: value for key, value in values.items() if "path" not in key})
+    files = [str(tmp_path / name) for name in ("r.mat", "s.mat")]
+    for words in (["compare", *files], ["evaluate", files[0], "--per-query", str(tmp_path / "q.csv")]):
+        assert main.main(words) == 2
+        assert (
+            "r.mat holds no pictures; give the data set that it was computed on as --data." in capsys.readouterr().err
+        )
+    task = saved_task(load_saved(tmp_path / "r.mat"))
+    steps: list[Callable[[], object]] = [lambda: task.table, lambda: measure(task, 3), measure(task).ranked]
+    for step in steps:
+        with pytest.raises(InputError, match=r"r\.mat holds no pictures; give the data set"):
+            step()
+    assert "14 queries" in task._repr_html_()
+
+
+def test_csls_and_the_title_need_no_pictures(
+    data: Path, model_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    savemat(tmp_path / "r.mat", contents(data, model_file))
+    assert main.main(["evaluate", str(tmp_path / "r.mat"), "--csls", "3", "--json", str(tmp_path / "f.json")]) == 0
+    assert capsys.readouterr().out.splitlines()[0].strip() == "r.mat"
+    alone = lpn.evaluate(model_file, data, "drone-to-satellite", csls=3)
+    found = json.loads((tmp_path / "f.json").read_text())
+    assert [found[f"recall@{k}"] for k in (1, 5, 10)] == [alone.recall[k] for k in ("1", "5", "10")]
+    assert found["ap"] == pytest.approx(alone.ap)
+
+
 def small() -> dict[str, Any]:
     rng = np.random.default_rng(0)
     made: dict[str, Any] = {}
