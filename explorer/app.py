@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 
 import viser
 
@@ -14,12 +15,18 @@ from explorer.browse.own_pictures import HandedOver
 from explorer.client.services import WorkspaceServices
 from explorer.client.session import ClientSession
 from explorer.parameters import DATA
+from explorer.screen import route
+from explorer.screen.channel import Channel
+from explorer.screen.session import Screens
 from explorer.server.auth import Authenticator, make_authenticator
+from explorer.server.gateway import SCENE_TAB, Screen
 from explorer.server.page_server import CLOSE_TIMEOUT, check_free, close_server, no_cell_output, open_server
 from explorer.server.picture_route import EncodedPicture, PictureRoute
+from explorer.server.viser_compat import thread_pool
 from explorer.web.bridge import clear_stage
 from explorer.workspace import LazyWorkspace, StateAnalysis, Workspace
 from lpn.core import images
+from lpn.core.errors import InputError
 from lpn.core.resources import is_loopback, limit_malloc_arenas, return_memory
 from lpn.core.served_page import ServedPage
 from lpn.core.shutdown import writes_finished
@@ -39,7 +46,7 @@ _NOTEBOOKS = (
 
 
 class App:
-    """A running server with one `ClientSession` per browser.
+    """A running server with one `ScreenSession` per tab at `/`, and one `ClientSession` per browser at `/classic/`.
 
     Args:
         workspace: what a page shows first.
@@ -73,9 +80,17 @@ class App:
         self._choices = {key: label} | {key: other.label for key, other in self._others.items()} if others else {}
         self._first = self._add(key, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, embedders)
+        places = {one: name or one for one, name in (self._choices or {key: label}).items()}
+        home = DATA if DATA in places else key
+        if home in self._others:  # it shall be open when the first page comes
+            self._others[home].open()
+        self._channel = Channel(Screens(self._services_of, home, places))
+        screen = Screen(route.respond, route.scene_of, self._channel.serve)
+        self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, embedders, screen)
         self._sessions: dict[int, ClientSession] = {}
-        self.server.on_client_connect(self._connected)
+        # The tabs whose scenes viser's clients are.
+        self._scenes: dict[int, str] = {}
+        self.server.on_client_connect(self._connect)
         self.server.on_client_disconnect(self._disconnected)
 
     @property
@@ -88,10 +103,21 @@ class App:
         until = time.monotonic() + CLOSE_TIMEOUT
         for session in list(self._sessions.values()):
             session.leave()
+        self._channel.close()
         self._pictures.close()
         close_server(self.server)
         if not writes_finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
+
+    async def _connect(self, client: viser.ClientHandle) -> None:
+        """Begin the session of a browser; viser runs a coroutine where the tab of a scene is known."""
+        tab = SCENE_TAB.get()
+        if tab is None:
+            begun = thread_pool(client.gui).submit(self._connected, client)
+            begun.add_done_callback(_log_error)
+        else:
+            self._scenes[client.client_id] = tab
+            self._channel.attach(tab, client)
 
     def _connected(self, client: viser.ClientHandle) -> None:
         log.info("Browser %d connected", client.client_id)
@@ -141,6 +167,17 @@ class App:
         if key not in self._services:
             workspace.key, workspace.choices, workspace.opened = key, self._choices, self._open_workspaces
             self._services[key] = WorkspaceServices.of(workspace)
+        return self._services[key]
+
+    def _services_of(self, key: str) -> WorkspaceServices:
+        """Return the services of a workspace, once it is open; InputError if it cannot be opened."""
+        if key not in self._services:
+            other = self._others[key]
+            other.open().wait(threading.TIMEOUT_MAX)
+            if other.workspace is None:
+                raise InputError(f"{other.label} cannot be opened: {other.error}")
+            with self._lock:
+                self._add(key, other.workspace)
         return self._services[key]
 
     def _open_workspaces(self) -> dict[str, Workspace]:
@@ -209,6 +246,9 @@ class App:
             again.stay(self._choices[key], "The server's log has the details.")
 
     def _disconnected(self, client: viser.ClientHandle) -> None:
+        tab = self._scenes.pop(client.client_id, None)
+        if tab is not None:
+            self._channel.detach(tab, client)
         session = self._sessions.pop(client.client_id, None)
         if session is not None:
             log.info("Browser %d left", client.client_id)
@@ -217,6 +257,11 @@ class App:
             # Collect the session's reference cycles, pictures included, now; it would take Python minutes.
             gc.collect()
             return_memory()
+
+
+def _log_error(begun: Future[None]) -> None:
+    if begun.exception() is not None:
+        log.error("A browser's session could not begin", exc_info=begun.exception())
 
 
 def _clear(client: viser.ClientHandle) -> None:

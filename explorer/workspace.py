@@ -65,6 +65,8 @@ CARDS = 256
 TILE_AREAS = 1024
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
+# Longer side in pixels of a picture on the screen.
+_SHOWN = 800
 # The grey that stands for a picture that cannot be read.
 _UNREADABLE = 60
 # The outcomes of up to so many queries are computed at once, when an answer is explained.
@@ -339,6 +341,15 @@ class Workspace:
     def thumbnail_file(self, picture: Picture) -> bytes:
         """Return the file of `thumbnail`."""
         return b64decode(self._thumbnail(picture).partition(",")[2])
+
+    def picture_file(self, picture: Picture, view: View, zoomed: bool) -> bytes:
+        """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
+
+        Args:
+            zoomed: draw it at its zoom, as a tile is shown; a query is zoomed by the page, which turns it.
+        """
+        whole = picture.load_zoomed() if zoomed else images.crop(self.load_picture(picture), picture.box, picture.name)
+        return images.jpeg(images.shrink(self.as_partitioned(whole, view), _SHOWN), 85)
 
     def as_partitioned(self, picture: UInt8Array, view: View) -> UInt8Array:
         """Return the picture on which parts are drawn, see `Model.as_partitioned`."""

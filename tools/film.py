@@ -102,7 +102,7 @@ def main() -> int:
     if given.story not in stories:
         raise InputError(f"There is no story {printable(given.story)!r}; there are {', '.join(stories)}.")
     with serve_in_background(lambda: workspace) as page:
-        pictures = record(page.url, stories[given.story], tuple(given.size))
+        pictures = record(f"{page.url}/classic/", stories[given.story], tuple(given.size))
     write(pictures, given.seconds, given.out)
     return 0
 

@@ -23,7 +23,7 @@ _KEPT = 2
 # Keys that are remembered of feeds that are served no more.
 _ENDED = 1000
 _PIECE = re.compile(r"([0-9a-f]{16})/(\d{1,7})", re.ASCII)
-_THUMBNAIL = re.compile(r"thumb/(\d{1,3})/(query|tile)/(\d{1,10})", re.ASCII)
+_THUMBNAIL = re.compile(r"(thumb|picture)/(\d{1,3})/(query|tile)/(\d{1,10})", re.ASCII)
 # Returns a piece of a feed by its number, None if there is no such piece.
 Piece = Callable[[int], EncodedPicture | None]
 Side = Literal["query", "tile"]
@@ -104,6 +104,10 @@ class Feeds:
         """Return the folder of the thumbnails of a task's queries or tiles, relative to the page."""
         return f"{self.address}thumb/{self._tasks[task.name]}/{side}/"
 
+    def pictures(self, task: Task, side: Side) -> str:
+        """Return the folder of the pictures of a task's queries or tiles as the parts are drawn on them, relative to the page."""
+        return f"{self.address}picture/{self._tasks[task.name]}/{side}/"
+
     def find(self, path: str) -> Callable[[], EncodedPicture] | None:
         """Return what computes the piece or the thumbnail of a path; None if there is none. The path is untrusted.
 
@@ -113,7 +117,7 @@ class Feeds:
         if name != self._name:
             return None
         if match := _THUMBNAIL.fullmatch(rest):
-            return self._find_thumbnail(int(match[1]), match[2] == "query", int(match[3]))
+            return self._find_thumbnail(int(match[2]), match[3] == "query", int(match[4]), match[1] == "picture")
         if not (match := _PIECE.fullmatch(rest)):
             return None
         with self._lock:
@@ -123,13 +127,20 @@ class Feeds:
         number = int(match[2])
         return None if feed is None else lambda: feed(number) or _NOTHING
 
-    def _find_thumbnail(self, task: int, of_query: bool, index: int) -> Callable[[], EncodedPicture] | None:
+    def _find_thumbnail(
+        self, task: int, of_query: bool, index: int, large: bool
+    ) -> Callable[[], EncodedPicture] | None:
         tasks = list(self._workspace.tasks.values())
         if task >= len(tasks):
             return None
         pictures = tasks[task].queries if of_query else tasks[task].gallery
         if index >= len(pictures):
             return None
+        view = tasks[task].query_view if of_query else tasks[task].gallery_view
+        if large:
+            return lambda: EncodedPicture(
+                self._workspace.picture_file(pictures[index], view, not of_query), "image/jpeg"
+            )
         return lambda: EncodedPicture(self._workspace.thumbnail_file(pictures[index]), "image/jpeg")
 
 

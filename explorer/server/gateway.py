@@ -13,8 +13,10 @@ import itertools
 import logging
 import mimetypes
 from collections.abc import Awaitable, Callable, Generator, Iterator, Sequence
+from contextvars import ContextVar
+from dataclasses import dataclass
 from http import HTTPStatus
-from typing import Any
+from typing import Any, Final
 
 import viser
 import websockets.asyncio.server
@@ -91,6 +93,29 @@ _NO_PROTOCOL = Refusal(
 )
 
 
+# What viser's page needs of scripts.
+_VISER_SCRIPTS = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
+# The subprotocol of the screen's channel, whose messages are JSON.
+CHANNEL: Final = "lpn-json"
+# The tab whose scene a websocket of viser is, in the tasks that viser runs for it; None for the former page.
+SCENE_TAB: ContextVar[str | None] = ContextVar("scene_tab", default=None)
+
+
+@dataclass(frozen=True)
+class Screen:
+    """A page of our own before viser's.
+
+    Attributes:
+        respond: returns the page or one of its files, zipped for a browser that reads that; None for addresses of viser's page.
+        scene_of: returns the tab whose scene a path is, or None.
+        serve: serves the channel of a tab.
+    """
+
+    respond: Callable[[HttpRequest, bool], Response | None]
+    scene_of: Callable[[str], str | None]
+    serve: Callable[[str, ServerConnection], Awaitable[None]]
+
+
 class Gateway:
     """Protects one viser server.
 
@@ -98,14 +123,20 @@ class Gateway:
         authenticator: decides which requests are let in.
         pictures: answers requests for pictures; None refuses them like any other unknown address.
         embedders: sources of pages that may show this one in a frame, beside its own server, as CSP writes them.
+        screen: the page at `/`; None for viser's.
 
     Raises:
         MissingPackageError: when viser's private API is not that of the supported version.
     """
 
     def __init__(
-        self, authenticator: Authenticator, pictures: PictureRoute | None = None, embedders: Sequence[str] = ()
+        self,
+        authenticator: Authenticator,
+        pictures: PictureRoute | None = None,
+        embedders: Sequence[str] = (),
+        screen: Screen | None = None,
     ) -> None:
+        self._screen = screen
         self.authenticator, self._pictures, self._embedders = authenticator, pictures, tuple(embedders)
         self._rate_limiter = RateLimiter()
         self._check = ConnectionCheck()
@@ -136,10 +167,10 @@ class Gateway:
         page = settings.pop("process_request", None)  # viser always passes one; without it every request fails
         select = settings.pop("select_subprotocol", None)
         return websockets.asyncio.server.serve(
-            functools.partial(_handle, handler, itertools.count()),
+            functools.partial(self._handle, handler, itertools.count()),
             *where,
             process_request=functools.partial(self._respond, page),
-            select_subprotocol=functools.partial(_select_subprotocol, select),
+            select_subprotocol=functools.partial(self._select_subprotocol, select),
             process_response=_finish,
             **settings
             | {
@@ -197,28 +228,74 @@ class Gateway:
         path = _path_in_folder(raw.path)
         if self._pictures is not None and self._pictures.serves(path):
             return self._picture(self._pictures, path, request)
+        if self._screen is not None:
+            raw.headers.get("Upgrade")  # raises for a repeated header, as viser does
+            own = self._screen.respond(request, "gzip" in raw.headers.get("Accept-Encoding", ""))
+            if own is not None:
+                return self._secured(own, request, "'self'")
         response = page(connection, WebsocketRequest(path, raw.headers))
         if response is None:
             return refusal_page(_MALFORMED)
         if response.status_code == 404 and (folder := _folder(request)) is not None:
             return redirect_page(Redirect(folder, sign_in=False), "")
-        return self._secured(with_loading_line(response), request)
+        return self._secured(response if self._scene_of(raw.path) else with_loading_line(response), request)
 
     async def _picture(self, pictures: PictureRoute, path: str, request: HttpRequest) -> Response:
         return self._secured(await pictures.respond(path, request.address), request)
 
-    def _secured(self, response: Response, request: HttpRequest) -> Response:
+    def _secured(self, response: Response, request: HttpRequest, scripts: str = _VISER_SCRIPTS) -> Response:
         """Let the page load resources only from its own server, and only the embedders show it in a frame."""
         host, frames = request.only("host"), " ".join(("'self'", *self._embedders))
         own = f"'self' ws://{host} wss://{host}"  # some browsers do not apply 'self' to websockets
         response.headers["Content-Security-Policy"] = (
-            "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval' blob:; style-src 'self' 'unsafe-inline'; "
+            f"default-src 'self'; script-src {scripts}; style-src 'self' 'unsafe-inline'; "
             f"img-src 'self' data: blob:; font-src 'self' data:; connect-src {own} data: blob:; worker-src 'self' blob: data:; "
             f"object-src 'none'; base-uri 'none'; form-action 'self'; frame-ancestors {frames}"
         )
         response.headers["X-Content-Type-Options"] = "nosniff"
         response.headers["Referrer-Policy"] = "no-referrer"
         return response
+
+    async def _handle(self, handler: Handler, numbers: Iterator[int], connection: ServerConnection) -> None:
+        """Run viser's handler or the screen's; an error closes this connection only and is logged in one line."""
+        asyncio.get_running_loop().set_exception_handler(_log_failed_task)
+        if connection.subprotocol == PROTOCOL:
+            await connection.send(GREETING)
+            return
+        path = "" if connection.request is None else connection.request.path
+        if self._screen is not None and connection.subprotocol == CHANNEL:
+            tab = self._scene_of(path.replace("/api/", "/scene/"))
+            await (connection.close(1008, "no tab") if tab is None else self._screen.serve(tab, connection))
+            return
+        number = next(numbers)  # viser counts browsers in the same way
+        if isinstance(connection, _Connection):
+            connection.filter.number = number
+        SCENE_TAB.set(self._scene_of(path))
+        try:
+            await handler(connection)
+        except RejectedMessageError as error:
+            log.info("Browser %d sent %s; closed its connection", number, error)
+            await connection.close(1007, "not a message")
+        except ConnectionClosed:
+            pass
+        except Exception as error:
+            log.info("Browser %d: closed its connection: %s", number, _summary(error))
+            await connection.close(1011)
+
+    def _scene_of(self, path: str) -> str | None:
+        """Return the tab whose scene a path is; None for another path, and without a screen."""
+        return None if self._screen is None else self._screen.scene_of(path.partition("?")[0])
+
+    def _select_subprotocol(
+        self,
+        select: Callable[[ServerConnection, Sequence[Subprotocol]], Subprotocol | None] | None,
+        connection: ServerConnection,
+        offered: Sequence[Subprotocol],
+    ) -> Subprotocol | None:
+        own = [PROTOCOL] if self._screen is None else [PROTOCOL, CHANNEL]
+        if chosen := [Subprotocol(one) for one in own if one in offered]:
+            return chosen[0]
+        return None if select is None else select(connection, offered)
 
 
 class _RequestReader(StreamReader):
@@ -298,34 +375,15 @@ class _Connection(ServerConnection):
             await super().drain()
 
     async def recv(self, decode: bool | None = None) -> Any:
-        """Return the next message that passes the filter, as bytes."""
+        """Return the next message of the screen's channel, or the next of viser that passes the filter, as bytes."""
         while True:
             raw = await super().recv(decode)
             if seconds := self.filter.delay():
                 await asyncio.sleep(seconds)
+            if self.subprotocol == CHANNEL:  # the screen reads its own messages
+                return raw
             if (message := self.filter.read(raw)) is not None:
                 return message
-
-
-async def _handle(handler: Handler, numbers: Iterator[int], connection: ServerConnection) -> None:
-    """Run viser's handler; an error closes this connection only and is logged in one line."""
-    asyncio.get_running_loop().set_exception_handler(_log_failed_task)
-    if connection.subprotocol == PROTOCOL:
-        await connection.send(GREETING)
-        return
-    number = next(numbers)  # viser counts browsers in the same way
-    if isinstance(connection, _Connection):
-        connection.filter.number = number
-    try:
-        await handler(connection)
-    except RejectedMessageError as error:
-        log.info("Browser %d sent %s; closed its connection", number, error)
-        await connection.close(1007, "not a message")
-    except ConnectionClosed:
-        pass
-    except Exception as error:
-        log.info("Browser %d: closed its connection: %s", number, _summary(error))
-        await connection.close(1011)
 
 
 def _is_small(event: Event) -> bool:
@@ -388,16 +446,6 @@ def _finish(connection: ServerConnection, _: WebsocketRequest, response: Respons
         response.headers["Connection"] = "close"
     if _method(connection) == b"HEAD":
         response.body = b""
-
-
-def _select_subprotocol(
-    select: Callable[[ServerConnection, Sequence[Subprotocol]], Subprotocol | None] | None,
-    connection: ServerConnection,
-    offered: Sequence[Subprotocol],
-) -> Subprotocol | None:
-    if PROTOCOL in offered:
-        return Subprotocol(PROTOCOL)
-    return None if select is None else select(connection, offered)
 
 
 def _unsupported(what: str) -> MissingPackageError:

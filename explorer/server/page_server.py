@@ -14,7 +14,7 @@ import viser
 
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator
-from explorer.server.gateway import Gateway
+from explorer.server.gateway import Gateway, Screen
 from explorer.server.picture_route import PictureRoute
 from lpn.core.errors import InputError
 from lpn.core.log import conceal
@@ -31,12 +31,17 @@ def check_free(host: str, port: int) -> None:
 
 
 def open_server(
-    host: str, port: int, authenticator: Authenticator, pictures: PictureRoute, embedders: Sequence[str] = ()
+    host: str,
+    port: int,
+    authenticator: Authenticator,
+    pictures: PictureRoute,
+    embedders: Sequence[str] = (),
+    screen: Screen | None = None,
 ) -> tuple[viser.ViserServer, Gateway]:
     """Start viser's server behind the access rules, and return both.
 
     Args:
-        embedders: see `Gateway`.
+        embedders, screen: see `Gateway`.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -45,7 +50,7 @@ def open_server(
     check_free(host, port)
     conceal(authenticator.token)
     conceal(authenticator.cookie_value)
-    gateway = Gateway(authenticator, pictures, embedders)
+    gateway = Gateway(authenticator, pictures, embedders, screen)
     viser_compat.use_thread_safe_buffers()
     viser_compat.keep_icons()
     viser_compat.keep_property_types()

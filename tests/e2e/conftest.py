@@ -67,11 +67,26 @@ expect.set_options(timeout=1000 * PATIENCE)
 
 @dataclass(frozen=True)
 class RunningApp:
-    """A running app and the files it was started on."""
+    """A running app and the files it was started on.
+
+    Attributes:
+        url: address of the former page.
+    """
 
     url: str
     data: Path
     model: Path
+
+    @property
+    def screen(self) -> str:
+        """The address of the screen."""
+        return self.url.replace("/classic", "")
+
+
+def classic(url: str) -> str:
+    """The address of the former page of an app, given the app's, which may have a token."""
+    root, mark, query = url.partition("?")
+    return f"{root.rstrip('/')}/classic" + (f"/{mark}{query}" if mark else "")
 
 
 @contextmanager
@@ -116,7 +131,7 @@ def started(
     reader.start()
     try:
         assert url, "the app ended without an address: " + "".join(output)
-        yield RunningApp(url, data, model)
+        yield RunningApp(classic(url), data, model)
     finally:
         process.terminate()
         process.wait(PATIENCE)

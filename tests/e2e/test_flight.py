@@ -28,7 +28,7 @@ from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import locate
 from lpn.locate.task import flight_task
 from lpn.maps import LocalFrame, open_map
-from tests.e2e.conftest import ExplorerPage, box, deny_storage, expect_accessible, outlast
+from tests.e2e.conftest import ExplorerPage, box, classic, deny_storage, expect_accessible, outlast
 from tests.lpn.locate.scenery import ground_to_photo
 from tests.lpn.maps.small_maps import smooth, write_geotiff
 from tools.fixtures.processes import free_port
@@ -87,7 +87,7 @@ def flight_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> It
         workspace.flight = located
         app = App(workspace, "127.0.0.1", free_port())
         origin = town.frame.latitude, town.frame.longitude
-        yield RunningFlight(f"http://127.0.0.1:{app.server.get_port()}", workspace, folder, origin)
+        yield RunningFlight(classic(f"http://127.0.0.1:{app.server.get_port()}"), workspace, folder, origin)
         app.close()
 
 
@@ -732,7 +732,7 @@ def test_the_chip_of_a_flight_opens_its_window_as_large_as_the_stage(
     app = App(open_model(data, model_file), "127.0.0.1", free_port(), None, "pairs", others)
     explorer = ExplorerPage(contexts(viewport={"width": 1024, "height": 600}).new_page())
     try:
-        explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
+        explorer.open(classic(f"http://127.0.0.1:{app.server.get_port()}"))
         explorer.page.locator("#lpn-workspaces a", has_text="a flight over its map").click()
         flight = explorer.page.locator("#lpn-flight")
         expect(flight).to_be_visible()

@@ -444,7 +444,7 @@ def test_another_site_cannot_drive_a_server_on_this_machine(
                 socket.onopen = () => done("open");
                 socket.onerror = () => done("refused");
             })""",
-            app.url,
+            app.screen,
         )
         assert said == "refused"
         framed = page.evaluate(
@@ -453,7 +453,7 @@ def test_another_site_cannot_drive_a_server_on_this_machine(
                 frame.onload = () => setTimeout(() => done(frame.contentWindow.length), 500);
                 frame.src = url;
             })""",
-            app.url,
+            app.screen,
         )
         assert framed == 0
         assert all("blocked" in frame.url or "chrome-error" in frame.url for frame in page.frames[1:])

@@ -18,7 +18,7 @@ import pytest
 from playwright.sync_api import BrowserContext, expect
 
 from lpn.core.demo import DEMO_QUERY
-from tests.e2e.conftest import ExplorerPage
+from tests.e2e.conftest import ExplorerPage, classic
 from tools.fixtures import packages
 from tools.fixtures.processes import free_port
 
@@ -113,7 +113,7 @@ def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
         print(f"{time.monotonic() - started:.2f} s to the address")
         try:
             explorer = ExplorerPage(contexts().new_page())
-            explorer.open(f"http://127.0.0.1:{port}")
+            explorer.open(classic(f"http://127.0.0.1:{port}"))
             expect(explorer.status).to_have_attribute("data-name", DEMO_QUERY)
         finally:
             process.terminate()

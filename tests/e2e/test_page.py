@@ -18,7 +18,7 @@ from explorer.layout import layout_for
 from explorer.opening import open_model
 from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, StateAnalysis
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, difference, empty_context, started
+from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, box, classic, difference, empty_context, started
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 
@@ -431,7 +431,7 @@ def test_a_slow_answer_is_said_to_be_on_its_way(
     served = App(open_model(app.data, app.model), "127.0.0.1", free_port())
     try:
         explorer = ExplorerPage(new_page())
-        explorer.open(f"http://127.0.0.1:{served.server.get_port()}")
+        explorer.open(classic(f"http://127.0.0.1:{served.server.get_port()}"))
         explorer.fill("Rotate", "33")
         expect(explorer.status).to_contain_text("computing")
         assert explorer.status.get_attribute("data-angle") == "0"

@@ -16,7 +16,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import PATIENCE, RunningApp
+from tests.e2e.conftest import PATIENCE, RunningApp, classic
 from tools.fixtures.processes import free_ports
 from tools.fixtures.small_proxy import SmallProxy
 
@@ -44,14 +44,14 @@ def test_a_page_whose_websockets_do_not_arrive_says_so(
 ) -> None:
     with SmallProxy(port(app), **options) as proxy:
         page = new_page()
-        page.goto(proxy.url)
+        page.goto(classic(proxy.url))
         expect(page.locator("#lpn-fault")).to_contain_text(FAULT)
 
 
 def test_a_page_whose_host_is_changed_goes_on_once_it_is_not(app: RunningApp, new_page: NewPage) -> None:
     with SmallProxy(port(app), host=f"127.0.0.1:{port(app)}") as proxy:
         page = new_page()
-        page.goto(proxy.url)
+        page.goto(classic(proxy.url))
         fault = page.locator("#lpn-fault")
         expect(fault).to_contain_text(FAULT)
         proxy.host = ""
@@ -64,25 +64,34 @@ def test_a_page_whose_host_is_changed_goes_on_once_it_is_not(app: RunningApp, ne
     [
         ({"folder": "maps", "redirect": True}, ""),
         pytest.param({"folder": "maps", "strip": False}, "", marks=pytest.mark.slow),
-        pytest.param({"folder": "maps"}, "maps", marks=pytest.mark.slow),
-        pytest.param({"version": "1.0"}, "#part", marks=pytest.mark.slow),
+        pytest.param({"folder": "maps"}, "maps/classic", marks=pytest.mark.slow),
+        pytest.param({"version": "1.0"}, "classic/#part", marks=pytest.mark.slow),
     ],
 )
 def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage, options: dict[str, Any], path: str) -> None:
     with SmallProxy(port(app), **options) as proxy:
         page = new_page()
-        page.goto(f"http://127.0.0.1:{proxy.port}/{path}" if path else proxy.url)
+        page.goto(f"http://127.0.0.1:{proxy.port}/{path}" if path else classic(proxy.url))
         expect(page.locator("#lpn-status")).to_have_count(1)
         expect(page.locator("#lpn-loading")).to_have_count(0)
-        assert urlsplit(page.url).path == (f"/{options['folder']}/" if "folder" in options else "/")
+        assert urlsplit(page.url).path == (f"/{options['folder']}/classic/" if "folder" in options else "/classic/")
         assert "websocket=" not in page.url
+
+
+def test_the_screen_opens_below_a_folder(app: RunningApp, new_page: NewPage) -> None:
+    with SmallProxy(port(app), folder="maps", strip=False) as proxy:
+        page = new_page()
+        page.goto(proxy.url)
+        expect(page.locator("#strip .tile").first).to_be_visible()
+        page.keyboard.press("n")
+        expect(page).to_have_url(re.compile(r"/maps/\?query="))
 
 
 @pytest.mark.slow
 def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, new_page: NewPage) -> None:
     with SmallProxy(port(app)) as proxy:
         page = new_page()
-        page.goto(proxy.url)
+        page.goto(classic(proxy.url))
         expect(page.locator("#lpn-status")).to_have_count(1)
         expect(page.locator("#lpn-loading")).to_have_count(0)
         proxy.drop = ("upgrade",)
@@ -132,8 +141,8 @@ def test_the_documented_blocks_of_nginx_work(app: RunningApp, new_page: NewPage,
     text += f"server {{ listen 127.0.0.1:{folder};\n{below} }} }}"
     (tmp_path / "nginx.conf").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
     with running("nginx", "-e", str(tmp_path / "errors"), "-c", str(tmp_path / "nginx.conf")):
-        opens(new_page, f"http://127.0.0.1:{whole}/")
-        opens(new_page, f"http://127.0.0.1:{folder}/maps")
+        opens(new_page, f"http://127.0.0.1:{whole}/classic/")
+        opens(new_page, f"http://127.0.0.1:{folder}/maps/classic")
 
 
 @pytest.mark.slow
@@ -145,5 +154,5 @@ def test_the_documented_blocks_of_caddy_work(app: RunningApp, new_page: NewPage,
     text = "{\n admin off\n auto_https off\n}\n" + own + below.replace("tools.example.org", f":{folder}")
     (tmp_path / "Caddyfile").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
     with running("caddy", "run", "--adapter", "caddyfile", "--config", str(tmp_path / "Caddyfile")):
-        opens(new_page, f"http://127.0.0.1:{whole}/")
-        opens(new_page, f"http://127.0.0.1:{folder}/maps")
+        opens(new_page, f"http://127.0.0.1:{whole}/classic/")
+        opens(new_page, f"http://127.0.0.1:{folder}/maps/classic")

@@ -11,7 +11,7 @@ from playwright.sync_api import Page, expect
 from explorer.app import App
 from explorer.compute import ranking_job
 from explorer.opening import open_model
-from tests.e2e.conftest import PATIENCE, ExplorerPage
+from tests.e2e.conftest import PATIENCE, ExplorerPage, classic
 from tools.fixtures import small_worlds
 
 
@@ -28,7 +28,7 @@ def test_a_page_works_before_all_queries_are_ranked_and_says_when_they_are(
         explorer = ExplorerPage(new_page())
         header, picker = explorer.page.locator("#lpn-header"), explorer.page.locator("#lpn-picker")
         with ranking._rank_lock:  # no ranking begins meanwhile
-            explorer.open(f"http://127.0.0.1:{app.server.get_port()}")
+            explorer.open(classic(f"http://127.0.0.1:{app.server.get_port()}"))
             expect(header).to_contain_text("Results: ranking 0 of 14 queries")
             expect(picker.locator(".thumb b")).to_have_count(0)
             explorer.key("n")

@@ -6,6 +6,7 @@ Each wait is for an answer of a number beyond that of the last one, or for a val
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from playwright.sync_api import Frame, Page
+from playwright.sync_api import Page, expect
 
 import lpn
 from explorer.app import App
@@ -37,7 +38,7 @@ from lpn.sources import SourceOptions
 from lpn.tasks.opening import new_calibration, scored_tasks
 from lpn.tasks.task import SCORINGS
 from tests.conftest import MakeOnce
-from tests.e2e.conftest import PATIENCE, ExplorerPage, served_folder
+from tests.e2e.conftest import PATIENCE, ExplorerPage, classic, served_folder
 from tests.e2e.test_flight import PLACES, REFUSED, RunningFlight
 from tests.e2e.test_flight import flight_app as flight_app
 from tests.explorer.flight_window.conftest import flight as flight
@@ -73,7 +74,7 @@ class Answer:
     scores: list[float]
 
 
-def answer(page: Page | Frame, after: int = 0, **expected: object) -> Answer:
+def answer(page: Page, after: int = 0, **expected: object) -> Answer:
     """Wait for an answer whose number is beyond `after`, with expected values of the status line."""
     values = {name: str(value) for name, value in expected.items()}
     shown = page.wait_for_function(ANSWER, arg=[after, values], timeout=1000 * PATIENCE, polling=50).json_value()
@@ -156,7 +157,7 @@ def windows(model_file: Path, make_once: MakeOnce, tmp_path_factory: pytest.Temp
             ),
         }
         app = App(open_model(data, model_file, calibrate=True), "127.0.0.1", free_port(), others=others)
-        yield Windows(f"http://127.0.0.1:{app.server.get_port()}", data, model_file)
+        yield Windows(classic(f"http://127.0.0.1:{app.server.get_port()}"), data, model_file)
         app.close()
 
 
@@ -349,9 +350,11 @@ def test_a_notebook_shows_the_page_in_a_cell(windows: Windows, page: Page, tmp_p
     with lpn.explore(windows.model, windows.data) as served, served_folder(tmp_path) as address:
         (tmp_path / "cell.html").write_text(served._repr_mimebundle_()["text/html"])
         page.goto(f"{address}/cell.html")
-        frame = page.locator("iframe").element_handle().content_frame()
-        assert frame is not None
-        shown = answer(frame)
-        expect_ranking(shown, windows.ranking(shown.name))
+        screen = page.frame_locator("iframe").first
+        name = screen.locator("#list [aria-current=true]").get_attribute("title") or ""
+        tiles = screen.locator("#strip .tile")
+        for place, match in enumerate(windows.ranking(name).top(5)):
+            expect(tiles.nth(place)).to_have_attribute("aria-label", re.compile(f"distance {match.distance2:.3f}$"))
+            expect(tiles.nth(place)).to_have_attribute("data-tile", str(match.index))
         page.close()
     assert served.closed

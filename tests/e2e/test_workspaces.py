@@ -25,7 +25,7 @@ from explorer.url_state import UrlState
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from lpn.core.progress import report_progress
-from tests.e2e.conftest import PATIENCE, ExplorerPage, box
+from tests.e2e.conftest import PATIENCE, ExplorerPage, box, classic
 from tools.fixtures.processes import free_port
 from tools.fixtures.websocket_client import WebSocketClient
 
@@ -39,7 +39,7 @@ class Offer:
 
     @property
     def url(self) -> str:
-        return f"http://127.0.0.1:{self.app.server.get_port()}"
+        return classic(f"http://127.0.0.1:{self.app.server.get_port()}")
 
 
 @pytest.fixture
@@ -293,13 +293,13 @@ def test_a_page_draws_nothing_before_its_address_is_read(offer: Offer, monkeypat
         return read(*arguments)
 
     monkeypatch.setattr(UrlState, "read", slowly)
-    with WebSocketClient(offer.url, origin=offer.url) as client:
+    with WebSocketClient(offer.url, origin=offer.url.removesuffix("/classic")) as client:
         client.greet("?screen=all&query=~3")
         assert (client.status("seq"), client.status("query")) == ("1", "3")
 
 
 def test_a_link_to_another_place_stays_the_address_while_that_opens(offer: Offer) -> None:
-    with WebSocketClient(offer.url, origin=offer.url) as client:
+    with WebSocketClient(offer.url, origin=offer.url.removesuffix("/classic")) as client:
         client.greet("?show=whole&query=~1")  # returns when the place that is open shows its first answer
         client.wait(lambda: any(title == "Opening whole pictures" for title, _ in client.notices))
         assert client.links == []

@@ -109,8 +109,43 @@ class ServerProcess:
         self._process.communicate()
 
 
+# Presses the key that turns by 15 degrees; the milliseconds until the result of the new angle is drawn, not a number after 5 s.
+TURNED = """() => new Promise((done) => {
+  const photo = document.querySelector("#photo .frame"), before = photo.getAttribute("aria-valuenow"), begun = performance.now();
+  dispatchEvent(new KeyboardEvent("keydown", { key: "j" }));
+  const look = () => {
+    const turned = photo.getAttribute("aria-valuenow") !== before && !document.body.classList.contains("turning");
+    if (turned || performance.now() - begun > 5000) done(turned ? performance.now() - begun : NaN);
+    else requestAnimationFrame(look);
+  };
+  requestAnimationFrame(look);
+})"""
+
+
+def screen_seconds(browser: Browser, url: str) -> tuple[float, Page]:
+    """Open the screen, and wait until its first result is drawn."""
+    page = browser.new_context(viewport={"width": 1440, "height": 900}).new_page()
+    started = time.perf_counter()
+    page.goto(url)
+    page.wait_for_selector("body[data-sequence]:not(.wait)", timeout=60_000)
+    return time.perf_counter() - started, page
+
+
+def turn_seconds(page: Page) -> float:
+    """Median time from the key that turns the photo to the new numbers; the scene has been drawn before."""
+    page.wait_for_timeout(4000)
+    times = []
+    for _ in range(ROUNDS):
+        seconds = float(page.evaluate(TURNED)) / 1000
+        if seconds != seconds:
+            raise SystemExit("The screen did not show the next angle within 5 s.")
+        times.append(seconds)
+        page.wait_for_timeout(300)
+    return statistics.median(times)
+
+
 def page_seconds(browser: Browser, url: str) -> tuple[float, Page]:
-    """Open a page, the explorer's with its workbench, and wait for its first answer."""
+    """Open a page, the former one with its workbench, and wait for its first answer."""
     page = browser.new_context(viewport={"width": 1456, "height": 835}).new_page()
     started = time.perf_counter()
     page.goto(f"{url}/?screen=all")
@@ -183,19 +218,28 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         browser = launch(stack.enter_context(sync_playwright()))
         counting = [sys.executable, "-c", COUNTED, *options, str(free_port())]
         with ServerProcess(counting, environment) as counted:
-            _, page = page_seconds(browser, counted.url)  # the browser's own start is nobody's
+            _, page = page_seconds(browser, f"{counted.url}/classic")  # the browser's own start is nobody's
             page.context.close()
         numbers = counts.read_text().split()
         warm = stack.enter_context(ServerProcess([*command, str(free_port())], environment))
         bare = stack.enter_context(ServerProcess([sys.executable, "-c", BARE, str(free_port()), *numbers], environment))
-        opened: dict[str, list[float]] = {bare.url: [], warm.url: []}
+        former = f"{warm.url}/classic"
+        opened: dict[str, list[float]] = {bare.url: [], former: []}
         for _ in range(OPENINGS):
             for url, times in opened.items():  # by turns, and each page alone
                 seconds, page = page_seconds(browser, url)
                 page.context.close()
                 times.append(seconds)
+        screens = []
+        for _ in range(OPENINGS):
+            seconds, page = screen_seconds(browser, warm.url)
+            page.context.close()
+            screens.append(seconds)
+        _, page = screen_seconds(browser, warm.url)
+        screen_turn = turn_seconds(page)
+        page.context.close()
         bare_page, full_page = map(statistics.median, opened.values())
-        _, page = page_seconds(browser, warm.url)
+        _, page = page_seconds(browser, former)
         turn, pick = slider_seconds(page), pick_seconds(page)
         browser.close()
         forward = forward_ms(model, data) / 1000
@@ -204,6 +248,8 @@ def figures(data: Path | None = None, model: Path | None = None) -> list[Figure]
         below("command to address, descriptors at hand", statistics.median(starts), 1.5, "s"),
         Figure("command to address, nothing described yet", cold.seconds, "s"),
         within(f"address to complete page (limit: bare viser page, {nodes})", full_page, bare_page, 1.25, "s"),
+        below("address to the screen's first result", statistics.median(screens), 0.8, "s"),
+        Figure("J on the screen, to new numbers (limit: the passes)", screen_turn, "s", limit=forward),
         Figure("turned, to the changed picture (limit: the passes)", turn, "s", limit=forward),
         Figure("picked, to the changed picture (limit: the passes)", pick, "s", limit=forward),
     ]

@@ -164,7 +164,7 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     context = returning(browser, 1456, 835)
     context.add_init_script(AS_OPENED)
     page = context.new_page()
-    page.goto(url + (shot.address or f"?query={shot.query}"))
+    page.goto(f"{url}/classic/" + (shot.address or f"?query={shot.query}"))
     page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=600_000)
     page.wait_for_timeout(4000)
     for key in shot.keys:

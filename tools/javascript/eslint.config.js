@@ -1,4 +1,4 @@
-// The page's scripts are joined and run as one, so each is a script, not a module, and shares only `window.lpn`.
+// The former page's scripts are joined and run as one, so each is a script, not a module, and shares only `window.lpn`.
 import js from "@eslint/js";
 import globals from "globals";
 
@@ -15,4 +15,5 @@ export default [
       "prefer-const": ["error", { destructuring: "all" }],
     },
   },
+  { files: ["**/screen/page/*.js"], languageOptions: { sourceType: "module" } },
 ];

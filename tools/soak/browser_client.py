@@ -36,7 +36,7 @@ class BrowserSoakClient(SoakClient):
         self._context.set_default_timeout(1000 * BOUND)
         self._page = self._context.new_page()
         self._page.on("pageerror", lambda error: self._errors.append(str(error)))
-        self._page.goto(f"{self._url}/?{link}")
+        self._page.goto(f"{self._url}/classic/?{link}")
 
     def _pick(self) -> None:
         key, by = self._rng.choice([("n", 1), ("p", -1)])

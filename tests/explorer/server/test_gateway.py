@@ -153,9 +153,10 @@ def refused(app: App, **options: object) -> int:
 
 
 def test_the_page_may_load_from_and_connect_to_its_own_server_only(app: App) -> None:
-    status, headers, body = get(app)
+    status, headers, body = get(app, "/classic/")
     assert status == 200
     assert "viser" in body.lower()
+    assert "unsafe" not in get(app)[1]["Content-Security-Policy"].replace("style-src 'self' 'unsafe-inline'", "")
     rules = dict(rule.strip().split(" ", 1) for rule in headers["Content-Security-Policy"].split(";"))
     host = urlsplit(url(app)).netloc
     assert set(rules["connect-src"].split()) == {"'self'", f"ws://{host}", f"wss://{host}", "data:", "blob:"}
@@ -204,7 +205,7 @@ def test_proxies_that_ask_by_http_1_0_or_whether_the_server_is_up_are_answered(l
     locked.authenticator.token = None
     assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 200 OK"
     connection = http.client.HTTPConnection("127.0.0.1", locked.server.get_port(), timeout=TIMEOUT)
-    connection.request("HEAD", "/")
+    connection.request("HEAD", "/classic/")
     response = connection.getresponse()
     assert (response.status, response.read(), response.headers["Connection"]) == (200, b"", "close")
     assert int(response.headers["Content-Length"]) > 100_000
@@ -321,7 +322,7 @@ def test_a_proxy_that_passes_the_host_needs_nothing_else(
     app: App, options: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     with SmallProxy(app.server.get_port(), **options) as proxy:
-        with urllib.request.urlopen(proxy.url, timeout=60) as response:
+        with urllib.request.urlopen(f"{proxy.url}classic/", timeout=60) as response:
             assert "lpn-loading" in response.read().decode()
         with WebSocketClient(proxy.url, origin=f"http://127.0.0.1:{proxy.port}") as talker:
             talker.greet()
@@ -748,7 +749,7 @@ def threads_of(name: str) -> int:
 
 @pytest.mark.parametrize("encoding", ["identity", "gzip"])
 def test_the_page_says_that_it_is_being_opened_until_its_script_comes(app: App, encoding: str) -> None:
-    request = urllib.request.Request(url(app), headers={"Accept-Encoding": encoding})
+    request = urllib.request.Request(f"{url(app)}/classic/", headers={"Accept-Encoding": encoding})
     with urllib.request.urlopen(request, timeout=60) as response:
         content = response.read()
     assert response.headers["Content-Length"] == str(len(content))

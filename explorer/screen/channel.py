@@ -1,0 +1,131 @@
+"""The channel of the screen: JSON over one websocket of the gateway, `set` and `do` up, one result an answer down."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+from collections import OrderedDict
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import viser
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from explorer.screen.loop import ScreenMessage
+from explorer.screen.session import Screens, ScreenSession
+from explorer.web.render import shown_json
+
+log = logging.getLogger(__name__)
+
+# Characters of a message; parts of a photo are bytes, which the gateway bounds.
+MAX_TEXT = 20_000
+# Threads that do what the messages of all tabs say; one that opens a model takes its thread until that is open.
+_THREADS = 32
+
+
+class Outbox:
+    """Messages that wait for one page: of each kind the newest, so that a slow page never has more to read.
+
+    A message is a dict of one key, its kind. `put` may be called from any thread.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._loop, self._ready = loop, asyncio.Event()
+        self._waiting: OrderedDict[str, ScreenMessage] = OrderedDict()
+
+    def put(self, message: ScreenMessage) -> None:
+        """Hand over a message; it replaces a waiting one of its kind."""
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._put, message)
+
+    def _put(self, message: ScreenMessage) -> None:
+        kind = next(iter(message))
+        self._waiting.pop(kind, None)
+        self._waiting[kind] = message
+        self._ready.set()
+
+    async def take(self) -> ScreenMessage:
+        """Return the oldest message that waits, once there is one."""
+        while not self._waiting:
+            self._ready.clear()
+            await self._ready.wait()
+        return self._waiting.popitem(last=False)[1]
+
+
+class Channel:
+    """Serves the tabs of all browsers.
+
+    Args:
+        screens: what they share.
+    """
+
+    def __init__(self, screens: Screens) -> None:
+        self._screens = screens
+        self._executor = ThreadPoolExecutor(_THREADS, thread_name_prefix="explorer-screen")
+        self.sessions: dict[str, ScreenSession] = {}
+
+    def close(self) -> None:
+        """Stop all sessions."""
+        for session in list(self.sessions.values()):
+            session.leave()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+
+    def attach(self, tab: str, client: viser.ClientHandle) -> None:
+        """Give a tab's session the client of its scene; a scene without a session shows nothing."""
+        session = self.sessions.get(tab)
+        if session is not None:
+            session.attach(client)
+
+    def detach(self, tab: str, client: viser.ClientHandle) -> None:
+        """Take the client of a scene that has gone."""
+        session = self.sessions.get(tab)
+        if session is not None and session.client is client:
+            session.attach(None)
+
+    async def serve(self, tab: str, connection: ServerConnection) -> None:
+        """Serve one tab until its connection ends.
+
+        Args:
+            tab: the name that the page has given itself; a page that connects again takes its former session's place.
+        """
+        loop = asyncio.get_running_loop()
+        outbox = Outbox(loop)
+        session = ScreenSession(self._screens, outbox.put)
+        before = self.sessions.pop(tab, None)
+        if before is not None:
+            before.leave()
+        self.sessions[tab] = session
+        writing = asyncio.create_task(_write(outbox, connection))
+        try:
+            async for raw in connection:
+                await loop.run_in_executor(self._executor, partial(_receive, session, raw))
+        except ConnectionClosed:
+            pass
+        finally:
+            writing.cancel()
+            if self.sessions.get(tab) is session:
+                del self.sessions[tab]
+            await asyncio.to_thread(session.leave)
+
+
+def _receive(session: ScreenSession, raw: str | bytes) -> None:
+    """Hand a message to its session; one that is malformed is dropped."""
+    try:
+        if isinstance(raw, bytes):
+            session.receive_bytes(raw)
+        elif len(raw) <= MAX_TEXT:
+            session.receive(json.loads(raw))
+    except (ValueError, RecursionError):
+        log.debug("A message of a page is no JSON: %d characters", len(raw))
+    except Exception:
+        log.exception("A message of a page was not handled")
+
+
+async def _write(outbox: Outbox, connection: ServerConnection) -> None:
+    try:
+        while True:
+            await connection.send(json.dumps(shown_json(await outbox.take()), separators=(",", ":"), allow_nan=False))
+    except ConnectionClosed:
+        pass

@@ -1,0 +1,113 @@
+"""The curve of one photo: the truth's rank and the nearest distance at each angle, filled in the background."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from explorer.compute.background_jobs import WorkCancelledError
+from explorer.compute.cache import SingleFlightCache
+from explorer.compute.worker import Worker
+from lpn import retrieval
+from lpn.core.arrays import Float32Array, UInt8Array
+from lpn.core.errors import LPNError
+from lpn.descriptors.transforms import Change
+from lpn.models.base import Model
+from lpn.retrieval import Ranking, scoring
+from lpn.tasks.task import Task
+
+# Degrees between two points, and descriptors that are held for all browsers: 24 for a photo, some 8 kB each.
+STEP = 15
+ANGLES = tuple(range(-180, 180, STEP))
+_HELD = 4000
+
+# Descriptors of turned photos, by the photo and the angle.
+Descriptors = SingleFlightCache[Hashable, Float32Array]
+
+
+def held_descriptors() -> Descriptors:
+    """Return an empty cache of descriptors of turned photos."""
+    return SingleFlightCache(_HELD, budget=_HELD * 65_536, bytes_of=lambda descriptor: descriptor.nbytes)
+
+
+@dataclass(frozen=True, eq=False)
+class Turning:
+    """A photo whose curve is wanted.
+
+    Attributes:
+        key: of the photo under its model, without angle and part weights.
+        source: the photo before it is turned, (H, W, 3) uint8.
+        change: what is done to it besides turning.
+        index: of the query; None for an own photo.
+        weights: of the parts; None for equal ones.
+        model: describes it as the task's descriptors are, in the background.
+    """
+
+    key: Hashable
+    task: Task
+    source: UInt8Array
+    change: Change
+    index: int | None
+    weights: tuple[float, ...] | None
+    model: Model
+
+    def descriptor(self, angle: int) -> Float32Array:
+        """Describe the photo turned by some degrees, (n, D)."""
+        change = Change(angle, around=self.change.around, zoom=self.change.zoom, weather=self.change.weather)
+        return retrieval.describe_picture(
+            self.model.for_task(*self.task.views), self.source, self.task.query_view, change
+        ).descriptor
+
+    def point(self, descriptor: Float32Array) -> tuple[int | None, float]:
+        """Return the truth's rank, None where it is not known, and the distance of the nearest tile."""
+        weights = scoring.part_weights(self.task.contract.n_parts, self.weights)
+        ranking: Ranking = self.task.start_search(self.index, descriptor)(weights)
+        truth = ranking.positive()
+        return None if truth is None else truth.rank, round(ranking.match(0).distance2, 3)
+
+
+class Curve:
+    """Draws the curve of one tab's newest photo, point by point.
+
+    Args:
+        send: hands a message to the page.
+        held: shared by all browsers.
+    """
+
+    def __init__(self, send: Callable[[dict[str, Any]], None], held: Descriptors) -> None:
+        self._send, self._held = send, held
+        self._turning: Turning | None = None
+        self._sequence = ""
+        self._worker = Worker(self._work, lambda _: None)
+
+    def follow(self, turning: Turning | None, sequence: str) -> None:
+        """Draw the curve of a photo, unless it is the one that is being drawn.
+
+        Args:
+            sequence: tells the page's photo and weights; the messages name it.
+        """
+        before, self._turning, self._sequence = self._turning, turning, sequence
+        if turning is not None and (before is None or (before.key, before.weights) != (turning.key, turning.weights)):
+            self._worker.wake()
+
+    def stop(self) -> None:
+        """End after the point that is being computed."""
+        self._turning = None
+        self._worker.stop()
+
+    def _work(self) -> None:
+        turning, sequence = self._turning, self._sequence
+        points: dict[int, tuple[int | None, float]] = {}
+        # From the upright photo outwards, as a person turns it.
+        for angle in sorted(ANGLES, key=abs):
+            if self._turning is None or turning is None or self._turning.key != turning.key:
+                return
+            try:
+                descriptor = self._held.get((turning.key, angle), partial(turning.descriptor, angle))
+                points[angle] = turning.point(descriptor)
+            except (LPNError, WorkCancelledError):  # the answer itself says what is wrong with the photo
+                return
+            if len(points) in (len(ANGLES), len(ANGLES) // 2) or len(points) % 4 == 0:
+                self._send({"curve": {"sequence": sequence, "points": [[a, *points[a]] for a in sorted(points)]}})

@@ -1,0 +1,263 @@
+"""The table of what a person may choose: one row gives the state, the address, and what is a valid value."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal, Protocol
+from urllib.parse import parse_qsl, quote, urlencode
+
+from explorer.parameters import LONGEST_TEXT, UnusableError, format_number, is_line, parse_number
+from explorer.session_state import MAX_WEIGHT
+from explorer.workspace import Picture, Workspace
+from lpn.core.files import printable
+from lpn.tasks.task import SCORINGS, scored_key
+
+# Characters and values of an address that are read.
+_MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
+# The weights are written by this many digits.
+_WEIGHT_DIGITS = 2
+
+
+class FieldKind(Protocol):
+    """What a field holds."""
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> Any:
+        """Return the value that a text of an address or a value of JSON means; UnusableError for anything else."""
+        ...
+
+    def write(self, value: Any, state: ScreenState, workspace: Workspace) -> str:
+        """Return the value as the text of an address."""
+        ...
+
+
+@dataclass(frozen=True)
+class NumberIn:
+    """A number from `low` to `high`."""
+
+    low: float
+    high: float
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> float:  # noqa: ARG002
+        if isinstance(value, bool) or not isinstance(value, (int, float, str)):
+            raise UnusableError(f"expected a number from {self.low:g} to {self.high:g}.")
+        text = value if isinstance(value, str) else f"{value:.10g}"
+        return parse_number(text, self.low, self.high)
+
+    def write(self, value: float, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return format_number(value)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of a few texts, which may depend on the workspace."""
+
+    values: Sequence[str] | str
+
+    def choices(self, state: ScreenState, workspace: Workspace) -> Sequence[str]:
+        """Return the texts that a workspace offers in a state."""
+        match self.values:
+            case "places":
+                return tuple(workspace.choices) or (workspace.key,)
+            case "tasks":
+                return tuple(workspace.tasks)
+            case "models":
+                return tuple(str(number) for number in range(len(workspace.beside) + 1))
+            case "scorings":
+                return [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
+        return self.values
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:
+        choices = self.choices(state, workspace)
+        if not isinstance(value, str) or value not in choices:
+            raise UnusableError(f"expected {' or '.join(choices)}.")
+        return value
+
+    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return value
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of text."""
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        if not isinstance(value, str) or not is_line(value, LONGEST_TEXT):
+            raise UnusableError(f"expected {LONGEST_TEXT:,} letters at most that can be printed.")
+        return value
+
+    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return value
+
+
+@dataclass(frozen=True)
+class PictureOf:
+    """A position among the task's queries or tiles: a number, a name, or "~" and a number where the name is ambiguous.
+
+    Attributes:
+        side: of the task.
+        optional: None, written as an empty text, is a value, too.
+    """
+
+    side: Literal["queries", "gallery"]
+    optional: bool = False
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> int | None:
+        pictures = self._pictures(state, workspace)
+        if self.optional and value in (None, ""):
+            return None
+        position: object = value
+        if isinstance(value, str):
+            number = re.fullmatch(r"~(\d{1,9})", value)
+            position = int(number[1]) if number else _first(pictures, value)
+        if isinstance(position, int) and not isinstance(position, bool) and 0 <= position < len(pictures):
+            return position
+        raise UnusableError(f"there is no such picture; names are such as {printable(pictures[0].name)}.")
+
+    def write(self, value: int, state: ScreenState, workspace: Workspace) -> str:
+        pictures = self._pictures(state, workspace)
+        name = pictures[value].name
+        plain = name == printable(name) and name[:1] != "~"
+        return name if plain and _first(pictures, name) == value else f"~{value}"
+
+    def _pictures(self, state: ScreenState, workspace: Workspace) -> Sequence[Picture]:
+        task = workspace.tasks[state.task]
+        return task.queries if self.side == "queries" else task.gallery
+
+
+def _first(pictures: Sequence[Picture], name: str) -> int | None:
+    return next((position for position, picture in enumerate(pictures) if picture.name == name), None)
+
+
+@dataclass(frozen=True)
+class Weights:
+    """The weight of each part, 0 to `MAX_WEIGHT`, not all 0; an empty value for equal ones."""
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> tuple[float, ...]:
+        n = workspace.contract.n_parts
+        given = value.split(",") if isinstance(value, str) else value
+        if given in ([], [""], None):
+            return ()
+        if not isinstance(given, list) or len(given) != n:
+            raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
+        number = NumberIn(0.0, MAX_WEIGHT)
+        weights = tuple(round(number.read(one, state, workspace), _WEIGHT_DIGITS) for one in given)
+        if not any(weights):
+            raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
+        return () if len(set(weights)) == 1 else weights
+
+    def write(self, value: tuple[float, ...], state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return ",".join(map(format_number, value))
+
+
+def _row(kind: FieldKind, default: Any, key: str = "", of_query: bool = False) -> Any:
+    return field(default=default, metadata={"kind": kind, "key": key, "of_query": of_query})
+
+
+@dataclass(frozen=True)
+class ScreenState:
+    """What a person has chosen on one screen; each field is a row of the table.
+
+    Attributes:
+        place: key of the workspace.
+        task: name of its task.
+        model: "0" for the workspace's model, else the number of the one beside it.
+        scoring: how the gallery is ranked.
+        query: position among the task's queries.
+        own: the key of the own photo that is shown in place of the query; empty for none.
+        angle: degrees counter-clockwise by which the photo is turned.
+        compare: gallery position of the tile that a person compares; None for the headline's.
+        weights: the part weights; empty for equal ones.
+        heat: what the cells show: a picture's activation, the pair's evidence, or the loss of its score by occlusion.
+        filter: which queries the rail lists.
+        find: a text that their names contain.
+        view: what the scene shows.
+        theme: of the page.
+    """
+
+    place: str = _row(OneOf("places"), "", "show")
+    task: str = _row(OneOf("tasks"), "", "task")
+    model: str = _row(OneOf("models"), "0", "model")
+    scoring: str = _row(OneOf("scorings"), "plain", "scoring")
+    query: int = _row(PictureOf("queries"), 0, "query")
+    own: str = _row(Line(), "")
+    angle: float = _row(NumberIn(-180.0, 180.0), 0.0, "angle", of_query=True)
+    compare: int | None = _row(PictureOf("gallery", optional=True), None, "with", of_query=True)
+    weights: tuple[float, ...] = _row(Weights(), (), "weights")
+    heat: str = _row(OneOf(("activation", "evidence", "occlusion")), "activation", "shows")
+    filter: str = _row(OneOf(("all", "missed")), "all", "only")
+    find: str = _row(Line(), "", "find")
+    view: str = _row(OneOf(("city", "apart")), "city", "view")
+    theme: str = _row(OneOf(("dark", "light")), "dark", "theme")
+
+
+# The rows by their names: task before query, as it tells the query's names.
+FIELDS = {row.name: row.metadata for row in fields(ScreenState)}
+# The fields that another query resets, with their defaults.
+_UPRIGHT: dict[str, Any] = {row.name: row.default for row in fields(ScreenState) if row.metadata["of_query"]}
+# Fields whose change needs no new answer.
+_OF_PAGE = ("filter", "find", "view", "theme")
+
+
+def opening(workspace: Workspace) -> ScreenState:
+    """Return the state of a page without an address: the workspace's first task and query."""
+    task = next(iter(workspace.tasks))
+    scoring = workspace.default_scoring(task)
+    return ScreenState(place=workspace.key, task=task, scoring=scoring, query=workspace.first_query)
+
+
+def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspace) -> tuple[ScreenState, list[str]]:
+    """Return the state with some fields set, and a sentence for each value that cannot be used.
+
+    Another task, query, or own photo starts upright and without a compared tile.
+    """
+    problems = []
+    for name, row in FIELDS.items():
+        if name not in values:
+            continue
+        try:
+            value = row["kind"].read(values[name], state, workspace)
+        except UnusableError as error:
+            problems.append(f"{row['key'] or name}: {error}")
+            continue
+        if name in ("task", "query", "own") and (value != getattr(state, name) or (state.own and name != "own")):
+            state = replace(state, own="", **_UPRIGHT)
+        if name == "task" and value != state.task:
+            state = replace(state, query=0, scoring=workspace.default_scoring(value))
+        state = replace(state, **{name: value})
+    unknown = [printable(name)[:40] for name in values if name not in FIELDS]
+    return state, problems + [f"{name}: there is no such choice." for name in unknown]
+
+
+def to_address(state: ScreenState, workspace: Workspace) -> str:
+    """Return the query string of a state, without "?": the fields that differ from an opened page's."""
+    plain = replace(opening(workspace), query=-1)
+    pairs = [
+        (row["key"], row["kind"].write(value, state, workspace))
+        for name, row in FIELDS.items()
+        if row["key"]
+        and (value := getattr(state, name)) != getattr(plain, name)
+        and not (name == "query" and state.own)
+    ]
+    return urlencode(pairs, quote_via=quote, safe="/,~")
+
+
+def from_address(search: str, workspace: Workspace) -> tuple[ScreenState, list[str]]:
+    """Return the state of a query string, and a sentence for each value that cannot be used; other keys are ignored."""
+    given = parsed(search)
+    values = {name: given[row["key"]] for name, row in FIELDS.items() if row["key"] in given}
+    return changed(opening(workspace), values, workspace)
+
+
+def parsed(search: str) -> dict[str, str]:
+    """Return the values of a query string by their keys; none for one that is malformed."""
+    try:
+        return dict(parse_qsl(search.lstrip("?")[:_MAX_SEARCH], keep_blank_values=True, max_num_fields=_MAX_PARAMETERS))
+    except ValueError:
+        return {}
+
+
+def needs_answer(before: ScreenState, state: ScreenState) -> bool:
+    """Return whether two states have different answers."""
+    return replace(before, **{name: getattr(state, name) for name in _OF_PAGE}) != state

@@ -1,0 +1,72 @@
+"""One tab's loop: the newest state wins, one analysis is in flight, and each leads to one result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from explorer.compute.batching import SupersededError
+from explorer.compute.inference_scheduler import RETRY_AFTER, BusyError
+from explorer.compute.request_context import RequestContext
+from explorer.compute.worker import Worker
+from explorer.screen.fields import ScreenState
+from lpn.core.errors import LPNError
+
+ScreenMessage = dict[str, Any]
+
+
+class Loop:
+    """Answers the newest state on its own thread.
+
+    Args:
+        answer: returns the result of a state; it runs on one thread.
+        send: hands a message to the page.
+        requests: returns the tab's access to the network of the newest state.
+        on_result: called after each result with its state.
+    """
+
+    def __init__(
+        self,
+        answer: Callable[[ScreenState], ScreenMessage],
+        send: Callable[[ScreenMessage], None],
+        requests: Callable[[], RequestContext],
+        on_result: Callable[[ScreenState], None],
+    ) -> None:
+        self._answer, self._send, self._requests, self._on_result = answer, send, requests, on_result
+        self._state: ScreenState | None = None
+        self._worker = Worker(self._work, self._fail)
+
+    def show(self, state: ScreenState) -> None:
+        """Answer a state as soon as the analysis in flight has ended; states in between are left out."""
+        self._state = state
+        self._requests().supersede()
+        self._worker.wake()
+
+    def stop(self) -> None:
+        """End after the analysis in flight."""
+        self._worker.stop()
+
+    def _work(self) -> float | None:
+        try:
+            state, message = self._newest()
+        except BusyError:
+            self._send({"busy": "The server is busy. Trying again."})
+            return RETRY_AFTER
+        self._send({"result": message})
+        self._on_result(state)
+        return None
+
+    def _newest(self) -> tuple[ScreenState, ScreenMessage]:
+        """Answer the newest state; one that a newer one supersedes in the queue is answered anew."""
+        with self._requests().answering():
+            while True:
+                state = self._state
+                assert state is not None
+                try:
+                    return state, self._answer(state)
+                except SupersededError:
+                    continue
+
+    def _fail(self, error: Exception) -> None:
+        text = str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
+        self._send({"error": text})

@@ -1,0 +1,42 @@
+// The channel to the server: JSON over one websocket. `set` fields or `do` an action up; each message down has one kind.
+
+const PART = 512 * 1024;
+const AGAIN = 2000; // ms
+
+/** The name of this tab, by which the server knows its scene. */
+export const tab = [...crypto.getRandomValues(new Uint8Array(8))].map((one) => one.toString(16).padStart(2, "0")).join("");
+
+/**
+ * Connect, and connect again whenever the connection is lost.
+ * @param {Record<string, (value: any) => void>} receive what to do with each kind of message
+ * @param {() => void} opened
+ * @param {() => void} lost
+ */
+export const connect = (receive, opened, lost) => {
+  let socket = null;
+  const open = () => {
+    const folder = new URL("./", location.href).href.replace(/^http/, "ws");
+    socket = new WebSocket(`${folder}api/${tab}`, "lpn-json");
+    socket.onopen = opened;
+    socket.onmessage = (event) => {
+      for (const [kind, value] of Object.entries(JSON.parse(event.data))) receive[kind]?.(value);
+    };
+    socket.onclose = () => {
+      lost();
+      setTimeout(open, AGAIN);
+    };
+  };
+  const send = (message) => {
+    if (socket?.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message));
+  };
+  open();
+  return {
+    set: (values) => send({ set: values }),
+    act: (name, args = {}) => send({ do: name, args }),
+    /** Send a file in parts. */
+    sendFile: async (file) => {
+      send({ do: "upload", args: { name: file.name, size: file.size } });
+      for (let start = 0; start < file.size; start += PART) socket.send(await file.slice(start, start + PART).arrayBuffer());
+    },
+  };
+};

@@ -1,0 +1,79 @@
+// Small helpers for elements, colours, and numbers.
+
+/** @returns {any} the first element of a selector */
+export const find = (selector, within = document) => within.querySelector(selector);
+/** @returns {any[]} all elements of a selector */
+export const findAll = (selector, within = document) => [...within.querySelectorAll(selector)];
+
+/**
+ * Make an element.
+ * @param {string} name
+ * @param {Record<string, any>} attributes of which `text` is its text, and `style` an object
+ * @param {...any} children
+ * @returns {any}
+ */
+export const make = (name, attributes = {}, ...children) => {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key === "text") element.textContent = value;
+    else if (key === "style") for (const [property, one] of Object.entries(value)) element.style.setProperty(property, String(one));
+    else if (value !== null && value !== false) element.setAttribute(key, value === true ? "" : value);
+  }
+  element.append(...children);
+  return element;
+};
+
+const NAMESPACE = "http://www.w3.org/2000/svg";
+/** @returns {any} an element of SVG */
+export const makeSvg = (name, attributes = {}, ...children) => {
+  const element = document.createElementNS(NAMESPACE, name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, String(value));
+  element.append(...children);
+  return element;
+};
+
+/** @returns {string} the value of a CSS variable */
+export const variable = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+/** @returns {string} the colour of a part, of `count`; one part has none of its own */
+export const partColour = (part, count) => variable(count === 1 ? "--soft" : `--part${part % 4}`);
+/** @returns {string} the colour of a text that is legible on another colour, given as #rrggbb */
+export const inkOn = (colour) => {
+  const number = parseInt(colour.slice(1), 16);
+  return 0.299 * (number >> 16) + 0.587 * ((number >> 8) & 255) + 0.114 * (number & 255) > 125 ? "#0e1216" : "#fff";
+};
+
+export const wrap = (degrees) => ((((degrees + 180) % 360) + 360) % 360) - 180;
+export const shown = (value) => value.toFixed(3);
+export const isPhone = () => innerWidth <= 760;
+
+// Pictures by their addresses; each asks for a new drawing when it has come.
+const pictures = new Map();
+let redraw = () => {};
+export const onPicture = (callback) => (redraw = callback);
+/** @returns {HTMLImageElement} a picture, which may still be loading */
+export const picture = (source) => {
+  let known = pictures.get(source);
+  if (!known) {
+    known = new Image();
+    known.onload = () => redraw();
+    known.src = source;
+    if (pictures.size > 400) pictures.delete(pictures.keys().next().value);
+    pictures.set(source, known);
+  }
+  return known;
+};
+
+/** Size a canvas to the device's pixels, and clear it. */
+export const prepare = (canvas) => {
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  const ratio = devicePixelRatio || 1;
+  if (canvas.width !== Math.round(width * ratio) || canvas.height !== Math.round(height * ratio)) {
+    canvas.width = Math.round(width * ratio);
+    canvas.height = Math.round(height * ratio);
+  }
+  const pen = canvas.getContext("2d");
+  pen.setTransform(ratio, 0, 0, ratio, 0, 0);
+  pen.clearRect(0, 0, width, height);
+  return { pen, width, height };
+};

@@ -1,0 +1,140 @@
+// The two large pictures with their rings, and the crops of one ring.
+
+import { find, inkOn, isPhone, makeSvg, partColour, picture, variable } from "./dom.js";
+import { boxOf, cellsOf, isLight, paintHeat } from "./heat.js";
+
+const HEAT_SIDE = 320;
+const MOST_WIDE = 2.5; // of a strip's crop, which is else a line
+
+/** The CSS turn of the photo, which the page turns itself, as the server does. */
+export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
+
+const drawnParts = new WeakMap();
+
+/** Show a picture in its frame: `described` has its address, parts, and heat. */
+export const showPicture = (figure, described, focus, count, transform, label) => {
+  const pan = find(".pan", figure);
+  const shown = find(".picture", figure);
+  pan.style.setProperty("--aspect", described.aspect ?? 1);
+  const source = `url("${described.src}")`;
+  if (shown.style.backgroundImage !== source) shown.style.backgroundImage = source;
+  shown.style.transform = transform;
+  if (label) shown.setAttribute("aria-label", label);
+  figure.classList.toggle("plain", !described.heat);
+  const canvas = find(".heat", figure);
+  canvas.width = Math.round(HEAT_SIDE * (described.aspect ?? 1));
+  canvas.height = HEAT_SIDE;
+  paintHeat(canvas.getContext("2d"), canvas.width, canvas.height, described, focus);
+  const svg = find("svg", figure);
+  // Drawn once for each picture, size, and theme: an element that is replaced under the pointer loses its events.
+  const drawn = drawnParts.get(svg);
+  if (drawn?.described !== described || drawn.size !== innerWidth || drawn.light !== isLight()) drawParts(svg, described, count);
+  drawnParts.set(svg, { described, size: innerWidth, light: isLight() });
+  markFocus(svg, focus);
+};
+
+/** Turn a panorama by rolling its columns; another picture is turned by its transform. */
+export const rollPicture = (figure, photo, angle) => {
+  const shown = find(".picture", figure);
+  shown.style.backgroundPositionX = photo.around ? `${(-angle / 360) * shown.clientWidth}px` : "";
+  shown.style.transform = photoTurn(photo, angle);
+};
+
+/** Draw the borders of the parts, and the strongest cell of each with its number. */
+const drawParts = (svg, described, count) => {
+  const { parts, strongest } = described;
+  const aspect = described.aspect ?? 1;
+  svg.setAttribute("viewBox", `0 0 ${100 * aspect} 100`);
+  svg.setAttribute("preserveAspectRatio", "none");
+  svg.replaceChildren();
+  if (!parts) return;
+  const boxes = parts.boxes.map((box, part) => ({ box, part }));
+  boxes.sort((one, other) => area(other.box) - area(one.box));
+  for (const { box, part } of boxes) {
+    const [left, top, right, bottom] = box;
+    const rect = { x: 100 * aspect * left + 0.25, y: 100 * top + 0.25, width: 100 * aspect * (right - left) - 0.5, height: 100 * (bottom - top) - 0.5 };
+    svg.append(makeSvg("rect", { ...rect, "data-part": part, style: `stroke:${partColour(part, count)}` }));
+  }
+  if (!described.heat || count > 6) return;
+  const size = isPhone() ? 1.9 : 1;
+  const [across, down] = [(100 * aspect) / parts.columns, 100 / parts.rows];
+  strongest.forEach((cell, part) => {
+    if (!cell.length) return;
+    const [x, y] = [cell[0] * across, cell[1] * down];
+    const colour = partColour(part, count);
+    const mark = makeSvg("g", { "data-part": part });
+    mark.append(makeSvg("rect", { x, y, width: across, height: down, style: `stroke:${isLight() ? "#14181c" : "#fff"}` }));
+    if (count > 1) {
+      const left = x + across + 3.9 * size > 100 * aspect ? x - 3.9 * size : x + across;
+      const top = Math.min(y, 100 - 4.4 * size);
+      mark.append(makeSvg("path", { d: `M${left} ${top}h${3.9 * size}v${4.4 * size}h${-3.9 * size}z`, fill: colour }));
+      const text = makeSvg("text", { x: left + 1.95 * size, y: top + 3.45 * size, "font-size": 3.5 * size, "font-weight": 700, "text-anchor": "middle", fill: inkOn(colour) });
+      text.textContent = part + 1;
+      mark.append(text);
+    }
+    svg.append(mark);
+  });
+};
+
+const area = ([left, top, right, bottom]) => (right - left) * (bottom - top);
+
+/** Light one part of an element's descendants, or all for -1. */
+export const markFocus = (element, focus) => {
+  element.classList.toggle("focused", focus >= 0);
+  for (const one of element.querySelectorAll("[data-part]")) one.classList.toggle("on", Number(one.dataset.part) === focus);
+};
+
+const layer = document.createElement("canvas");
+/**
+ * Draw one part of a picture, enlarged to fill the canvas: grey under its heat, or in full colour.
+ * @param {number} turn degrees clockwise by which the picture is turned
+ */
+export const drawCrop = (canvas, described, part, count, turn, colour, angle = 0) => {
+  const pen = canvas.getContext("2d");
+  const side = canvas.width;
+  pen.clearRect(0, 0, side, side);
+  const { parts } = described;
+  const image = picture(described.src);
+  if (!parts) return;
+  const aspect = described.aspect ?? 1;
+  let [left, top, right, bottom] = boxOf(parts, part);
+  const most = (MOST_WIDE * (bottom - top)) / aspect;
+  if (right - left > most) [left, right] = [(left + right - most) / 2, (left + right + most) / 2];
+  const scale = side / Math.max((right - left) * aspect, bottom - top);
+  const [width, height] = [scale * aspect, scale];
+  pen.save();
+  pen.translate(side / 2 - (width * (left + right)) / 2, side / 2 - (height * (top + bottom)) / 2);
+  pen.clip(cellsOf(parts, part, width, height));
+  pen.fillStyle = "#000";
+  pen.fillRect(0, 0, width, height);
+  if (image.complete && image.naturalWidth) {
+    pen.save();
+    if (described.around) {
+      const roll = ((((-angle / 360) * width) % width) + width) % width;
+      pen.drawImage(image, roll, 0, width, height);
+      pen.drawImage(image, roll - width, 0, width, height);
+    } else {
+      pen.translate(width / 2, height / 2);
+      pen.rotate((turn * Math.PI) / 180);
+      const zoom = described.zoom ?? 1;
+      pen.drawImage(image, (-zoom * width) / 2, (-zoom * height) / 2, zoom * width, zoom * height);
+    }
+    pen.restore();
+  }
+  if (!colour && described.heat) {
+    // Grey and dim by two layers: filters of a canvas do not exist in all browsers.
+    pen.globalCompositeOperation = "saturation";
+    pen.fillStyle = "#808080";
+    pen.fillRect(0, 0, width, height);
+    pen.globalCompositeOperation = "source-over";
+    pen.fillStyle = isLight() ? "#ffffff66" : "#00000073";
+    pen.fillRect(0, 0, width, height);
+    [layer.width, layer.height] = [Math.round(160 * aspect), 160];
+    paintHeat(layer.getContext("2d"), layer.width, layer.height, described);
+    pen.drawImage(layer, 0, 0, width, height);
+  }
+  pen.restore();
+  pen.strokeStyle = count === 1 ? variable("--soft") : partColour(part, count);
+  pen.lineWidth = 3;
+  pen.strokeRect(1.5, 1.5, side - 3, side - 3);
+};

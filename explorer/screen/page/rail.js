@@ -1,0 +1,68 @@
+// The list of queries at the left, of which only those in sight are in the page; the server sends it in pieces.
+
+import { find, findAll, make } from "./dom.js";
+
+const STEP = 62; // pixels of an entry
+const PIECE = 100; // entries that the server sends at once
+
+/** A query's button: its thumbnail, and its mark. */
+export const queryButton = (rail, [query, name, rank], chosen, title = false) =>
+  make("button", { class: "query", "data-query": query, title: name, "aria-label": `${name}${rank > 1 ? `, truth ${rank}.` : rank === 1 ? ", found" : ""}`, "aria-current": String(query === chosen), style: { "background-image": `url("${rail.thumbnails}${query}")` } },
+    rank ? make("b", { class: rank === 1 ? "right" : "wrong", text: rank === 1 ? "✓" : rank }) : "",
+    title ? make("span", { text: name }) : "");
+
+export class RailList {
+  constructor(list) {
+    this.list = list;
+    this.inner = find("div", list);
+    this.rail = null;
+    this.query = -1;
+    this.pieces = new Map();
+    list.addEventListener("scroll", () => this.draw());
+  }
+
+  /** Show a list; the chosen query comes in sight when it has changed. */
+  show(rail, query) {
+    if (rail.feed !== this.rail?.feed) this.pieces.clear();
+    const moved = query !== this.query || rail.feed !== this.rail?.feed;
+    [this.rail, this.query] = [rail, query];
+    this.inner.style.height = `${STEP * rail.total + 8}px`;
+    if (moved && rail.chosen >= 0) {
+      const top = STEP * rail.chosen;
+      const { scrollTop, clientHeight } = this.list;
+      if (top < scrollTop || top + 2 * STEP > scrollTop + clientHeight) this.list.scrollTop = Math.max(0, top - clientHeight / 3);
+    }
+    this.draw();
+  }
+
+  /** @returns {Promise<any[]>} the entries of a piece of the list */
+  async piece(number) {
+    const rail = this.rail;
+    if (!this.pieces.has(number)) {
+      const loading = fetch(`${rail.address}${rail.feed}${number}`).then((answer) => (answer.ok && answer.status === 200 ? answer.json() : []));
+      this.pieces.set(number, loading.catch(() => []));
+    }
+    return this.pieces.get(number);
+  }
+
+  async draw() {
+    const rail = this.rail;
+    const first = Math.max(0, Math.floor(this.list.scrollTop / STEP) - 2);
+    const last = Math.min(rail.total, first + Math.ceil(this.list.clientHeight / STEP) + 5);
+    const entries = [];
+    for (let at = first; at < last; ) {
+      const piece = await this.piece(Math.floor(at / PIECE));
+      if (rail !== this.rail) return;
+      const end = Math.min(last, (Math.floor(at / PIECE) + 1) * PIECE);
+      for (; at < end; at++) if (piece[at % PIECE]) entries.push([at, piece[at % PIECE]]);
+    }
+    const focused = document.activeElement?.closest?.("#list .query")?.getAttribute("data-query");
+    this.inner.replaceChildren(...entries.map(([at, entry]) => {
+      const button = queryButton(rail, entry, rail.chosen < 0 ? -1 : this.query);
+      button.style.top = `${STEP * at + 4}px`;
+      if (entry[0] !== this.query) button.tabIndex = -1;
+      return button;
+    }));
+    if (focused) findAll(".query", this.inner).find((one) => one.dataset.query === focused)?.focus();
+  }
+}

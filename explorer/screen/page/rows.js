@@ -1,0 +1,107 @@
+// The row of each ring, the two sums, and the strip of the nearest tiles.
+
+import { find, findAll, inkOn, make, partColour, shown } from "./dom.js";
+import { drawCrop } from "./pictures.js";
+
+const CROP = 132;
+
+export const sign = (true_) => (true_ === null ? "" : make("i", { class: true_ ? "right" : "wrong", text: true_ ? "✓" : "✗" }));
+
+/** The stacked shares of a tile, as segments as wide as their shares on the one scale. */
+const stack = (tile, total, least) => {
+  const count = tile.shares.length;
+  const segments = tile.shares.map((share, part) => {
+    const width = (100 * Math.max(share, 0)) / total;
+    const colour = partColour(part, count);
+    const number = count > 1 && width >= least ? String(part + 1) : "";
+    return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: inkOn(colour) } });
+  });
+  return make("div", { class: "stack" }, ...segments);
+};
+
+/** Make the rows of so many parts once. */
+const layRows = (rows, count) => {
+  if (rows.dataset.parts === String(count)) return;
+  rows.dataset.parts = count;
+  document.documentElement.style.setProperty("--parts", count);
+  rows.classList.toggle("many", count > 6);
+  const crops = () => [0, 1, 2].map(() => make("canvas", { width: CROP, height: CROP, "aria-hidden": "true" }));
+  const bar = (part) => make("div", { class: "bar" },
+    make("div", { class: "line" }, make("span", { class: "number", "data-weight": part }), make("b"), make("i")),
+    make("div", { class: "track" }, make("i")), make("div", { class: "track2" }, make("i")));
+  rows.replaceChildren(make("div", { class: "head" }),
+    ...Array.from({ length: count }, (_, part) => make("div", { class: "row", "data-part": part, role: "group" }, ...crops(), bar(part))));
+};
+
+/** Show the rows of a result. */
+export const showRows = (rows, page, result, colour) => {
+  const count = page.parts;
+  layRows(rows, count);
+  const answer = result.tiles[result.answer];
+  const rival = result.rival === null ? null : result.tiles[result.rival];
+  find(".head", rows).replaceChildren(
+    make("span", { text: page.photo }),
+    make("span", { text: "answer " }, sign(answer.true)),
+    make("span", { text: rival ? `${result.rival_word} ` : "" }, rival ? sign(rival.true) : "", rival ? make("u", { text: " " }) : "", rival ? make("u", { class: "hatched" }) : ""),
+    make("span", { text: `share, 0 to ${Number(result.scale.part.toFixed(2))}` }),
+  );
+  findAll(".row", rows).forEach((row, part) => {
+    const [photo, own, other] = findAll("canvas", row);
+    drawCrop(photo, result.photo, part, count, -result.angle, colour, result.angle);
+    drawCrop(own, answer, part, count, -90 * answer.quarter, colour);
+    if (rival) drawCrop(other, rival, part, count, -90 * rival.quarter, colour);
+    else other.getContext("2d").clearRect(0, 0, CROP, CROP);
+    const tone = partColour(part, count);
+    const number = find(".number", row);
+    number.textContent = part + 1;
+    number.hidden = count === 1;
+    number.title = "Drag to weigh this part";
+    number.style.background = tone;
+    number.style.color = inkOn(tone);
+    if (result.weights.length) number.prepend(make("u", { text: `×${result.weights[part]}` }));
+    find("b", row).textContent = shown(answer.shares[part]);
+    const { gain, minus, prefers } = result.rows[part];
+    const told = find(".line i", row);
+    told.className = prefers === null ? "" : prefers ? "right" : "wrong";
+    told.textContent = gain && (prefers === null ? (minus ? "−" : "+") : prefers ? "✓ " : "✗ ") + gain;
+    told.title = prefers === null ? "" : `This part prefers the ${prefers ? "truth" : "wrong tile"} by ${gain}`;
+    fill(find(".track", row), answer.shares[part], result.scale.part, tone);
+    fill(find(".track2", row), rival ? rival.shares[part] : 0, result.scale.part);
+    const against = rival ? `, ${result.rival_word} ${shown(rival.shares[part])}` : "";
+    row.setAttribute("aria-label", `${page.word} ${page.names[part]}: answer ${shown(answer.shares[part])}${against}`);
+  });
+};
+
+const fill = (track, share, most, colour = "") => {
+  track.classList.toggle("cut", share > most);
+  const bar = find("i", track);
+  bar.style.width = `${Math.min(100, (100 * Math.max(share, 0)) / most)}%`;
+  if (colour) bar.style.background = colour;
+};
+
+/** Show the sums of answer and rival on one scale. */
+export const showSums = (sum, result) => {
+  const total = result.scale.total;
+  const line = (word, tile) => make("div", { class: "total" }, make("span", {}, sign(tile.true), ` ${word}`), stack(tile, total, 3.4), make("b", { text: tile.distance }));
+  const lines = [line("answer", result.tiles[result.answer])];
+  if (result.rival !== null) lines.push(line(result.rival_word, result.tiles[result.rival]));
+  const axis = ["0", "squared distance, at most 4", String(total)].map((text) => make("u", { text }));
+  sum.replaceChildren(...lines, make("div", { class: "axis" }, ...axis));
+};
+
+/** Show the strip of the nearest tiles. */
+export const showStrip = (strip, result) => {
+  const tiles = result.strip.map((index, place) => {
+    const tile = result.tiles[index];
+    const judged = tile.true ? "true" : tile.true === false && index === result.answer ? "false" : "";
+    const further = place > 0 && Number(tile.rank) > place + 1 ? "gap" : "";
+    const pressed = result.pinned && index === result.rival;
+    const image = make("u", { style: { "background-image": `url("${tile.src}")`, transform: `rotate(${-90 * tile.quarter}deg)` } });
+    const words = { true: " ✓", false: " ✗", "": "" }[judged];
+    return make("button", { class: `tile ${judged} ${further}`, "data-tile": index, "aria-pressed": String(pressed), title: tile.name, "aria-label": `${tile.rank}: ${tile.name}, distance ${tile.distance}` },
+      make("div", { class: "image" }, image),
+      make("div", { class: "words" }, make("i", { class: judged === "true" ? "right" : judged === "false" ? "wrong" : "", text: tile.rank + words }), make("span", { text: tile.distance })),
+      stack(tile, result.scale.total, 7));
+  });
+  strip.replaceChildren(...tiles);
+};

@@ -1,0 +1,106 @@
+// The place in 3-D: viser's page in a frame, made once the first result is painted. The server draws in it.
+
+import { tab } from "./channel.js";
+import { find, findAll, make } from "./dom.js";
+
+const PATIENCE = 1500; // ms until the frame is made although the page is busy
+const SETTLED = 250; // ms after which the server knows a new size
+
+let depth = null;
+/** @returns {boolean} whether this browser has WebGL, without which all but the scene works */
+const drawsInDepth = () => {
+  depth ??= Boolean(document.createElement("canvas").getContext("webgl2"));
+  return depth;
+};
+
+export class SceneFrame {
+  /**
+   * @param {any} box
+   * @param {{act: (name: string, args?: any) => void}} channel
+   * @param {(event: KeyboardEvent) => void} press what a key does
+   * @param {(found: any, why: string) => void} clicked what the pointer is over: a tile, a part, or nothing
+   */
+  constructor(box, channel, press, clicked) {
+    this.box = box;
+    this.channel = channel;
+    this.press = press;
+    this.clicked = clicked;
+    /** @type {any} */
+    this.frame = null;
+    this.asked = "";
+    this.waiting = 0;
+    addEventListener("resize", () => this.resized());
+  }
+
+  /** Make the frame, or hide the box of a task that has no place, which is called a city or a map. */
+  show(views, view, place) {
+    find("[data-view=city]", this.box).textContent = place;
+    this.box.hidden = !views.length || !drawsInDepth();
+    for (const button of findAll("[data-view]", this.box)) {
+      button.hidden = !views.includes(button.dataset.view);
+      button.setAttribute("aria-pressed", String(button.dataset.view === (views.includes(view) ? view : views[0])));
+    }
+    if (this.frame || this.box.hidden) return;
+    this.frame = make("iframe", { title: "The place in 3-D", tabindex: -1 });
+    const begin = () => {
+      this.frame.src = `scene/${tab}/?darkMode&hideViserLogo&fixedDpr=1`;
+      this.frame.addEventListener("load", () => this.listen());
+      this.box.append(this.frame);
+    };
+    if (window.requestIdleCallback) requestIdleCallback(begin, { timeout: PATIENCE });
+    else setTimeout(begin, PATIENCE);
+  }
+
+  /** The server has drawn in the frame. */
+  ready() {
+    this.box.classList.add("ready");
+  }
+
+  /** viser's page connects again by itself only while it has the focus, which this page keeps. */
+  reload() {
+    this.box.classList.remove("ready");
+    this.frame?.contentWindow?.location.reload();
+  }
+
+  /** Keys go to the screen, and the server says what the pointer is over. */
+  listen() {
+    const inner = this.frame.contentWindow;
+    inner.addEventListener("keydown", (event) => {
+      event.stopImmediatePropagation();
+      this.press(event);
+    }, true);
+    let down = null;
+    const place = (event) => {
+      const canvas = find("canvas", inner.document);
+      if (!canvas) return null;
+      const box = canvas.getBoundingClientRect();
+      return { x: (event.clientX - box.left) / box.width, y: (event.clientY - box.top) / box.height };
+    };
+    const ask = (event, why) => {
+      const at = place(event);
+      if (!at || Math.min(at.x, at.y) < 0 || Math.max(at.x, at.y) > 1) return;
+      this.asked = why;
+      this.channel.act("pick", at);
+    };
+    inner.addEventListener("pointerdown", (event) => (down = event), true);
+    inner.addEventListener("pointerup", (event) => {
+      if (down && Math.hypot(event.clientX - down.clientX, event.clientY - down.clientY) < 4) ask(event, "click");
+      down = null;
+    }, true);
+    let last = 0;
+    inner.addEventListener("pointermove", (event) => {
+      if (down || event.timeStamp - last < 60) return;
+      last = event.timeStamp;
+      ask(event, "hover");
+    }, true);
+  }
+
+  picked(found) {
+    this.clicked(found, this.asked);
+  }
+
+  resized() {
+    clearTimeout(this.waiting);
+    this.waiting = setTimeout(() => this.channel.act("scene"), SETTLED);
+  }
+}

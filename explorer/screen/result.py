@@ -1,0 +1,309 @@
+"""An analysis as one JSON message: everything that the screen shows of an answer, so that no two numbers can differ."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from explorer.browse.feeds import Feeds
+from explorer.screen.fields import ScreenState
+from explorer.workspace import StateAnalysis, Workspace
+from lpn.core import images
+from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, UInt8Array
+from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
+from lpn.core.texts import ordinal
+from lpn.core.views import View
+from lpn.drawing import overlays
+from lpn.explain import Evidence
+from lpn.explain.attribution import SideEvidence
+from lpn.library.answer import pair_evidence
+from lpn.library.matching_turn import matching_turn
+from lpn.retrieval import DescribedPicture, Match, scoring
+from lpn.tasks.task import Task
+
+# Tiles of the strip; the truth takes the last place if it is not among the first.
+STRIP = 6
+# Queries from which the scale of all bars is measured, numbers that this reads at most, and the percentage of bars that fit.
+_SAMPLE, _MOST_NUMBERS, _FITS = 200, 2_000_000_000, 99
+# A gain below this is called even.
+_EVEN = 0.005
+# Step of a scale.
+_STEP = 0.1
+
+
+@dataclass(frozen=True)
+class BarScale:
+    """Ends of the bars, in squared distance: of a part under equal weights, and of the sum."""
+
+    part: float
+    total: float
+
+
+@dataclass(frozen=True, eq=False)
+class ScreenResult:
+    """An analysis with the tiles that a person compares.
+
+    Attributes:
+        address: of the photo's picture, relative to the page.
+    """
+
+    workspace: Workspace
+    feeds: Feeds
+    state: ScreenState
+    analysis: StateAnalysis
+    scale: BarScale
+    address: str
+
+    @property
+    def task(self) -> Task:
+        """The task of the analysis."""
+        return self.analysis.task
+
+    @cached_property
+    def first(self) -> Match:
+        """The nearest tile."""
+        return self.analysis.ranking.match(0)
+
+    @property
+    def rival(self) -> Match | None:
+        """The tile that the verdict compares the answer with."""
+        return self.analysis.verdict.rival
+
+    @cached_property
+    def compared(self) -> Match | None:
+        """The tile that a person chose to compare, else the headline's."""
+        chosen, ranking = self.state.compare, self.analysis.ranking
+        if chosen is None or chosen == self.first.index or not ranking.holds(chosen):
+            return self.rival
+        return ranking.find(chosen)
+
+    @cached_property
+    def large(self) -> dict[int, Match]:
+        """The tiles that are shown with their cells by their positions: answer, compared tile, and truth."""
+        return {
+            match.index: match for match in (self.first, self.compared, self.analysis.positive) if match is not None
+        }
+
+    @cached_property
+    def evidence(self) -> dict[int, Evidence]:
+        """The evidence of the photo with each of these tiles; empty unless the state asks for it."""
+        if self.state.heat != "evidence":
+            return {}
+        ranking = self.analysis.ranking
+        pairs = {
+            index: pair_evidence(
+                self.analysis.query, self.described(match), ranking.weights, csls=ranking.csls_of(index)
+            )
+            for index, match in self.large.items()
+        }
+        return {index: pair.evidence for index, pair in pairs.items() if pair is not None}
+
+    def message(self) -> dict[str, Any]:
+        """Return the result as JSON takes it."""
+        state, workspace = self.state, self.workspace
+        compared, truth, shown = self.compared, self.analysis.positive, self.large
+        pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
+        strip = self._strip(compared if pinned else None)
+        tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
+        verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
+        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
+        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
+        return {
+            "photo": self._photo(),
+            "angle": state.angle,
+            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": reason},
+            "answer": self.first.index,
+            "rival": None if compared is None else compared.index,
+            "rival_word": self._word(compared, pinned),
+            "pinned": pinned,
+            "truth": None if truth is None else truth.index,
+            "rows": self._rows(compared, pinned),
+            "strip": [match.index for match in strip],
+            "tiles": tiles,
+            "rank": None if truth is None else truth.rank,
+            "nearest": round(self.first.distance2, 3),
+            "scale": {"part": self.scale.part * float(weights.max() / weights.mean()), "total": self.scale.total},
+            "weights": list(state.weights),
+            "metres": "" if metres is None else distance(metres),
+        }
+
+    def _title(self, truth: Match | None) -> str:
+        """Return what follows "Found" or "Missed", or the nearest tile where the truth is not known."""
+        total = f"{self.task.tiles:,}"
+        if self.first.true is None:
+            return f"Nearest of {total}: {self.task.gallery[self.first.index].title}"
+        if self.first.true:
+            return f"first of {total}"
+        if truth is None:
+            return "no tile of the place"
+        return f"truth is {ordinal(truth.rank)} of {total}"
+
+    def _strip(self, pinned: Match | None) -> list[Match]:
+        """Return the nearest tiles, and last the truth or the chosen tile that lies behind them."""
+        nearest = self.analysis.matches[:STRIP]
+        there = {match.index for match in nearest}
+        further = [
+            match for match in (self.analysis.positive, pinned) if match is not None and match.index not in there
+        ]
+        return [*nearest[: STRIP - len(further)], *further]
+
+    def _word(self, compared: Match | None, pinned: bool) -> str:
+        if compared is None or pinned:
+            return "pinned"
+        return "truth" if compared.true else "next"
+
+    def _rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
+        """Return for each part how much nearer the answer is than the compared tile, and whether that is towards the truth.
+
+        The gains are shown as the verdict shows them: rounded, they add up to the difference of the shown distances.
+        """
+        if compared is None:
+            return [{"gain": "", "minus": False, "prefers": None}] * self.workspace.contract.n_parts
+        lead = shown_difference(compared.distance2, self.first.distance2)
+        gains = rounded_to_sum((compared.contributions - self.first.contributions).tolist(), total=lead)
+        judged = self.first.true is not None and (self.first.true or not pinned)
+        return [
+            {
+                "gain": f"{abs(gain):.3f}",
+                "minus": gain < 0,
+                "prefers": (gain > 0) == self.first.true if judged and abs(gain) >= _EVEN else None,
+            }
+            for gain in gains
+        ]
+
+    def _photo(self) -> dict[str, Any]:
+        analysis = self.analysis
+        pair = self.evidence.get(self.first.index)
+        height, width = self.workspace.as_partitioned(analysis.source, self.task.query_view).shape[:2]
+        panorama = self.state.own == "" and self.task.queries[self.state.query].panorama
+        return {
+            "src": self.address,
+            "name": analysis.name,
+            "own": bool(self.state.own),
+            "around": panorama,
+            "aspect": width / height if max(width, height) >= 2 * min(width, height) else 1.0,
+            "zoom": analysis.zoom,
+            **self._heat(analysis.query, self.task.query_view, 0, None if pair is None else self._signed(pair.query)),
+        }
+
+    def _tile(self, match: Match, described: bool) -> dict[str, Any]:
+        shares = rounded_to_sum(match.contributions.tolist(), total=match.distance2)
+        quarter = self.quarter(match)
+        tile = {
+            "name": self.task.gallery[match.index].title,
+            "src": f"{self.feeds.pictures(self.task, 'tile')}{match.index}",
+            "rank": str(match.rank),
+            "true": match.true,
+            "distance": f"{match.distance2:.3f}",
+            "shares": shares,
+            "quarter": quarter,
+        }
+        if not described:
+            return tile
+        known = self.described(match)
+        height, width = self.workspace.as_partitioned(known.picture, self.task.gallery_view).shape[:2]
+        aspect = width / height if max(width, height) >= 2 * min(width, height) else 1.0
+        pair = self.evidence.get(match.index)
+        cells = self._heat(known, self.task.gallery_view, quarter, None if pair is None else self._signed(pair.tile))
+        if self.state.heat == "occlusion":  # the photo alone is covered
+            cells["heat"] = None
+        return tile | {"aspect": aspect, **cells}
+
+    def described(self, match: Match) -> DescribedPicture:
+        """Return a tile, described."""
+        if match.index == self.analysis.chosen.index:
+            return self.analysis.tile
+        return self.workspace.tile(self.task, match.index)
+
+    def quarter(self, match: Match) -> int:
+        """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""
+        analysis = replace(self.analysis, chosen=match)
+        turn = matching_turn(analysis, None if self.state.own else self.state.query, 0.0, None)
+        if turn is None:
+            return 0
+        degrees = turn.degrees
+        if turn.source == "model":  # the maps are those of the turned photo and of the analysed tile
+            degrees = float(wrap_degrees(degrees - self.state.angle))
+        return round(degrees / 90) % 4
+
+    def _heat(
+        self, described: DescribedPicture, view: View, quarter: int, signed: FloatingArray | None
+    ) -> dict[str, Any]:
+        """Return the parts of a picture and the values of its cells, turned by quarters, row by row as base64 of bytes.
+
+        Activation has bytes from 0 to 255. Values of `signed`, from -1 to 1, take its place; 0 has 128.
+        """
+        areas = self.workspace.areas(view, described)
+        if areas is None:
+            return {"parts": None, "heat": None}
+        labels = np.rot90(areas.labels, quarter)
+        boxes = [] if quarter % 2 and not _symmetric(areas.boxes) else [list(box) for box in areas.outlines]
+        parts = {
+            "rows": labels.shape[0],
+            "columns": labels.shape[1],
+            "labels": _bytes(np.where(labels < 0, 255, labels).astype(np.uint8)),
+            "boxes": boxes,
+        }
+        values = described.activation if signed is None else signed
+        if values is None:
+            return {"parts": parts, "heat": None}
+        heat = np.rot90(images.enlarge(values, *areas.labels.shape), quarter)
+        strongest = []
+        for part in range(len(areas.inside)):
+            inside = np.rot90(areas.inside[part], quarter)
+            cell = int(np.argmax(np.where(inside, heat, -2.0))) if inside.any() else -1
+            strongest.append([] if cell < 0 else [cell % heat.shape[1], cell // heat.shape[1]])
+        cells = np.round(255 * heat if signed is None else 128 + 127 * heat).astype(np.uint8)
+        return {"parts": parts, "heat": _bytes(cells), "strongest": strongest, "signed": signed is not None}
+
+    def covered(self, losses: Float32Array) -> dict[str, Any]:
+        """Return the photo's parts and, in place of its activation, how much of the score it loses by each covered square.
+
+        Args:
+            losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN where not measured yet.
+        """
+        lost = np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1)
+        return self._heat(self.analysis.query, self.task.query_view, 0, lost / overlays.evidence_limit(lost))
+
+    def _signed(self, side: SideEvidence) -> Float64Array:
+        """Return each cell's share of the score of its pair, from -1 to 1 of the greatest of all pairs of the result."""
+        weights = self.analysis.ranking.weights
+        sides = [one for pair in self.evidence.values() for one in (pair.query, pair.tile)]
+        return side.score_map(weights) / overlays.evidence_limit(*(one.score_map(weights) for one in sides))
+
+
+def measured_scale(task: Task) -> BarScale:
+    """Return the ends of all bars of a task: what 99 of 100 shares of answers and rivals of a sample of queries fit into."""
+    n = task.contract.n_parts
+    queries, gallery = task.sides()
+    weights = scoring.part_weights(n)
+    count = max(min(_SAMPLE, len(queries), _MOST_NUMBERS // max(gallery.size, 1)), 1)
+    sample = np.unique(np.linspace(0, len(queries) - 1, count).astype(int))
+    shares = []
+    for query in sample.tolist():
+        found = task.start_search(query, queries[query])(weights)
+        first = found.match(0)
+        rival = found.hardest_negative() if first.true else found.positive() or found.hardest_negative()
+        shares += [match.contributions for match in (first, rival) if match is not None]
+    part = float(np.percentile(np.concatenate(shares), _FITS))
+    total = float(np.percentile([share.sum() for share in shares], _FITS))
+    return BarScale(_rounded_up(part), _rounded_up(total))
+
+
+def _rounded_up(value: float) -> float:
+    return max(round(float(np.ceil(round(value / _STEP, 6))) * _STEP, 1), _STEP)
+
+
+def _symmetric(boxes: Sequence[Sequence[float]]) -> bool:
+    """Return whether a quarter turn leaves all boxes where they are."""
+    return all(abs(x0 - y0) < 1e-6 and abs(x1 - y1) < 1e-6 and abs(x0 + x1 - 1) < 1e-6 for x0, y0, x1, y1 in boxes)
+
+
+def _bytes(cells: UInt8Array) -> str:
+    return b64encode(np.ascontiguousarray(cells).tobytes()).decode()

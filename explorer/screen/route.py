@@ -1,0 +1,62 @@
+"""The files of the page at `/`: one template, one style sheet, and ES modules, as they lie in the folder `page`."""
+
+from __future__ import annotations
+
+import gzip
+import re
+from functools import lru_cache
+from hashlib import sha256
+from pathlib import Path
+from typing import Final
+
+from websockets.datastructures import Headers
+from websockets.http11 import Response
+
+from explorer.server.auth import HttpRequest
+
+_PAGE = Path(__file__).parent / "page"
+_KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+_FILE = re.compile(r".*/screen/([a-z_]{1,40}\.(?:css|js))", re.ASCII)
+# Folders below which viser's own page lies: the former page, and the scene of a tab.
+_SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
+_CLASSIC = "/classic/"
+
+
+def scene_of(path: str) -> str | None:
+    """Return the tab whose scene a path without query is; None for another path."""
+    match = _SCENE.fullmatch(path)
+    return None if match is None else match[1]
+
+
+def respond(request: HttpRequest, zipped: bool) -> Response | None:
+    """Return the page at a folder's address, or one of its files; None for the addresses of viser's page.
+
+    Args:
+        zipped: the browser reads gzip.
+    """
+    place = request.path.partition("?")[0]
+    if match := _FILE.fullmatch(place):
+        name = match[1]
+    elif place.endswith("/") and not place.endswith(_CLASSIC) and scene_of(place) is None:
+        name = "index.html"
+    else:
+        return None
+    file = _PAGE / name
+    if not file.is_file():
+        return Response(404, "Not Found", Headers({"Content-Length": "0", "Connection": "close"}), b"")
+    content, tag = _read(file, file.stat().st_mtime_ns, zipped)
+    headers = Headers({"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding", "Connection": "close"})
+    if request.only("if-none-match") == tag:
+        return Response(304, "Not Modified", headers, b"")
+    headers["Content-Type"] = f"{_KINDS[file.suffix]}; charset=utf-8"
+    if zipped:
+        headers["Content-Encoding"] = "gzip"
+    headers["Content-Length"] = str(len(content))
+    return Response(200, "OK", headers, content)
+
+
+@lru_cache(maxsize=64)
+def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
+    """Return a file, perhaps compressed, and the tag of this state of it."""
+    content = file.read_bytes()
+    return gzip.compress(content, mtime=0) if zipped else content, f'"{sha256(content).hexdigest()[:16]}"'

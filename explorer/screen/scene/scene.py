@@ -1,0 +1,344 @@
+"""One tab's scene: the city with the photo's camera and the ranked tiles, or the rings of photo and tile apart."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import viser
+import viser.transforms as tf
+
+from explorer.screen.result import ScreenResult
+from explorer.screen.scene import plan, shapes
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.numbers import distance, rounded_to_sum
+from lpn.datasets import geo
+from lpn.drawing.theme import Colour
+from lpn.retrieval import Match
+from lpn.tasks.gallery_geometry import GalleryGeometry
+
+# Vertical fields of view in radians: of the city, and of the rings, which are seen from far away.
+_CITY_FOV, _APART_FOV = math.radians(38), math.radians(16)
+# Metres above the ground at which frames of tiles lie, and the depth of the camera's picture.
+_LIFT, _DEPTH = 3.0, 34.0
+# The view of the city: degrees beside the photo's heading, and below the horizon.
+_BESIDE, _BELOW = 35.0, -38.0
+# Ranked tiles that have frames.
+_FRAMES = 3
+# Pixels of a picture of the scene; the tallest stack of rings, its distance from the middle, and its turn.
+_PIXELS, _TALL, _APART, _TURN = 256, 2.3, 3.1, math.radians(33)
+
+
+class Scene:
+    """Draws results in one tab's frame.
+
+    Attributes:
+        client: of viser, whose page is in the frame.
+        nodes: the handles of what the newest result shows, by their names.
+    """
+
+    def __init__(self, client: viser.ClientHandle) -> None:
+        self.client = self._client = client
+        self.nodes: dict[str, Any] = {}
+        self._city = client.scene.add_frame("/city", show_axes=False)
+        self._apart = client.scene.add_frame("/apart", show_axes=False, visible=False)
+        self._task: object = None
+        # What the pointer can hit: in the city, gallery positions with middle, half side, and height; else the layers.
+        self._tiles: list[tuple[int, Float64Array, float, float]] = []
+        self._layers: list[tuple[float, float, float]] = []
+        client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
+        client.gui.main_panel.dock_right()
+        client.gui.main_panel.set_width(240)
+        # The one class of viser's page: its notice of software WebGL would cover the scene.
+        client.gui.add_html("<style>.mantine-Notifications-root{display:none!important}</style>")
+        client.scene.add_light_hemisphere(
+            "/city/sky", sky_color=(215, 228, 255), ground_color=(120, 110, 100), intensity=2.2
+        )
+
+    def show(self, result: ScreenResult) -> None:
+        """Draw a result in place of the one before, in the state's view and theme."""
+        dark = result.state.theme == "dark"
+        places = result.task.geometry
+        halves = _halves(result)
+        of_city = places is not None and (result.state.view == "city" or halves is None)
+        with self._client.atomic():
+            for node in reversed(list(self.nodes.values())):  # children first
+                node.remove()
+            self.nodes, self._tiles, self._layers = {}, [], []
+            self._city.visible, self._apart.visible = of_city, not of_city
+            self._client.scene.set_background_image(_background(dark), format="png")
+            if of_city and places is not None:
+                self._show_city(result, places, dark)
+            elif halves is not None:
+                self._show_apart(result, halves, dark)
+        self._client.flush()
+
+    def hover(self, part: int | None) -> None:
+        """Show one part alone among the layers; None shows all."""
+        with self._client.atomic():
+            for name, node in self.nodes.items():
+                if name.startswith("/apart/") and name.count("/") == 3:
+                    node.visible = part is None or name.endswith(f"/{part}")
+
+    def pick(self, x: float, y: float) -> dict[str, int] | None:
+        """Return the tile or the part at a place of the frame, in shares of its sides; None for neither."""
+        camera = self._client.camera
+        axes, origin = np.asarray(tf.SO3(camera.wxyz).as_matrix(), np.float64), np.asarray(camera.position)
+        direction = shapes.ray(axes, camera.fov, camera.aspect, x, y)
+        for index, middle, half, z in self._tiles:
+            hit = shapes.on_level(origin, direction, z)
+            if hit is not None and np.abs(hit[:2] - middle).max() <= half:
+                return {"tile": index}
+        for part, (z, half, hole) in sorted(enumerate(self._layers), key=lambda layer: -layer[1][0]):
+            hit = shapes.on_level(origin, direction, z)
+            for side in (-_APART, _APART):
+                if hit is None:
+                    continue
+                off = np.array([hit[0] - side, hit[1]])
+                turned = tf.SO2.from_radians(-_TURN).apply(off)
+                if hole <= np.abs(turned).max() <= half:
+                    return {"part": part}
+        return None
+
+    # The city.
+
+    def _show_city(self, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+        if self._task is not result.task:
+            self._task = result.task
+            self._build_city(result, places)
+        shown = [*result.analysis.matches[:_FRAMES]]
+        truth = result.analysis.positive
+        if truth is not None and all(truth.index != match.index for match in shown):
+            shown.append(truth)
+        marked = [match for match in shown if np.isfinite(places.ground[match.index]).all()]
+        pose = self._show_camera(result, places, dark)
+        heading = 0.0 if pose is None else pose[1]
+        axes = shapes.camera_axes(heading + _BESIDE, _BELOW)
+        corners = [] if pose is None else [pose[0]]
+        for match in reversed(marked):
+            framed = self._show_frame(match, result, places, axes, dark)
+            corners += framed if match.index == result.first.index or match.true else []
+        self._show_way(result, places, dark)
+        points = np.array(corners or [np.zeros(3)])
+        self._look(points, axes, _CITY_FOV, 0.5, 6000.0, 0.8)
+
+    def _build_city(self, result: ScreenResult, places: GalleryGeometry) -> None:
+        """Lay the ground, and the buildings where a plan has them, once for each task."""
+        scene, workspace = self._client.scene, result.workspace
+        west, south, east, north = places.bounds()
+        mosaic = workspace.mosaic(result.task)
+        scene.add_image(
+            "/city/ground",
+            (mosaic * 0.78).astype(np.uint8),
+            east - west,
+            north - south,
+            position=((west + east) / 2, (south + north) / 2, -0.5),
+            wxyz=(0, 1, 0, 0),
+            format="jpeg",
+            jpeg_quality=85,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        found = plan.buildings(workspace.root, places.origin)
+        if found is not None:
+            scene.add_mesh_simple(
+                "/city/buildings",
+                *found,
+                color=(140, 152, 166),
+                flat_shading=True,
+                side="double",
+                cast_shadow=False,
+                receive_shadow=False,
+            )
+
+    def _show_frame(
+        self, match: Match, result: ScreenResult, places: GalleryGeometry, axes: Float64Array, dark: bool
+    ) -> list[Float64Array]:
+        """Frame a tile with its rank, and return its corners, and the badge's outer one."""
+        middle, half = places.ground[match.index], (places.tiles[match.index].width or places.width) / 2
+        first = match.index == result.first.index
+        colour = (
+            shapes.RIGHT[dark]
+            if match.true
+            else shapes.WRONG[dark]
+            if first and match.true is False
+            else shapes.INK[dark]
+        )
+        name = f"/city/tile{match.index}"
+        self._lines(name, shapes.rectangle(middle.tolist(), half, _LIFT), colour, 3 if match.true or first else 2)
+        corner = middle + half * np.sign(axes[:2, 0] - axes[:2, 2])
+        self._image(
+            f"{name}/rank",
+            shapes.badge(str(match.rank), colour),
+            (0.24 * 2 * half, 0.135 * 2 * half),
+            np.array([*corner, 0.2 * half]),
+            axes,
+        )
+        self._tiles.insert(0, (match.index, middle, half, _LIFT))
+        outer = np.array([*corner, 0.2 * half]) + axes[:, 0] * 0.3 * half
+        return [
+            outer,
+            *(np.array([middle[0] + x * half, middle[1] + y * half, _LIFT]) for x in (-1, 1) for y in (-1, 1)),
+        ]
+
+    def _show_camera(
+        self, result: ScreenResult, places: GalleryGeometry, dark: bool
+    ) -> tuple[Float64Array, float] | None:
+        """Show the photo's camera with its picture and the ground that it sees; return its position and heading."""
+        place = None if result.state.own else places.queries[result.state.query]
+        stands = None if place is None else geo.camera(place, places.origin)
+        if place is None or stands is None:
+            return None
+        heading, tilt = place.heading or 0.0, -90.0 if place.tilt is None else place.tilt
+        fov = math.radians(place.fov or 40.0)
+        axes = shapes.camera_axes(heading, tilt)
+        # The photo is turned counter-clockwise, so its camera is turned about its axis the other way.
+        axes = axes @ tf.SO3.from_z_radians(math.radians(result.state.angle)).as_matrix()
+        self.nodes["/city/camera"] = self._client.scene.add_camera_frustum(
+            "/city/camera",
+            fov=fov,
+            aspect=1.0,
+            scale=_DEPTH,
+            thickness=1.5,
+            thickness_units="screen",
+            color=shapes.INK[dark],
+            image=shapes.square(result.analysis.query.picture, _PIXELS),
+            format="jpeg",
+            jpeg_quality=85,
+            position=stands,
+            wxyz=tf.SO3.from_matrix(axes).wxyz,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        across = math.tan(fov / 2)
+        rays = [axes @ np.array([x * across, y * across, 1.0]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        hits = [shapes.on_level(stands, direction, _LIFT) for direction in rays]
+        if all(hit is not None for hit in hits):
+            ground = np.array(hits)
+            way = np.stack([np.repeat(stands[None], 4, axis=0), ground], axis=1)
+            self._lines("/city/footprint", np.concatenate([shapes.sides(ground), way]), shapes.INK[dark], 1)
+        return stands, heading
+
+    def _show_way(self, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+        """Draw a dashed line with its metres from a wrong answer to the truth."""
+        truth = result.analysis.positive
+        if result.first.true is not False or truth is None:
+            return
+        ends = [np.array([*places.ground[index], _LIFT]) for index in (result.first.index, truth.index)]
+        if not np.isfinite(ends).all():
+            return
+        length = float(np.linalg.norm(ends[1] - ends[0]))
+        self._lines("/city/way", shapes.dashes(ends[0], ends[1], 18, 12), shapes.WRONG[dark], 2)
+        self.nodes["/city/metres"] = self._client.scene.add_label(
+            "/city/metres", distance(length), position=(ends[0] + ends[1]) / 2, anchor="bottom-center"
+        )
+
+    # The rings apart.
+
+    def _show_apart(self, result: ScreenResult, halves: list[float], dark: bool) -> None:
+        compared, count = result.compared, len(halves)
+        order = sorted(range(count), key=lambda part: halves[part])
+        step = _TALL / max(count - 1, 1)
+        tile = result.described(result.first)
+        quarter = result.quarter(result.first)
+        workspace, task = result.workspace, result.task
+        pictures = [
+            _prepared(workspace.as_partitioned(one.picture, view), one.activation, dark, turns)
+            for one, view, turns in ((result.analysis.query, task.query_view, 0), (tile, task.gallery_view, quarter))
+        ]
+        turn = tf.SO3.from_z_radians(_TURN)
+        level = turn @ tf.SO3.from_matrix(np.diag([1.0, -1.0, -1.0]))
+        self._layers = [(0.0, 0.0, 0.0)] * count
+        shares = rounded_to_sum(result.first.contributions.tolist(), total=result.first.distance2)
+        for place, part in enumerate(order):
+            half, hole, z = halves[part], halves[order[place - 1]] if place else 0.0, (count - 1 - place) * step
+            self._layers[part] = z, half, hole
+            colour = shapes.SOFT[dark] if count == 1 else shapes.PARTS[dark][part % 4]
+            for side, picture in zip((-_APART, _APART), pictures, strict=True):
+                name = f"/apart/{'photo' if side < 0 else 'tile'}/{part}"
+                self.nodes[name] = self._client.scene.add_frame(
+                    name, show_axes=False, position=(side, 0, z), wxyz=level.wxyz
+                )
+                for number, (pixels, wide, high, x, y) in enumerate(shapes.strips(picture, half, hole)):
+                    self._image(f"{name}/{number}", pixels, (wide, high), np.array([x, y, 0.0]), None)
+                self._lines(f"{name}/outer", shapes.rectangle((0, 0), half, -0.004), colour, 2)
+            corner = turn.apply(np.array([half, -half, 0.0]))
+            begin, end = np.array([-_APART + corner[0], corner[1], z]), np.array([_APART - corner[0], corner[1], z])
+            rival = None if compared is None else float(compared.contributions[part])
+            length = float(end[0] - begin[0])
+            text = f"{part + 1}   {shares[part]:.3f}" if count > 1 else f"{shares[part]:.3f}"
+            drawn, high = shapes.ribbon(length, shares[part], rival, text, colour, shapes.SOFT[dark])
+            upright = np.stack([np.array([1.0, 0, 0]), np.array([0, 0, -1.0]), np.array([0, 1.0, 0])], axis=1)
+            self._image(f"/apart/ribbon/{part}", drawn, (length, high), (begin + end) / 2, upright)
+        axes = shapes.camera_axes(0.0, -26.0)
+        reach = _APART + math.sqrt(2) * max(halves)
+        points = np.array([(x, y, z) for x in (-reach, reach) for y in (-1.2, 1.2) for z in (-0.1, _TALL)])
+        self._look(points, axes, _APART_FOV, 0.1, 200.0, 0.96)
+
+    # Nodes.
+
+    def _lines(self, name: str, segments: Any, colour: Colour, thickness: float) -> None:
+        self.nodes[name] = self._client.scene.add_line_segments(
+            name, segments, colour, thickness=thickness, thickness_units="screen"
+        )
+
+    def _image(
+        self,
+        name: str,
+        pixels: UInt8Array,
+        size: tuple[float, float],
+        position: Float64Array,
+        axes: Float64Array | None,
+    ) -> None:
+        """Show a picture whose right and down are the first two of some axes (3, 3)."""
+        opaque = pixels.shape[-1] == 3
+        self.nodes[name] = self._client.scene.add_image(
+            name,
+            np.ascontiguousarray(pixels),
+            *size,
+            position=position,
+            wxyz=(1, 0, 0, 0) if axes is None else tf.SO3.from_matrix(axes).wxyz,
+            format="jpeg" if opaque else "png",
+            jpeg_quality=88,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+    def _look(self, points: Float64Array, axes: Float64Array, fov: float, near: float, far: float, room: float) -> None:
+        camera = self._client.camera
+        position, target = shapes.fitting(points, axes, fov, camera.aspect, room)
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = position, target
+        camera.fov, camera.near, camera.far = fov, near, far
+
+
+def views_of(result: ScreenResult) -> list[str]:
+    """Return what the scene of a result can show: "city" where tiles have positions, "apart" where parts are square rings."""
+    halves = _halves(result)
+    apart = halves is not None and len(halves) > 1
+    return ["city"] * (result.task.geometry is not None) + ["apart"] * apart
+
+
+def _halves(result: ScreenResult) -> list[float] | None:
+    """Return the half side of each ring; None if the parts of one of the two views are no square rings."""
+    halves = None
+    for view in result.task.views:
+        areas = result.workspace.areas(view)
+        halves = None if areas is None else shapes.half_sides(areas.outlines)
+        if halves is None:
+            return None
+    return halves
+
+
+def _prepared(picture: UInt8Array, activation: Any, dark: bool, quarter: int) -> UInt8Array:
+    shown = shapes.heated(shapes.square(picture, _PIXELS), activation, dark)
+    return np.ascontiguousarray(np.rot90(shown, quarter))
+
+
+def _background(dark: bool) -> UInt8Array:
+    """Return a gradient behind the scene, whose lower end is the panel's colour."""
+    low = np.array(shapes.GROUND[dark], float)
+    high = np.minimum(low * (1.5 if dark else 1.0) + 6, 250)
+    share = np.linspace(0, 1, 64)[:, None, None]
+    return np.broadcast_to(high * (1 - share) + low * share, (64, 2, 3)).astype(np.uint8)

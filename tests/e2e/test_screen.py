@@ -1,0 +1,468 @@
+"""The screen at `/`, used as a person would, beside the analysis that it shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+from playwright.sync_api import BrowserContext, Locator, Page, expect
+
+from explorer.app import App
+from explorer.opening import open_model
+from explorer.session_state import SessionState
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.core.numbers import rounded_to_sum
+from tests.e2e.conftest import RunningApp, box, expect_accessible, outlast
+from tools.fixtures import small_worlds
+from tools.fixtures.processes import free_port
+
+# The words of the page's text that are in sight; numbers are none.
+WORDS = """() => {
+  const words = [], walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT), range = document.createRange();
+  for (let node = walker.nextNode(); node; node = walker.nextNode()) {
+    if (!node.parentElement.checkVisibility({ opacityProperty: true, visibilityProperty: true })) continue;
+    range.selectNodeContents(node);
+    const place = range.getBoundingClientRect();
+    if (place.width && place.top < innerHeight && place.bottom > 0 && place.left < innerWidth && place.right > 0)
+      words.push(...(node.textContent.match(/[A-Za-z]{2,}/g) ?? []));
+  }
+  return words;
+}"""
+SIZES = [(1280, 720), (1440, 900), (1920, 1080)]
+
+
+@dataclass(frozen=True)
+class Running:
+    """The app on eight places of a map, in this process."""
+
+    app: App
+    workspace: Workspace
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.app.server.get_port()}/"
+
+    def analysis(self, **state: Any) -> StateAnalysis:
+        made = SessionState("drone-to-satellite", 4, **state)
+        return StateAnalyser(self.workspace).analyse(made, 6)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("screen")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(folder / "cache"))
+        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
+        workspace = open_model(data, model_file, baseline=one_part_model_file)
+        for ranking in workspace.rankings.values():
+            ranking.wait(workspace, lambda *_: None)
+        app = App(workspace, "127.0.0.1", free_port())
+        yield Running(app, workspace)
+        app.close()
+
+
+class Screen:
+    """A page of the screen."""
+
+    def __init__(self, page: Page, url: str) -> None:
+        self.page, self.url = page, url
+        self.complaints: list[str] = []
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        self.photo, self.headline = page.locator("#photo .frame"), page.locator("#headline")
+        self.rows, self.tiles = page.locator("#rows .row"), page.locator("#strip .tile")
+
+    def open(self, search: str = "") -> Screen:
+        self.page.goto(self.url + search)
+        self.rest()
+        return self
+
+    def rest(self, angle: str | None = None) -> None:
+        """Wait until the page shows the result of what was asked for."""
+        body = self.page.locator("body")
+        expect(body).to_have_attribute("data-sequence", re.compile(r"\d"))
+        expect(body).not_to_have_class(re.compile("wait|turning"))
+        if angle is not None:
+            expect(self.photo).to_have_attribute("aria-valuenow", angle)
+            expect(body).not_to_have_class(re.compile("wait|turning"))
+
+    def key(self, key: str) -> None:
+        self.page.keyboard.press(key)
+
+    def expect_numbers(self, analysis: StateAnalysis) -> None:
+        """Check each number in sight against an analysis."""
+        first, verdict = analysis.ranking.match(0), analysis.verdict
+        assert verdict.rival is not None
+        expect(self.headline.locator("p")).to_contain_text(verdict.headline)
+        shares = rounded_to_sum(first.contributions.tolist(), total=first.distance2)
+        for row, share, gain in zip(self.rows.all(), shares, verdict.figures, strict=True):
+            expect(row.locator("b")).to_have_text(f"{share:.3f}")
+            expect(row.locator(".line i")).to_contain_text(f"{abs(gain):.3f}")
+        sums = self.page.locator("#sum .total b")
+        expect(sums.first).to_have_text(f"{first.distance2:.3f}")
+        expect(sums.last).to_have_text(f"{verdict.rival.distance2:.3f}")
+        for place, match in enumerate(analysis.matches[:3]):
+            expect(self.tiles.nth(place)).to_have_attribute(
+                "aria-label",
+                f"{match.rank}: {analysis.task.gallery[match.index].title}, distance {match.distance2:.3f}",
+            )
+
+
+@pytest.fixture
+def screen(running: Running, new_page: Callable[[], Page]) -> Screen:
+    return Screen(new_page(), running.url)
+
+
+def scrolls(page: Page) -> tuple[int, int]:
+    """Return the pixels by which the page is larger than the window."""
+    across, down = page.evaluate(
+        "[document.documentElement.scrollWidth - innerWidth, document.documentElement.scrollHeight - innerHeight]"
+    )
+    return int(across), int(down)
+
+
+def hides(outer: Locator) -> int:
+    """Return the pixels that an element hides of what it holds."""
+    return int(
+        outer.evaluate("one => Math.max(one.scrollHeight - one.clientHeight, one.scrollWidth - one.clientWidth)")
+    )
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_the_first_screen_has_all_without_scrolling_and_in_sixty_words(
+    running: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+) -> None:
+    page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
+    screen = Screen(page, running.url).open()
+    words = page.evaluate(WORDS)
+    assert 30 < len(words) <= 60, words
+    assert scrolls(page) == (0, 0)
+    assert box(screen.photo)["width"] >= 340
+    assert box(screen.photo)["height"] == pytest.approx(box(screen.photo)["width"])
+    for part in (screen.tiles.last, page.locator("#curve canvas"), screen.rows.last, page.locator("#headline p")):
+        place = box(part)
+        assert place["x"] + place["width"] <= size[0] + 1
+        assert place["y"] + place["height"] <= size[1] + 1
+    assert hides(page.locator("#headline p")) <= 0
+    assert not screen.complaints
+
+
+@pytest.mark.parametrize("height", [664, 844])
+def test_a_phone_shows_pictures_rows_and_three_matches_without_scrolling(
+    running: Running, contexts: Callable[..., BrowserContext], height: int
+) -> None:
+    page = contexts(viewport={"width": 390, "height": height}, has_touch=True, is_mobile=True).new_page()
+    screen = Screen(page, running.url).open()
+    assert scrolls(page)[0] == 0
+    for part in (
+        screen.photo,
+        page.locator("#tile .frame"),
+        screen.rows.last,
+        page.locator("#curve canvas"),
+        screen.tiles.nth(2),
+    ):
+        place = box(part)
+        assert place["y"] + place["height"] <= height
+        assert place["x"] + place["width"] <= 390
+    screen.page.get_by_role("button", name="Next").click()
+    expect(page).to_have_url(re.compile("query=0003"))
+    page.get_by_role("button", name="Search").click()
+    expect(page.get_by_role("dialog")).to_be_visible()
+    assert not screen.complaints
+
+
+def test_each_number_is_that_of_the_analysis(running: Running, screen: Screen) -> None:
+    screen.open()
+    for query in range(3):
+        screen.page.locator(f'#list [data-query="{query}"]').click()
+        expect(screen.page.locator(f'#list [data-query="{query}"]')).to_have_attribute("aria-current", "true")
+        screen.rest()
+        screen.expect_numbers(running.analysis(query=query))
+    screen.key("j")
+    screen.rest("15")
+    screen.expect_numbers(running.analysis(query=2, angle=15.0))
+    screen.key("l")
+    screen.key("l")
+    screen.rest("-15")
+    screen.expect_numbers(running.analysis(query=2, angle=-15.0))
+    screen.key("0")
+    screen.rest("0")
+    expect(screen.page).to_have_url(re.compile(r"query=0004$"))
+    assert not screen.complaints
+
+
+def test_the_photo_follows_the_hand_and_one_result_the_photo(running: Running, screen: Screen) -> None:
+    screen.open("?query=0005")
+    page, place = screen.page, box(screen.photo)
+    middle = place["x"] + place["width"] / 2, place["y"] + place["height"] / 2
+    page.mouse.move(middle[0] + 100, middle[1])
+    page.mouse.down()
+    for step in range(1, 31):  # a quarter turn counter-clockwise
+        page.mouse.move(middle[0] + 100 - step * 100 / 30, middle[1] - step * 100 / 30)
+    shown = page.locator("#photo .picture").evaluate("one => one.style.transform")
+    assert shown == "rotate(-90deg) scale(1)", "at once, before any result"
+    page.mouse.up()
+    screen.rest("90")
+    screen.expect_numbers(running.analysis(query=3, angle=90.0))
+    page.mouse.wheel(0, 100)
+    screen.rest("75")
+    screen.expect_numbers(running.analysis(query=3, angle=75.0))
+    page.locator("#curve canvas").click(position={"x": 52, "y": 10})
+    screen.rest("-180")
+    assert not screen.complaints
+
+
+def test_numbers_of_another_angle_are_faded_until_their_result_is_there(running: Running, screen: Screen) -> None:
+    screen.open()
+    with running.app._channel.sessions[screen.page.evaluate("document.documentElement.dataset.tab")]._lock:
+        pass  # the session is there
+    faded = screen.page.evaluate(
+        """async () => {
+          dispatchEvent(new KeyboardEvent("keydown", { key: "j" }));
+          await new Promise(requestAnimationFrame);
+          return document.body.classList.contains("turning");
+        }"""
+    )
+    assert faded
+    screen.rest("15")
+
+
+def test_a_tile_is_compared_by_a_click_and_released(running: Running, screen: Screen) -> None:
+    screen.open()
+    analysis = running.analysis()
+    third = analysis.matches[2]
+    name = analysis.task.gallery[third.index].title
+    screen.tiles.nth(2).click()
+    caption = screen.page.locator("#tile figcaption")
+    expect(caption).to_contain_text(f"Pinned ✗ {name}".replace("✗ ", "✗"), use_inner_text=False)
+    expect(screen.page.locator("#sum .total b").last).to_have_text(f"{third.distance2:.3f}")
+    expect(screen.headline.locator("p")).to_contain_text(analysis.verdict.headline)
+    expect(screen.page).to_have_url(re.compile(f"with={name}"))
+    screen.key("Escape")
+    expect(caption).to_contain_text("Answer")
+    screen.expect_numbers(analysis)
+    screen.tiles.nth(3).click()
+    expect(caption).to_contain_text("Pinned")
+    screen.tiles.nth(3).click()
+    expect(caption).to_contain_text("Answer")
+
+
+def test_one_ring_is_lit_wherever_it_is_drawn(screen: Screen) -> None:
+    screen.open()
+    screen.key("3")
+    for place in ("#photo svg rect", "#tile svg rect", "#rows .row", "#strip .tile:first-child .stack i"):
+        lit = screen.page.locator(f"{place}.on")
+        assert {one.get_attribute("data-part") for one in lit.all()} == {"2"}, place
+    screen.key("3")
+    expect(screen.page.locator("#rows .on")).to_have_count(0)
+    screen.rows.nth(1).hover()
+    expect(screen.rows.nth(1)).to_have_class(re.compile("on"))
+    middle = box(screen.photo)
+    screen.page.mouse.move(middle["x"] + middle["width"] / 2, middle["y"] + middle["height"] / 2)
+    expect(screen.rows.nth(0)).to_have_class(re.compile("on"))
+
+
+def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> None:
+    screen.open()
+    painted = "() => document.querySelector('#photo .heat').toDataURL()"
+    before, key = screen.page.evaluate(painted), screen.page.locator("#photo .key")
+    screen.key("e")
+    expect(key).to_have_text(re.compile("against.*for"))
+    screen.rest()
+    assert screen.page.evaluate(painted) != before
+    expect(screen.page).to_have_url(re.compile("shows=evidence"))
+    exact = screen.page.evaluate(painted)
+    screen.key("e")
+    expect(screen.page).to_have_url(re.compile("shows=occlusion"))
+    expect(key).to_have_text(re.compile("against.*for"))
+    screen.rest()
+    assert screen.page.evaluate(painted) not in (before, exact)
+    screen.key("e")
+    expect(key).to_have_text(re.compile("weak.*strong"))
+    screen.rest()
+    assert screen.page.evaluate(painted) == before
+    assert not screen.complaints
+
+
+def test_the_missed_queries_are_listed_worst_first(running: Running, screen: Screen) -> None:
+    screen.open()
+    ranks = running.workspace.rankings["drone-to-satellite"].ranks + 1
+    screen.key("m")
+    marks = screen.page.locator("#list .query b")
+    expect(marks).to_have_text([str(rank) for rank in sorted(ranks[ranks > 1], reverse=True)])
+    screen.key("n")
+    expect(marks.first.locator("xpath=..")).to_have_attribute("aria-current", "true")
+    screen.rest()
+    expect(screen.headline.locator("h1")).to_contain_text(f"Missed, truth is {ranks.max()}")
+    expect(screen.page.locator("#rows .head")).to_contain_text("truth")
+    screen.page.keyboard.down("t")
+    expect(screen.page.locator("#tile figcaption")).to_contain_text("Truth")
+    screen.page.keyboard.up("t")
+    expect(screen.page.locator("#tile figcaption")).to_contain_text("Answer")
+    screen.key("Escape")
+    expect(screen.page.locator("#list .query")).to_have_count(8)
+
+
+def test_photos_and_commands_are_found_in_one_dialog(screen: Screen) -> None:
+    screen.open()
+    page = screen.page
+    screen.key("/")
+    page.keyboard.type("0007")
+    expect(page.locator("dialog .photos button")).to_have_count(1)
+    screen.key("Enter")
+    expect(page).to_have_url(re.compile("query=0007"))
+    expect(page.locator("dialog")).to_be_hidden()
+    expect(page.locator("#list .query")).to_have_count(8)
+    screen.rest()
+    page.keyboard.press("Control+k")
+    page.keyboard.type("baseline")
+    screen.key("Enter")
+    expect(screen.rows).to_have_count(1)
+    expect(page.locator("#about")).to_contain_text("one part")
+    page.keyboard.press("Control+k")
+    former = page.get_by_role("link", name="Former page")
+    expect(former).to_have_attribute("href", re.compile(r"^classic/\?show=data&task=drone-to-satellite&query=0007"))
+    assert not screen.complaints
+
+
+def test_an_own_photo_is_ranked_and_a_file_that_is_none_is_named(running: Running, screen: Screen) -> None:
+    screen.open()
+    page = screen.page
+    query = running.workspace.tasks["drone-to-satellite"].queries[4]
+    page.set_input_files("#file", query.path)
+    expect(screen.headline.locator("h1")).to_contain_text("Nearest of 8")
+    expect(screen.headline.locator("p")).to_contain_text("No truth is known.")
+    screen.rest()
+    distance = running.analysis(query=4).ranking.match(0).distance2
+    expect(page.locator("#sum .total b").first).to_have_text(f"{distance:.3f}")
+    page.set_input_files("#file", {"name": "notes.txt", "mimeType": "text/plain", "buffer": b"words"})
+    expect(screen.headline.locator("h1")).to_contain_text("notes.txt is not a picture that can be read")
+    screen.key("Escape")
+    expect(screen.headline.locator("h1")).to_contain_text("Nearest of 8")
+    screen.key("n")
+    screen.rest()
+    expect(screen.headline.locator("h1")).to_contain_text(re.compile("Found|Missed"))
+
+
+@pytest.mark.parametrize("theme", ["dark", "light"])
+def test_the_screen_is_accessible_in_both_themes(
+    running: Running, contexts: Callable[..., BrowserContext], theme: str
+) -> None:
+    page = contexts(color_scheme=theme, viewport={"width": 1440, "height": 900}).new_page()
+    screen = Screen(page, running.url).open()
+    expect(page.locator("html")).to_have_class(theme)
+    expect_accessible(page)
+    screen.key("d")
+    expect(page.locator("html")).to_have_class({"dark": "light", "light": "dark"}[theme])
+    page.reload()
+    screen.rest()
+    expect(page.locator("html")).to_have_class({"dark": "light", "light": "dark"}[theme])
+    screen.key("/")
+    expect_accessible(page)
+
+
+def test_a_lost_connection_is_said_and_found_again(screen: Screen) -> None:
+    screen.page.add_init_script(
+        """(() => { const made = window.WebSocket; window.sockets = [];
+          window.WebSocket = function (...given) { const one = new made(...given); sockets.push(one); return one };
+          window.WebSocket.OPEN = made.OPEN; })()"""
+    )
+    screen.open("?angle=30")
+    outlast(screen.page, 2000)  # the page waits for the test before it connects again
+    screen.page.evaluate("sockets[0].close()")
+    expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
+    expect(screen.page.locator("#rows")).to_have_css("opacity", "0.32")
+    screen.page.reload()
+    screen.rest("30")
+
+
+@pytest.mark.slow
+def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen: Screen) -> None:
+    screen.open("?query=0005")
+    page = screen.page
+    tab = page.evaluate("document.documentElement.dataset.tab")
+    expect(page.locator("#scene.ready iframe")).to_be_visible()
+    session = running.app._channel.sessions[tab]
+    assert session._scene is not None
+    assert f"/city/tile{running.analysis(query=3).ranking.match(0).index}" in session._scene.nodes
+    expect(page.frame_locator("#scene iframe").locator("canvas[data-engine]")).to_be_visible()
+    screen.key("x")
+    expect(page.locator("#scene [data-view=apart]")).to_have_attribute("aria-pressed", "true")
+    expect(page).to_have_url(re.compile("view=apart"))
+    for _ in range(600):
+        if "/apart/ribbon/3" in session._scene.nodes:
+            break
+        page.wait_for_timeout(100)
+    assert "/apart/ribbon/3" in session._scene.nodes
+    screen.key("g")
+    assert box(page.locator("#scene"))["height"] > 340
+    screen.key("Escape")
+    assert box(page.locator("#scene"))["height"] < 340
+    assert not [one for one in screen.complaints if "WebGL" not in one]
+
+
+@pytest.mark.slow
+def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
+    panorama_app: RunningApp, new_page: Callable[[], Page]
+) -> None:
+    screen = Screen(new_page(), f"{panorama_app.screen}/").open()
+    page = screen.page
+    expect(page.locator("#photo .hint")).to_have_text("drag to roll")
+    expect(screen.rows).to_have_count(4)
+    expect(page.locator("#about")).to_contain_text("cut into parts")
+    whole, seen = box(page.locator("#photo .pan")), box(screen.photo)
+    assert whole["width"] > 2 * seen["width"], "a square window shows a piece of it"
+    page.mouse.move(seen["x"] + 300, seen["y"] + 200)
+    page.mouse.down()
+    page.mouse.move(seen["x"] + 300 - whole["width"] / 8, seen["y"] + 200)
+    page.mouse.up()
+    screen.rest("45")
+    shift = page.locator("#photo .picture").evaluate(
+        "one => parseFloat(one.style.backgroundPositionX) / one.clientWidth"
+    )
+    assert shift == pytest.approx(-45 / 360, abs=0.002)
+    assert scrolls(page) == (0, 0)
+    assert not screen.complaints
+
+
+@pytest.mark.slow
+def test_saved_descriptors_are_ranked_without_heat_or_turning(
+    saved_app: RunningApp, new_page: Callable[[], Page]
+) -> None:
+    screen = Screen(new_page(), f"{saved_app.screen}/").open()
+    page = screen.page
+    expect(screen.rows).to_have_count(4)
+    expect(page.locator("#photo .key")).to_be_hidden()
+    expect(screen.tiles).to_have_count(6)
+    screen.key("j")
+    screen.key("n")
+    screen.rest("0")
+    expect(page).to_have_url(re.compile(r"query=0008$"))
+    page.set_input_files("#file", {"name": "a.png", "mimeType": "image/png", "buffer": b"words"})
+    expect(screen.headline.locator("h1")).to_contain_text("Saved descriptors cannot describe a photo of yours")
+    assert not screen.complaints
+
+
+def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Screen) -> None:
+    screen.page.add_init_script(
+        """const made = HTMLCanvasElement.prototype.getContext;
+        HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
+          return kind.startsWith("webgl") ? null : made.call(this, kind, ...rest);
+        };"""
+    )
+    screen.open()
+    screen.expect_numbers(running.analysis())
+    expect(screen.page.locator("#scene")).to_be_hidden()
+    expect(screen.page.locator("iframe")).to_have_count(0)
+
+
+def test_a_second_browser_has_its_own_photo(running: Running, contexts: Callable[..., BrowserContext]) -> None:
+    one, other = (Screen(contexts().new_page(), running.url).open() for _ in range(2))
+    one.key("n")
+    one.rest()
+    expect(one.page).to_have_url(re.compile("query=0003"))
+    expect(other.page).to_have_url(re.compile("query=0002"))
