@@ -28,7 +28,7 @@ _THREADS = 32
 class Outbox:
     """Messages that wait for one page: of each kind the newest, so that a slow page never has more to read.
 
-    A message is a dict of one key, its kind. `put` may be called from any thread.
+    The first key of a message is its kind; a panel's message says a further one, `kind`. `put` may be called from any thread.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -41,7 +41,7 @@ class Outbox:
             self._loop.call_soon_threadsafe(self._put, message)
 
     def _put(self, message: ScreenMessage) -> None:
-        kind = next(iter(message))
+        kind = f"{next(iter(message))} {message.pop('kind', '')}"
         self._waiting.pop(kind, None)
         self._waiting[kind] = message
         self._ready.set()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Generic, Literal, Protocol, TypeVar
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer.parameters import LONGEST_TEXT, UnusableError, format_number, is_line, parse_number
@@ -53,7 +53,7 @@ class NumberIn:
 class OneOf:
     """One of a few texts, which may depend on the workspace."""
 
-    values: Sequence[str] | str
+    values: Sequence[str] | Literal["places", "tasks", "models", "scorings", "panels"]
 
     def choices(self, state: ScreenState, workspace: Workspace) -> Sequence[str]:
         """Return the texts that a workspace offers in a state."""
@@ -64,6 +64,8 @@ class OneOf:
                 return tuple(workspace.tasks)
             case "models":
                 return tuple(str(number) for number in range(len(workspace.beside) + 1))
+            case "panels":
+                return ("", *PANELS)
             case "scorings":
                 return [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
         return self.values
@@ -151,8 +153,30 @@ class Weights:
         return ",".join(map(format_number, value))
 
 
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class PanelField(Generic[T]):
+    """A row of the table that a panel adds: `state[FIELD]` is its value.
+
+    Attributes:
+        name: of the field in messages, with the panel's before it: `lab_order`.
+        kind: what it holds.
+        default: of a page without an address; every workspace can use it.
+        key: of the value in the address; empty for none.
+        of_query: another query resets it.
+    """
+
+    name: str
+    kind: FieldKind
+    default: T
+    key: str = ""
+    of_query: bool = False
+
+
 def _row(kind: FieldKind, default: Any, key: str = "", of_query: bool = False) -> Any:
-    return field(default=default, metadata={"kind": kind, "key": key, "of_query": of_query})
+    return field(default=default, metadata={"row": (kind, key, of_query)})
 
 
 @dataclass(frozen=True)
@@ -174,6 +198,8 @@ class ScreenState:
         find: a text that their names contain.
         view: what the scene shows.
         theme: of the page.
+        panel: the panel that is open; empty for none.
+        of_panels: values of the panels' fields by their names; a field that is missing has its default.
     """
 
     place: str = _row(OneOf("places"), "", "show")
@@ -190,14 +216,59 @@ class ScreenState:
     find: str = _row(Line(), "", "find")
     view: str = _row(OneOf(("city", "apart")), "city", "view")
     theme: str = _row(OneOf(("dark", "light")), "dark", "theme")
+    panel: str = _row(OneOf("panels"), "", "panel")
+    of_panels: Mapping[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, row: PanelField[T]) -> T:
+        value: T = self.of_panels.get(row.name, row.default)
+        return value
+
+    def value(self, name: str) -> Any:
+        """Return the value of a field by its name."""
+        row = FIELDS[name]
+        return self.of_panels.get(name, row.default) if name in _OF_PANELS else getattr(self, name)
+
+    def with_value(self, name: str, value: Any) -> ScreenState:
+        """Return the state with another value of a field, which is not checked."""
+        if name in _OF_PANELS:
+            return replace(self, of_panels={**self.of_panels, name: value})
+        changes: dict[str, Any] = {name: value}
+        return replace(self, **changes)
+
+    def values(self) -> dict[str, Any]:
+        """Return the values of all fields by their names."""
+        return {name: self.value(name) for name in FIELDS}
 
 
-# The rows by their names: task before query, as it tells the query's names.
-FIELDS = {row.name: row.metadata for row in fields(ScreenState)}
-# The fields that another query resets, with their defaults.
-_UPRIGHT: dict[str, Any] = {row.name: row.default for row in fields(ScreenState) if row.metadata["of_query"]}
-# Fields whose change needs no new answer.
-_OF_PAGE = ("filter", "find", "view", "theme")
+# The rows by their names, task before query, as it tells the query's names; panels add theirs.
+FIELDS: dict[str, PanelField[Any]] = {
+    row.name: PanelField(row.name, row.metadata["row"][0], row.default, *row.metadata["row"][1:])
+    for row in fields(ScreenState)
+    if row.metadata
+}
+_OF_PANELS: set[str] = set()
+# The names of all panels.
+PANELS: list[str] = []
+# Fields whose change needs no new answer, beside those of panels.
+_OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
+
+
+def add_panel(name: str, rows: Sequence[PanelField[Any]]) -> None:
+    """Add a panel's name and rows to the table."""
+    PANELS.append(name)
+    for row in rows:
+        assert row.name.startswith(f"{name}_"), row.name
+        assert row.key == "" or row.key not in {other.key for other in FIELDS.values()}, row.key
+        FIELDS[row.name] = row
+        _OF_PANELS.add(row.name)
+
+
+def _upright(state: ScreenState) -> ScreenState:
+    """Return the state with the fields that belong to a query as on a new page."""
+    for name, row in FIELDS.items():
+        if row.of_query:
+            state = state.with_value(name, row.default)
+    return state
 
 
 def opening(workspace: Workspace) -> ScreenState:
@@ -217,15 +288,15 @@ def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspa
         if name not in values:
             continue
         try:
-            value = row["kind"].read(values[name], state, workspace)
+            value = row.kind.read(values[name], state, workspace)
         except UnusableError as error:
-            problems.append(f"{row['key'] or name}: {error}")
+            problems.append(f"{row.key or name}: {error}")
             continue
         if name in ("task", "query", "own") and (value != getattr(state, name) or (state.own and name != "own")):
-            state = replace(state, own="", **_UPRIGHT)
+            state = replace(_upright(state), own="")
         if name == "task" and value != state.task:
             state = replace(state, query=0, scoring=workspace.default_scoring(value))
-        state = replace(state, **{name: value})
+        state = state.with_value(name, value)
     unknown = [printable(name)[:40] for name in values if name not in FIELDS]
     return state, problems + [f"{name}: there is no such choice." for name in unknown]
 
@@ -234,11 +305,9 @@ def to_address(state: ScreenState, workspace: Workspace) -> str:
     """Return the query string of a state, without "?": the fields that differ from an opened page's."""
     plain = replace(opening(workspace), query=-1)
     pairs = [
-        (row["key"], row["kind"].write(value, state, workspace))
+        (row.key, row.kind.write(value, state, workspace))
         for name, row in FIELDS.items()
-        if row["key"]
-        and (value := getattr(state, name)) != getattr(plain, name)
-        and not (name == "query" and state.own)
+        if row.key and (value := state.value(name)) != plain.value(name) and not (name == "query" and state.own)
     ]
     return urlencode(pairs, quote_via=quote, safe="/,~")
 
@@ -246,7 +315,7 @@ def to_address(state: ScreenState, workspace: Workspace) -> str:
 def from_address(search: str, workspace: Workspace) -> tuple[ScreenState, list[str]]:
     """Return the state of a query string, and a sentence for each value that cannot be used; other keys are ignored."""
     given = parsed(search)
-    values = {name: given[row["key"]] for name, row in FIELDS.items() if row["key"] in given}
+    values = {name: given[row.key] for name, row in FIELDS.items() if row.key in given}
     return changed(opening(workspace), values, workspace)
 
 
@@ -260,4 +329,5 @@ def parsed(search: str) -> dict[str, str]:
 
 def needs_answer(before: ScreenState, state: ScreenState) -> bool:
     """Return whether two states have different answers."""
-    return replace(before, **{name: getattr(state, name) for name in _OF_PAGE}) != state
+    unchanged: dict[str, Any] = {name: getattr(state, name) for name in _OF_PAGE}
+    return replace(before, **unchanged) != state

@@ -1,4 +1,4 @@
-"""The files of the page at `/`: one template, one style sheet, and ES modules, as they lie in the folder `page`."""
+"""The files of the page at `/`: one template, style sheets, and ES modules, as they lie in `page`, `vendor`, and the panels."""
 
 from __future__ import annotations
 
@@ -12,11 +12,12 @@ from typing import Final
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
+from explorer.screen.panels import folder
 from explorer.server.auth import HttpRequest
 
-_PAGE = Path(__file__).parent / "page"
+_SCREEN = Path(__file__).parent
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
-_FILE = re.compile(r".*/screen/([a-z_]{1,40}\.(?:css|js))", re.ASCII)
+_FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js))", re.ASCII)
 # Folders below which viser's own page lies: the former page, and the scene of a tab.
 _SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
 _CLASSIC = "/classic/"
@@ -36,13 +37,13 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
     """
     place = request.path.partition("?")[0]
     if match := _FILE.fullmatch(place):
-        name = match[1]
+        of_panel = folder(match[2]) if match[2] else _SCREEN / match[1]
+        file = None if of_panel is None else of_panel / match[3]
     elif place.endswith("/") and not place.endswith(_CLASSIC) and scene_of(place) is None:
-        name = "index.html"
+        file = _SCREEN / "page" / "index.html"
     else:
         return None
-    file = _PAGE / name
-    if not file.is_file():
+    if file is None or not file.is_file():
         return Response(404, "Not Found", Headers({"Content-Length": "0", "Connection": "close"}), b"")
     content, tag = _read(file, file.stat().st_mtime_ns, zipped)
     headers = Headers({"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding", "Connection": "close"})

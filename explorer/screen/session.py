@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import threading
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
@@ -23,6 +23,8 @@ from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
+from explorer.screen.panel import PanelPart
+from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import Scene, views_of
@@ -107,6 +109,60 @@ class ScreenSession:
         self._scene: Scene | None = None
         self._painted: ScreenResult | None = None
         self._painter = Worker(self._paint, lambda _: None)
+        # The open panel, whose work has a thread of its own.
+        self._panel: tuple[str, PanelPart] | None = None
+        self._panels = Worker(self._show_panel, self._fail_panel)
+
+    # What panels use, see `Tab`.
+
+    @property
+    def state(self) -> ScreenState:
+        """The newest state."""
+        assert self._state is not None
+        return self._state
+
+    @property
+    def result(self) -> ScreenResult | None:
+        """The newest result."""
+        return self._painted
+
+    @property
+    def services(self) -> WorkspaceServices:
+        """What the state's place offers."""
+        return self._of(self.state)
+
+    @property
+    def workspace(self) -> Workspace:
+        """The workspace of the state's model."""
+        return self._workspace(self.state)
+
+    @property
+    def ranking(self) -> RankingJob:
+        """The ranking of the state's task."""
+        return self._ranking(self.state)
+
+    @property
+    def background(self) -> RequestContext:
+        """Access to the network behind what a person waits for."""
+        return self._access().background
+
+    def set(self, values: Mapping[str, object]) -> None:
+        """Set fields of the state as the page does."""
+        self._set(values)
+
+    def send(self, message: ScreenMessage) -> None:
+        """Send a message to the open panel's module."""
+        self.append("", message)
+
+    def append(self, kind: str, message: ScreenMessage) -> None:
+        """Send a message that replaces only one of its kind."""
+        panel = self._panel
+        if panel is not None:
+            self._send({"panel": {"name": panel[0], "message": message}, "kind": kind})
+
+    def say(self, text: str) -> None:
+        """Show a sentence in the headline's place."""
+        self._send({"error": text})
 
     def receive(self, message: object) -> None:
         """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
@@ -116,6 +172,8 @@ class ScreenSession:
             case {"do": str(name), "args": dict(arguments)} if name in self._actions:
                 if name == "open" or self._state is not None:
                     self._actions[name](arguments)
+            case {"do": str(name), "args": dict(arguments)} if (action := self._panel_action(name)) is not None:
+                action(arguments)
             case {"do": str(name)}:
                 self._send({"error": f"There is no action {printable(name)[:40]}."})
 
@@ -136,6 +194,8 @@ class ScreenSession:
         self._curve.stop()
         self._occlusion.stop()
         self._painter.stop()
+        self._panels.stop()
+        self._close_panel()
         self._progress.close()
         with self._lock:
             for opened in self._opened.values():
@@ -266,6 +326,34 @@ class ScreenSession:
         self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)))
         self._send({"scene": "ready"})
 
+    # The open panel.
+
+    def _panel_action(self, name: str) -> Callable[[Mapping[str, Any]], None] | None:
+        panel = self._panel
+        of_panel, _, action = name.partition(".")
+        return panel[1].actions.get(action) if panel is not None and panel[0] == of_panel else None
+
+    def _close_panel(self) -> None:
+        if self._panel is not None:
+            self._panel[1].close()
+            self._panel = None
+
+    def _turn_to_panel(self, name: str) -> None:
+        """Make the state's panel the open one, for the state's place and model."""
+        if (self._panel[0] if self._panel else "") != name:
+            self._close_panel()
+            if name:
+                self._panel = name, PANELS[name].part(self)
+
+    def _show_panel(self) -> None:
+        panel = self._panel
+        if panel is not None:
+            panel[1].show()
+
+    def _fail_panel(self, error: Exception) -> None:
+        if isinstance(error, LPNError):
+            self.say(str(error))
+
     # What is shown.
 
     def _show(self, state: ScreenState, problems: list[str], new_page: bool = False) -> None:
@@ -277,6 +365,8 @@ class ScreenSession:
         if problems:
             self._send({"error": problems[0][:1].upper() + problems[0][1:]})
         self._show_rail()
+        self._turn_to_panel(state.panel)
+        self._panels.wake()
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
         elif (before.view, before.theme) != (state.view, state.theme):
@@ -285,7 +375,7 @@ class ScreenSession:
     def _choices(self, state: ScreenState) -> ScreenMessage:
         workspace = self._of(state).workspace
         address = fields.to_address(state, workspace)
-        return asdict(state) | {"address": address, "query_name": workspace.tasks[state.task].query_names[state.query]}
+        return state.values() | {"address": address, "query_name": workspace.tasks[state.task].query_names[state.query]}
 
     def _page(self, state: ScreenState) -> ScreenMessage:
         """Return what stays while a person looks at one model's task."""
@@ -307,6 +397,11 @@ class ScreenSession:
             "place": "City" if base.basemap is None else "Map",
             "without_cells": workspace.without_cells,
             "step": STEP,
+            "panels": [
+                {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
+                for one in PANELS.values()
+                if one.offered(base)
+            ],
         }
 
     def _show_rail(self) -> None:
@@ -379,7 +474,8 @@ class ScreenSession:
         self._number += 1
         message = result.message() | {"scene": views_of(result), "number": self._number}
         self._painted = result
-        return message | {"state": asdict(state), "curve": _digest(key, state)}
+        self._panels.wake()
+        return message | {"state": state.values(), "curve": _digest(key, state)}
 
     def _after(self, state: ScreenState) -> None:
         """Begin what goes on behind an answer: the scene, the ranking of all queries, the curve, and the occlusion."""

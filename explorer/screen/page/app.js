@@ -5,6 +5,7 @@ import { Commands } from "./commands.js";
 import { angleAt, drawCurve } from "./curve.js";
 import { find, findAll, isPhone, make, onPicture, variable, wrap } from "./dom.js";
 import { paintKey, partAt } from "./heat.js";
+import { Panels } from "./panels.js";
 import { markFocus, photoTurn, rollPicture, showPicture } from "./pictures.js";
 import { RailList } from "./rail.js";
 import { showRows, showStrip, showSums, sign } from "./rows.js";
@@ -63,6 +64,7 @@ const channel = connect(
       view.result = { ...view.result, photo: { ...view.result.photo, ...covered }, measured: done < squares ? `${done} of ${squares}` : "" };
       soon();
     },
+    panel: ({ name, message }) => panels.receive(name, message),
     busy: (text) => say(text),
     error: (text) => {
       say(text);
@@ -149,6 +151,7 @@ const draw = () => {
   if (!page || !state) return drawHeadline();
   drawHead();
   drawHeadline();
+  panels.show(page.panels, state.panel);
   if (!result) return;
   const stale = isStale();
   document.body.classList.toggle("turning", stale);
@@ -349,6 +352,7 @@ const commands = new Commands(find("#commands"), list, () => {
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
     ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : view.page.place, key: "X", act: () => KEYS.x() }] : []),
+    ...page.panels.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => openPanel(one.name) })),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
     { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
   ];
@@ -360,9 +364,13 @@ const classicAddress = () => {
   return new URLSearchParams({ show: state.place, task: state.task, query: state.query_name, angle: String(state.angle), screen: "all" });
 };
 
+const openPanel = (name) => set({ panel: view.state.panel === name ? "" : name });
+const panels = new Panels(find("#panel"), { set, act: channel.act, say, view });
+
 const toggleFilter = () => set({ filter: view.state.filter === "all" ? "missed" : "all" });
 const escape = () => {
-  if (document.body.classList.contains("large")) enlarge(false);
+  if (view.state.panel) panels.close();
+  else if (document.body.classList.contains("large")) enlarge(false);
   else if (view.said && view.result) say("");
   else if (view.result?.pinned) set({ compare: null });
   else if (view.state.filter !== "all") set({ filter: "all" });
@@ -392,8 +400,12 @@ export const press = (event) => {
     commands.open();
   }
   if (event.ctrlKey || event.metaKey || event.altKey || find("#commands").open || !view.state) return;
+  const typing = /** @type {any} */ (event.target)?.closest?.("input, textarea, select, [contenteditable]");
+  if (typing && name !== "escape") return;
   const part = Number(name) - 1;
+  const panel = view.page?.panels.find((one) => one.key === name);
   if (name.length === 1 && part >= 0 && part < (view.page?.parts ?? 0)) focusOn(view.focus === part ? -1 : part);
+  else if (panel && !event.repeat) openPanel(panel.name);
   else if (KEYS[name] && !(event.repeat && "tf".includes(name))) {
     event.preventDefault();
     KEYS[name]();

@@ -46,16 +46,16 @@ def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_
     for name in [file.name for file in PAGE.iterdir() if file.suffix != ".html"]:  # the browser asks for all at once
         assert f"screen/{name}".encode() in body
         assert get(app, f"/screen/{name}")[0] == 200
-    assert get(app, "/screen/nothing.js")[0] == 404
+    assert get(app, "/screen/page/nothing.js")[0] == 404
     assert get(app, "/screen/../session.py")[0] == 404
     assert b"viser" in get(app, "/classic/")[2].lower()
 
 
 def test_a_browser_gets_a_file_again_only_if_it_has_changed(app: App) -> None:
-    _, headers, packed = get(app, "/screen/app.js", Accept_Encoding="gzip")
+    _, headers, packed = get(app, "/screen/page/app.js", Accept_Encoding="gzip")
     assert headers["Content-Encoding"] == "gzip"
-    assert gzip.decompress(packed) == get(app, "/screen/app.js")[2]
-    assert get(app, "/screen/app.js", If_None_Match=headers["ETag"])[0] == 304
+    assert gzip.decompress(packed) == get(app, "/screen/page/app.js")[2]
+    assert get(app, "/screen/page/app.js", If_None_Match=headers["ETag"])[0] == 304
 
 
 def test_a_page_opens_with_all_that_it_shows(app: App, tab: Tab, workspace: Workspace) -> None:
@@ -223,7 +223,7 @@ def test_another_site_a_wrong_tab_and_somebody_without_the_token_reach_no_channe
         with pytest.raises(InvalidStatus, match="401"):
             Tab(app)
         assert get(app, "/")[0] == 401
-        assert get(app, "/screen/app.js")[0] == 401
+        assert get(app, "/screen/page/app.js")[0] == 401
     finally:
         app.gateway.authenticator = before
 

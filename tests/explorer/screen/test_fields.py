@@ -8,6 +8,7 @@ import pytest
 
 from explorer.screen import fields
 from explorer.screen.fields import ScreenState
+from explorer.screen.panels import PANELS
 from explorer.workspace import Workspace
 
 
@@ -17,9 +18,9 @@ def opened(workspace: Workspace) -> ScreenState:
 
 
 def test_the_table_gives_each_field_of_the_state_a_kind() -> None:
-    assert set(fields.FIELDS) == set(ScreenState.__dataclass_fields__)
-    assert all(row["kind"] is not None for row in fields.FIELDS.values())
-    keys = [row["key"] for row in fields.FIELDS.values() if row["key"]]
+    of_panels = {row.name for panel in PANELS.values() for row in panel.fields}
+    assert set(fields.FIELDS) == {*ScreenState.__dataclass_fields__, *of_panels} - {"of_panels"}
+    keys = [row.key for row in fields.FIELDS.values() if row.key]
     assert len(set(keys)) == len(keys)
 
 

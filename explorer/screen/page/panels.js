@@ -1,0 +1,71 @@
+// Panels beside or over the rings. The server says which there are; the module and the style sheet of one are loaded when it opens.
+//
+// A panel's module has `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its
+// Python sends, `draw` is called after each change of the view. `context` is `{set, act, say, view}`.
+
+import { find, make } from "./dom.js";
+
+export class Panels {
+  /**
+   * @param {any} box
+   * @param {{set: (values: any) => void, act: (name: string, args?: any) => void, say: (text: string) => void, view: any}} context
+   */
+  constructor(box, context) {
+    this.box = box;
+    this.context = context;
+    this.name = "";
+    this.panel = null;
+    /** @type {any[]} */
+    this.waiting = [];
+    this.before = null;
+    find(".close", box).onclick = () => this.close();
+  }
+
+  /** Show the panel of the state; its module comes once. */
+  async show(panels, name) {
+    if (name === this.name) return this.panel?.draw(this.context.view);
+    const had = this.name;
+    if (!had) this.before = document.activeElement;
+    this.panel?.close();
+    [this.name, this.panel] = [name, null];
+    this.waiting = this.waiting.filter((one) => one.name === name);
+    const known = panels.find((one) => one.name === name);
+    this.box.hidden = !known;
+    document.documentElement.dataset.panel = known?.place ?? "";
+    dispatchEvent(new Event("resize")); // the rings take the room that is left
+    const content = find(".content", this.box);
+    content.replaceChildren();
+    if (!known) {
+      if (had) this.before?.focus();
+      return;
+    }
+    this.box.dataset.name = name;
+    find("h2", this.box).textContent = known.title;
+    if (had || this.context.view.result) find("h2", this.box).focus({ preventScroll: true }); // not on a page's opening
+    await addStyle(`screen/panels/${name}/${name}.css`);
+    const { open } = await import(`../panels/${name}/${name}.js`);
+    if (name !== this.name) return;
+    const { set, say, view } = this.context;
+    this.panel = open(content, { set, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
+    for (const { message } of this.waiting.splice(0)) this.panel.receive(message);
+    this.panel.draw(view);
+  }
+
+  /** Hand a message to its panel, which may still be loading or about to open. */
+  receive(name, message) {
+    if (name === this.name && this.panel) this.panel.receive(message);
+    else this.waiting.push({ name, message });
+  }
+
+  close() {
+    this.context.set({ panel: "" });
+  }
+}
+
+const addStyle = (address) =>
+  new Promise((done) => {
+    if (find(`link[href="${address}"]`)) return done(null);
+    const link = make("link", { rel: "stylesheet", href: address });
+    link.onload = link.onerror = () => done(null);
+    document.head.append(link);
+  });

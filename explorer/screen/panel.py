@@ -1,0 +1,115 @@
+"""Panels: what opens beside or over the rings. Each is a folder of `explorer/screen/panels`: Python, a module, a style sheet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+from explorer.client.services import WorkspaceServices
+from explorer.compute.ranking_job import RankingJob
+from explorer.compute.request_context import RequestContext
+from explorer.screen.fields import PanelField, ScreenState
+from explorer.screen.loop import ScreenMessage
+from explorer.screen.result import ScreenResult
+from explorer.workspace import Workspace
+
+Action = Callable[[Mapping[str, Any]], None]
+
+
+class Tab(Protocol):
+    """What a panel reads of its tab, and how it answers. All of it may be used from any thread."""
+
+    @property
+    def state(self) -> ScreenState:
+        """The newest state."""
+        ...
+
+    @property
+    def result(self) -> ScreenResult | None:
+        """The newest result, whose state may be an older one; None before the first."""
+        ...
+
+    @property
+    def services(self) -> WorkspaceServices:
+        """What the state's place offers."""
+        ...
+
+    @property
+    def workspace(self) -> Workspace:
+        """The workspace of the state's model."""
+        ...
+
+    @property
+    def ranking(self) -> RankingJob:
+        """The ranking of the state's task, model, and scoring."""
+        ...
+
+    @property
+    def background(self) -> RequestContext:
+        """Access to the network behind what a person waits for."""
+        ...
+
+    def set(self, values: Mapping[str, object]) -> None:
+        """Set fields of the state as the page does."""
+        ...
+
+    def send(self, message: ScreenMessage) -> None:
+        """Send a message to the open panel's module; of several that wait, the page takes the newest.
+
+        For a message that must not replace another, see `append`.
+        """
+        ...
+
+    def append(self, kind: str, message: ScreenMessage) -> None:
+        """Send a message that replaces only one of its kind."""
+        ...
+
+    def say(self, text: str) -> None:
+        """Show a sentence in the headline's place."""
+        ...
+
+
+class PanelPart:
+    """A panel's part of one tab while the panel is open.
+
+    Attributes:
+        actions: by the names that `context.act` of the panel's module takes.
+    """
+
+    def __init__(self, tab: Tab) -> None:
+        self.tab = tab
+        self.actions: Mapping[str, Action] = {}
+
+    def show(self) -> None:
+        """Send what the panel shows: after it opened, after each change of the state, and after each result.
+
+        The calls come one after the other from a thread of their own; several changes lead to one more call. A sentence of an
+        LPNError that this raises is shown in the headline's place.
+        """
+
+    def close(self) -> None:
+        """End what goes on for the panel."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A panel, which its folder's `__init__.py` calls `PANEL`.
+
+    Attributes:
+        name: of the folder, of its module `NAME.js`, of its style sheet `NAME.css`, and in the address.
+        title: of its command, and of its heading.
+        part: makes its part of a tab.
+        key: that opens and closes it, in lower case; empty for none.
+        place: "beside" the rings in place of the rail, a "page" over the rings, or the "full" window.
+        fields: the choices that it adds to the state; their names begin with the panel's and "_".
+        offered: whether a workspace has it.
+    """
+
+    name: str
+    title: str
+    part: Callable[[Tab], PanelPart]
+    key: str = ""
+    place: Literal["beside", "page", "full"] = "page"
+    fields: Sequence[PanelField[Any]] = ()
+    offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
