@@ -44,10 +44,10 @@ def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_
     assert b"<script>" not in body
     assert b"onclick" not in body
     for name in [file.name for file in PAGE.iterdir() if file.suffix != ".html"]:  # the browser asks for all at once
-        assert f"screen/{name}".encode() in body
-        assert get(app, f"/screen/{name}")[0] == 200
+        assert f"screen/page/{name}".encode() in body
+        assert get(app, f"/screen/page/{name}")[0] == 200
     assert get(app, "/screen/page/nothing.js")[0] == 404
-    assert get(app, "/screen/../session.py")[0] == 404
+    assert get(app, "/screen/page/../session.py")[0] == 404
     assert b"viser" in get(app, "/classic/")[2].lower()
 
 
