@@ -1,18 +1,17 @@
-"""The workspace that all browsers share: a model, a data set, and its tasks; and the analysis of one browser's states."""
+"""The workspace that all browsers share: a model, a data set, and its tasks; and the answers to one browser's questions."""
 
 from __future__ import annotations
 
 import logging
 from base64 import b64decode
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
 
 import numpy as np
 
-from explorer import session_state
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
@@ -21,8 +20,6 @@ from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
 from explorer.compute.watchers import Watchers
-from explorer.layout import layout_for
-from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
@@ -32,24 +29,20 @@ from lpn.core.resources import yield_cores
 from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
-from lpn.datasets.city_model import CityModel
 from lpn.datasets.ground_use import Letters, ground_uses
 from lpn.descriptors.weather import CLEAR
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.drawing.words import Vocabulary
 from lpn.explain.lead_places import TileGround
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.grades import doubtful_photos
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.locate.own_photo import OwnPhoto
+from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
-from lpn.retrieval.calibration import zoom_note
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.task import SCORINGS, Scoring, Task, scored_key
 
@@ -59,10 +52,6 @@ log = logging.getLogger(__name__)
 TILES = 48
 # A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
 TILE_BYTES = 400_000_000
-# Number of card pictures in the cache, 0.15 MB each.
-CARDS = 256
-# Number of tiles whose parts' areas are in the cache, up to 0.02 MB each.
-TILE_AREAS = 1024
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
 # Longer side in pixels of a picture on the screen.
@@ -83,7 +72,6 @@ class Workspace:
         map_sizes: (h, w) of the feature map of each view.
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
-        city: the 3-D model for the map: a city's, or the relief of a flight's map.
         root: the data set's folder.
     """
 
@@ -95,7 +83,6 @@ class Workspace:
         contract: Contract,
         map_sizes: dict[View, tuple[int, int]],
         model: Model | None,
-        city: CityModel | None,
         root: Path,
     ) -> None:
         self.root = root
@@ -108,7 +95,7 @@ class Workspace:
         self.scorings: Scorings = Scorings(
             "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
         )
-        self.contract, self.map_sizes, self.city = contract, map_sizes, city
+        self.contract, self.map_sizes = contract, map_sizes
         self.inference = InferenceScheduler()
         own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
         self.model: QueuedModel | None = own
@@ -136,14 +123,12 @@ class Workspace:
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
         )
-        self._tile_areas: SingleFlightCache[tuple[str, bool, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
         # The verdicts on the newest flight, and the photos that cannot be graded under each ranking of it.
         self._verdicts: SingleFlightCache[LocatedFlight, FlightVerdicts] = SingleFlightCache(1)
         self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
-        self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
         # The map that windows are cut from; None without one.
         self.basemap: Map | None = None
@@ -151,7 +136,6 @@ class Workspace:
         self.own_photos: OwnPhotoJobs | None = None
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
-        self.layout = layout_for(self.contract.input_size)
         self.ground_uses: Callable[[], Mapping[str, Letters]] = lru_cache(maxsize=1)(self._read_ground_uses)
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
 
@@ -163,10 +147,6 @@ class Workspace:
         letters = self.ground_uses().get(picture.path.relative_to(self.root).as_posix())
         return None if letters is None else TileGround(letters, picture.zoom)
 
-    def compared(self, state: SessionState) -> LazyWorkspace | None:
-        """Return the model beside this one that a state compares; None without one."""
-        return self.beside[state.beside] if state.beside < len(self.beside) else None
-
     def choose_first_query(self, query: str | None) -> None:
         """Choose by name the query that a new browser shows first.
 
@@ -177,38 +157,6 @@ class Workspace:
         if query is not None and query not in names:
             raise InputError(f"{self.data_name} has no query {query}; names look like {names[0]}.")
         self.first_query = 0 if query is None else names.index(query)
-
-    def same_place(self, state: SessionState, task: str, preferred: int = 0) -> int:
-        """Return a query of another task that shows the place of the state's query.
-
-        Args:
-            preferred: the query to return if it shows the place; otherwise it is the first that does, or 0.
-        """
-        if state.upload is not None:
-            return 0
-        label = self.tasks[state.task].query_labels[state.query]
-        same = self.tasks[task].query_labels == label
-        return preferred if same[preferred] else int(np.argmax(same))
-
-    def supported_state(self, state: SessionState) -> SessionState:
-        """Return the state without the features that this workspace cannot show.
-
-        Without a network, these are changes of the query, uploads, heatmaps, and the explain window; without cells, heatmaps and
-        regions.
-        """
-        if state.ranking_key not in self.rankings:
-            state = replace(state, scoring=self.tasks[state.task].scoring)
-        if state.flight and not self.has_flight:
-            state = replace(state, flight=False)
-        if self.tasks[state.task].query_view == "satellite":
-            state = replace(state, weather="normal")  # a tile has none, see `lpn.tasks.weathers`
-        if self.without_cells:
-            state = replace(state, heat=False, heat_kind="activation", region=())
-        return (
-            state
-            if self.model is not None
-            else replace(session_state.upright(state), heat=False, upload=None, why=False)
-        )
 
     def tile(self, task: Task, index: int, model: Model | None = None) -> DescribedPicture:
         """Return a described gallery picture, from the cache if possible.
@@ -231,10 +179,6 @@ class Workspace:
         """Return the scoring that a task opens with: the first of `opens_with` that it has, or the one it was opened under."""
         ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
         return next(ready, self.tasks[name].scoring)
-
-    def task_of(self, state: SessionState) -> Task:
-        """Return the state's task under its scoring, or as it was opened where that one is not ready."""
-        return self.rankings[self.supported_state(state).ranking_key].task
 
     def scored_rankings(self, task: Task) -> list[RankingJob]:
         """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""
@@ -307,17 +251,6 @@ class Workspace:
         quick = len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
 
-    def located(self, analysis: StateAnalysis) -> LocatedFrame | None:
-        """Return the photo that is shown with its registration: of a flight, or an own one; None without."""
-        if analysis.state.upload:
-            return None if analysis.registered is None else analysis.registered.located
-        return None if self.flight is None else self.flight.frames[analysis.state.query]
-
-    def details(self, analysis: StateAnalysis) -> StageRecord | None:
-        """Return how the photo that is shown lies on the map by its details; None while it is not registered."""
-        located = self.located(analysis)
-        return None if located is None else located.stages.get("registration")
-
     @property
     def has_flight(self) -> bool:
         """Return True if the queries are the frames of a flight."""
@@ -355,50 +288,11 @@ class Workspace:
         """Return the picture on which parts are drawn, see `Model.as_partitioned`."""
         return picture if self.model is None else self.model.as_partitioned(picture, view)
 
-    def card(self, task: Task, index: int) -> UInt8Array:
-        """Return a gallery picture at the size of a card, without part borders; read-only."""
-        return self._card(task.key, index)
-
-    def ground_picture(self, task: Task, index: int) -> UInt8Array:
-        """Return a gallery picture as it lies on the ground: a card, or the picture itself if the card is unrolled or zoomed."""
-        card = self.card(task, index)
-        if not self.contract.unrolled(task.gallery_view) and task.gallery[index].zoom == 1:
-            return card
-        try:
-            return self.load_picture(task.gallery[index])
-        except PictureError:
-            return card
-
     def areas(self, view: View, described: DescribedPicture | None = None) -> PartAreas | None:
         """Return the areas of the parts: of the view's partition, else of the picture's cells; None without either."""
         fixed = self._fixed_areas(view)
         trace = None if described is None else described.trace
         return PartAreas.of(self.contract, view, self.map_sizes[view], trace) if fixed is None else fixed
-
-    def known_tile_areas(self, task: Task, index: int) -> PartAreas | None:
-        """Return the areas of a gallery picture's parts if they take no forward pass: None until `find_tile_areas`."""
-        fixed = self._fixed_areas(task.gallery_view)
-        return self._tile_areas.peek(_tile_key(task, index)) if fixed is None else fixed
-
-    def find_tile_areas(self, task: Task, index: int, model: QueuedModel | None) -> None:
-        """Find the areas of a gallery picture's parts by its cells, from the described tiles if it is among them.
-
-        A tile described here is not cached as `tile` does: an answer that needs it must not wait for background work.
-
-        Args:
-            model: describes the tile in the background.
-
-        Raises:
-            LPNError: when the picture cannot be read or described.
-        """
-        key = _tile_key(task, index)
-
-        def areas() -> PartAreas:
-            described = self._tiles.peek(key) or describe_tile(task, index, model)
-            nowhere = np.zeros((self.contract.n_parts, 1, 1), np.float32)
-            return self.areas(task.gallery_view, described) or PartAreas.of_cells(nowhere)
-
-        self._tile_areas.get(key, areas)
 
     def _make_fixed_areas(self, view: View) -> PartAreas | None:
         return PartAreas.of(self.contract, view, self.map_sizes[view], None)
@@ -424,10 +318,6 @@ class Workspace:
                     drawn = mosaic.draw(task.geometry, task.gallery)
                 self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
-
-    def vocabulary(self, plain: bool) -> Vocabulary:
-        """Return the words to speak, plain or not; a plain ring is called one."""
-        return Vocabulary(plain, self.contract.part_noun)
 
     @property
     def has_parts(self) -> bool:
@@ -460,15 +350,6 @@ class Workspace:
         job = self.rankings[name]
         assert job.result is not None
         return answer_context.answer_distances(*job.task.sides(), job.result.ranking, job.task.known)
-
-    def _make_card(self, name: str, index: int) -> UInt8Array:
-        task = self.rankings[name].task
-        try:
-            entry = task.gallery[index]
-            picture = images.zoom(self.load_picture(entry), entry.zoom)
-        except PictureError:  # one damaged window does not spoil the answers that rank it
-            return np.full((*self.layout.card_pixels[::-1], 3), _UNREADABLE, np.uint8)
-        return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
 
     def _make_thumbnail(self, picture: Picture) -> str:
         try:
@@ -530,36 +411,12 @@ class LazyWorkspace:
             return self._job
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StateAnalysis(Answer):
-    """The answer to the query that a state shows.
-
-    Attributes:
-        tile: the compared tile, described.
-        own_photo: registers the own picture that is shown; None without one, or without a map that it may be of.
-    """
-
-    state: SessionState
-    tile: DescribedPicture
-    own_photo: BackgroundJob[OwnPhoto] | None = None
-
-    @property
-    def registered(self) -> OwnPhoto | None:
-        """The registration of the own picture; None until it has ended, or without one."""
-        return None if self.own_photo is None else self.own_photo.value
-
-    @property
-    def query_note(self) -> str:
-        """The remark beside the query's name; of the user's own picture, the zoom that a calibration chose for it."""
-        return self.task.queries[self.state.query].note if self.state.upload is None else zoom_note(self.zoom)
-
-
-class StateAnalyser:
-    """Analyses one browser's states, see `QueryAnalyser`.
+class WorkspaceAnalyser:
+    """Answers one browser's questions, see `QueryAnalyser`.
 
     Args:
         model: the browser's queued model; by default the workspace's.
-        cancellable: a newer state may supersede the query's forward pass. A tile's is never cancelled: other browsers share it.
+        cancellable: a newer question may supersede the query's forward pass, but no tile's: other browsers share it.
     """
 
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None, cancellable: bool = True) -> None:
@@ -569,27 +426,17 @@ class StateAnalyser:
         self._model = model.cancellable() if model is not None and cancellable else model
         self._analysers: dict[bool, QueryAnalyser] = {}
 
-    def analyse(self, state: SessionState, k: int) -> StateAnalysis:
-        """Analyse the state's query, with its k nearest tiles.
+    def analyse(self, task: Task, request: QueryRequest, k: int) -> Answer:
+        """Answer a question about a task of the workspace, with the k nearest tiles.
 
         Raises:
             BusyError: when the inference queue is full; the caller may retry.
-            SupersededError: when a newer state superseded this one, see `RequestContext.answering`.
+            SupersededError: when a newer question superseded this one, see `RequestContext.answering`.
             LPNError: when the query cannot be analysed.
         """
-        change = state.change
-        request = QueryRequest(
-            query=state.upload or state.query,
-            change=replace(change, weather=self._workspace.weather) if self._workspace.weather else change,
-            weights=state.part_values(),
-            region=state.region,
-            compare="positive" if state.selected == POSITIVE else state.selected,
-            evidence=state.why or (state.heat and state.heat_kind == "evidence"),
-            correspondences=state.why,
-        )
-        task = self._workspace.task_of(state)
-        analysis = self._analyser_of(task).analyse(task, request, k)
-        return StateAnalysis(**vars(analysis), state=state)
+        if self._workspace.weather:
+            request = replace(request, change=replace(request.change, weather=self._workspace.weather))
+        return self._analyser_of(task).analyse(task, request, k)
 
     def _analyser_of(self, task: Task) -> QueryAnalyser:
         """Return the analyser whose model describes pictures as the task does."""

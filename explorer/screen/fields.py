@@ -9,15 +9,14 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer.parameters import LONGEST_TEXT, UnusableError, format_number, is_line, parse_number
-from explorer.session_state import MAX_WEIGHT
 from explorer.workspace import Picture, Workspace
 from lpn.core.files import printable
 from lpn.tasks.task import SCORINGS, scored_key
 
 # Characters and values of an address that are read.
 _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
-# The weights are written by this many digits.
-_WEIGHT_DIGITS = 2
+# The most that a part weighs, and the digits by which weights are written.
+_MAX_WEIGHT, _WEIGHT_DIGITS = 2.0, 2
 
 
 class FieldKind(Protocol):
@@ -142,11 +141,11 @@ class Weights:
         if given in ([], [""], None):
             return ()
         if not isinstance(given, list) or len(given) != n:
-            raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
-        number = NumberIn(0.0, MAX_WEIGHT)
+            raise UnusableError(f"expected {n} numbers from 0 to {_MAX_WEIGHT:g}, not all 0.")
+        number = NumberIn(0.0, _MAX_WEIGHT)
         weights = tuple(round(number.read(one, state, workspace), _WEIGHT_DIGITS) for one in given)
         if not any(weights):
-            raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
+            raise UnusableError(f"expected {n} numbers from 0 to {_MAX_WEIGHT:g}, not all 0.")
         return () if len(set(weights)) == 1 else weights
 
     def write(self, value: tuple[float, ...], state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002

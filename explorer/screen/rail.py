@@ -10,7 +10,6 @@ import numpy as np
 from explorer.browse.feeds import Feeds
 from explorer.compute.ranking_job import RankingJob
 from explorer.screen.fields import ScreenState
-from explorer.session_state import matching_names
 from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array
 
@@ -36,7 +35,8 @@ class Rail:
         if key != self._key:
             self._key = key
             ranks = _ranks(workspace, ranking)
-            named = matching_names(ranking.task.query_names, state.find)
+            wanted = state.find.strip().casefold()
+            named = [i for i, name in enumerate(ranking.task.query_names) if wanted in name.casefold()]
             self._listed = np.array(named, np.int64)
             if state.filter == "missed":
                 missed = self._listed[ranks[self._listed] > 1]

@@ -12,7 +12,7 @@ import numpy as np
 
 from explorer.browse.feeds import Feeds
 from explorer.screen.fields import ScreenState
-from explorer.workspace import StateAnalysis, Workspace
+from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, UInt8Array
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
@@ -21,7 +21,7 @@ from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.attribution import SideEvidence
-from lpn.library.answer import pair_evidence
+from lpn.library.answer import Answer, pair_evidence
 from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
 from lpn.tasks.task import Task
@@ -55,7 +55,7 @@ class ScreenResult:
     workspace: Workspace
     feeds: Feeds
     state: ScreenState
-    analysis: StateAnalysis
+    analysis: Answer
     scale: BarScale
     address: str
 
@@ -217,9 +217,7 @@ class ScreenResult:
 
     def described(self, match: Match) -> DescribedPicture:
         """Return a tile, described."""
-        if match.index == self.analysis.chosen.index:
-            return self.analysis.tile
-        return self.workspace.tile(self.task, match.index)
+        return self.analysis.described(match)
 
     def quarter(self, match: Match) -> int:
         """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""

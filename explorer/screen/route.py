@@ -18,9 +18,8 @@ from explorer.server.auth import HttpRequest
 _SCREEN = Path(__file__).parent
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
 _FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js))", re.ASCII)
-# Folders below which viser's own page lies: the former page, and the scene of a tab.
+# The folder of viser's own page: the scene of a tab.
 _SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
-_CLASSIC = "/classic/"
 
 
 def scene_of(path: str) -> str | None:
@@ -30,7 +29,7 @@ def scene_of(path: str) -> str | None:
 
 
 def respond(request: HttpRequest, zipped: bool) -> Response | None:
-    """Return the page at a folder's address, or one of its files; None for the addresses of viser's page.
+    """Return the page at a folder's address, or one of its files; None for the address of a scene, and for other files.
 
     Args:
         zipped: the browser reads gzip.
@@ -39,7 +38,7 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
     if match := _FILE.fullmatch(place):
         of_panel = folder(match[2]) if match[2] else _SCREEN / match[1]
         file = None if of_panel is None else of_panel / match[3]
-    elif place.endswith("/") and not place.endswith(_CLASSIC) and scene_of(place) is None:
+    elif place.endswith("/") and scene_of(place) is None:
         file = _SCREEN / "page" / "index.html"
     else:
         return None

@@ -28,13 +28,13 @@ from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import Scene, views_of
-from explorer.server.message_filter import MAX_UPLOAD
-from explorer.session_state import SessionState
-from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
+from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
-from lpn.library.analyser import OwnPicture
+from lpn.descriptors.transforms import Change
+from lpn.library.analyser import OwnPicture, QueryRequest
+from lpn.library.answer import Answer
 from lpn.tasks.task import SCORINGS, scored_key
 
 # Own photos that all tabs hold at a time, each of up to 8 MB.
@@ -51,7 +51,7 @@ class _Opened:
     workspace: Workspace
     requests: RequestContext
     background: RequestContext
-    analyser: StateAnalyser
+    analyser: WorkspaceAnalyser
 
 
 class Screens:
@@ -85,7 +85,7 @@ class ScreenSession:
         self._lock, self._left = threading.RLock(), False
         self._opened: dict[Workspace, _Opened] = {}
         self._state: ScreenState | None = None
-        self._analysed: tuple[ScreenState, StateAnalysis] | None = None
+        self._analysed: tuple[ScreenState, Answer] | None = None
         self._rail = Rail()
         self._loop = Loop(self._answer, send, self._requests, self._after)
         self._curve = Curve(send, screens.held)
@@ -269,7 +269,7 @@ class ScreenSession:
         name, size = arguments.get("name"), arguments.get("size")
         if not isinstance(name, str) or not isinstance(size, int) or isinstance(size, bool):
             return
-        if not 0 < size <= MAX_UPLOAD:
+        if not 0 < size <= uploads.MAX_UPLOAD:
             self._send({"error": f"{printable(name)[:80]} has {size / 1e6:.0f} MB; up to 30 MB are taken."})
             return
         self._incoming = name, size, bytearray()
@@ -451,7 +451,7 @@ class ScreenSession:
         with self._lock:
             if workspace not in self._opened:
                 requests, background = RequestContext(workspace.inference), RequestContext(workspace.inference)
-                analyser = StateAnalyser(workspace, requests.queued(workspace.model))
+                analyser = WorkspaceAnalyser(workspace, requests.queued(workspace.model))
                 self._opened[workspace] = _Opened(workspace, requests, background, analyser)
             return self._opened[workspace]
 
@@ -461,9 +461,8 @@ class ScreenSession:
     def _answer(self, state: ScreenState) -> ScreenMessage:
         services, opened = self._of(state), self._access()
         own = self._own.get(state.own)
-        analysis = opened.analyser.analyse(
-            _as_session_state(state, opened.workspace, None if own is None else own[0]), STRIP
-        )
+        question = _question(state, None if own is None else own[0])
+        analysis = opened.analyser.analyse(self._ranking(state).task, question, STRIP)
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
         scale = self._screens.scale(analysis.task)
         result = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
@@ -491,7 +490,7 @@ class ScreenSession:
             self._occlusion.follow(None)
             return
         index = None if state.own else state.query
-        change = replace(SessionState(state.task, 1).change, weather=opened.workspace.weather)
+        change = Change(weather=opened.workspace.weather)
         change = change.for_picture(analysis.task.queries[index], analysis.zoom) if index is not None else change
         key = self._curve_key(state, analysis)
         scored = opened.workspace.scored_model(model, analysis.task)
@@ -502,21 +501,12 @@ class ScreenSession:
             covering = Covering((key, state.angle, result.first.index), self._number, result, scored)
         self._occlusion.follow(covering)
 
-    def _curve_key(self, state: ScreenState, analysis: StateAnalysis) -> tuple[object, ...]:
+    def _curve_key(self, state: ScreenState, analysis: Answer) -> tuple[object, ...]:
         return state.place, state.model, analysis.task.key, state.own or state.query
 
 
-def _as_session_state(state: ScreenState, workspace: Workspace, own: OwnPicture | None) -> SessionState:
-    return SessionState(
-        state.task,
-        workspace.contract.n_parts,
-        query=state.query,
-        upload=own,
-        angle=state.angle,
-        weights=state.weights,
-        scoring=_scoring(state),
-        selected=state.compare,
-    )
+def _question(state: ScreenState, own: OwnPicture | None) -> QueryRequest:
+    return QueryRequest(own or state.query, Change(state.angle), state.weights or None, compare=state.compare)
 
 
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:
