@@ -42,12 +42,11 @@ class App:
     """A running server with one `ScreenSession` per tab.
 
     Args:
-        workspace: what a page shows first, unless there is one called `DATA`.
+        workspace: what a page shows first; an address calls it `DATA`.
         authenticator: the access rules; by default a random token, and none on a loopback address.
         label: display name of the workspace beside `others`.
         others: further workspaces that a page can show, by their keys in its address.
         embedders: see `Gateway`.
-        key: that of `workspace`.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -63,18 +62,14 @@ class App:
         label: str = "",
         others: Mapping[str, LazyWorkspace] | None = None,
         embedders: Sequence[str] = (),
-        key: str = DATA,
     ) -> None:
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         self._others, self._lock = others or {}, threading.Lock()
         self._services: dict[str, WorkspaceServices] = {}
-        self._places = {key: label or key} | {key: other.label for key, other in self._others.items()}
-        self._add(key, workspace)
+        self._places = {DATA: label or DATA} | {key: other.label for key, other in self._others.items()}
+        self._add(DATA, workspace)
         self._pictures = PictureRoute(self._find_picture)
-        home = DATA if DATA in self._places else key
-        if home in self._others:  # it shall be open when the first page comes
-            self._others[home].open()
-        self._channel = Channel(Screens(self._services_of, home, self._places))
+        self._channel = Channel(Screens(self._services_of, DATA, self._places))
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, screen, embedders)
         # The tabs whose scenes viser's clients are.
@@ -137,7 +132,6 @@ def serve(
     authenticator: Authenticator | None = None,
     others: Mapping[str, LazyWorkspace] | None = None,
     label: str = "",
-    key: str = DATA,
 ) -> None:
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
@@ -145,13 +139,13 @@ def serve(
         open_workspace: one of the functions of `opening`; called once the port is known to be free.
         authenticator: the access rules; by default those of `App`.
         others: workspaces that a page offers beside it, by the keys that an address gives them.
-        label, key: of the workspace beside them, see `App`.
+        label: of the workspace beside them.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     host = host or "0.0.0.0"
-    app = _start(open_workspace, host, port, authenticator, others, label, key)
+    app = _start(open_workspace, host, port, authenticator, others, label)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     if not is_loopback(host):
@@ -175,7 +169,6 @@ def serve_in_background(
     authenticator: Authenticator | None = None,
     others: Mapping[str, LazyWorkspace] | None = None,
     label: str = "",
-    key: str = DATA,
 ) -> ServedPage:
     """Open a workspace, and serve it until the page is closed or the process ends; see `serve`.
 
@@ -186,7 +179,7 @@ def serve_in_background(
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     with no_cell_output():
-        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, key, _NOTEBOOKS)
+        app = _start(open_workspace, host or "0.0.0.0", port, authenticator, others, label, _NOTEBOOKS)
     # A browser sends no cookie, so no proof of a token, from a frame in another site's page.
     return ServedPage(app.link, app.close, framed=app.authenticator.token is None)
 
@@ -198,10 +191,9 @@ def _start(
     authenticator: Authenticator | None,
     others: Mapping[str, LazyWorkspace] | None,
     label: str,
-    key: str,
     embedders: Sequence[str] = (),
 ) -> App:
     check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, label, others, embedders, key)
+    return App(open_workspace(), host, port, authenticator, label, others, embedders)

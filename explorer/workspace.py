@@ -37,7 +37,7 @@ from lpn.explain.lead_places import TileGround
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
 from lpn.locate.belief import FlightVerdicts
-from lpn.locate.grades import doubtful_photos
+from lpn.locate.grades import doubtful_photos, is_doubtful
 from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
@@ -110,10 +110,6 @@ class Workspace:
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
-        # The app's workspaces that are open, by their keys.
-        self.opened: Callable[[], Mapping[str, Workspace]] = dict
-        # A few words about the pictures for the first screen; a workspace that has them opens there.
-        self.about = ""
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
@@ -234,6 +230,16 @@ class Workspace:
         if known is not None:
             graded &= known
         return graded if doubtful is None else graded & ~doubtful
+
+    def judged(self, answer: Answer) -> Answer:
+        """Return an answer without grades if the judge of its photo is in doubt, see `lpn.locate.grades`."""
+        flight, first = self.flight, answer.matches[0]
+        if flight is None or answer.index is None or first.true is None:
+            return answer
+        sure = answer.positive is not None and not is_doubtful(
+            flight, answer.task, answer.index, first.index, first.true
+        )
+        return answer if sure else answer.ungraded()
 
     def counts(self, ranking: RankingJob) -> tuple[int, int]:
         """Return how many queries are right, and how many are graded; none before they are ranked."""
@@ -369,11 +375,10 @@ class LazyWorkspace:
     Args:
         label: display name, such as "the baseline (n = 1)".
         open_workspace: opens it; that may take as long as the description of all pictures, whose progress is shown.
-        quick: all pictures are described already, so that it takes about a second.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[], Workspace], quick: bool = False) -> None:
-        self.label, self.quick = label, quick
+    def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
+        self.label = label
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
         self._lock = Lock()
@@ -392,16 +397,6 @@ class LazyWorkspace:
     def progress(self) -> tuple[int, int]:
         """The numbers of described and of all pictures while it is being opened; (0, 0) until they are known."""
         return (0, 0) if self._job is None else (self._job.done, self._job.total)
-
-    @property
-    def asked(self) -> bool:
-        """It was opened, or its opening began."""
-        return self._job is not None
-
-    @property
-    def opening(self) -> bool:
-        """The workspace is being opened."""
-        return self._job is not None and not self._job.wait(0)
 
     def open(self) -> BackgroundJob[Workspace]:
         """Open it in the background, unless it is open or being opened; after a failure, try again."""
@@ -436,7 +431,7 @@ class WorkspaceAnalyser:
         """
         if self._workspace.weather:
             request = replace(request, change=replace(request.change, weather=self._workspace.weather))
-        return self._analyser_of(task).analyse(task, request, k)
+        return self._workspace.judged(self._analyser_of(task).analyse(task, request, k))
 
     def _analyser_of(self, task: Task) -> QueryAnalyser:
         """Return the analyser whose model describes pictures as the task does."""
