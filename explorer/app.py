@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping, Sequence
 
 import viser
 
-from explorer.client.services import WorkspaceServices
 from explorer.parameters import DATA
 from explorer.screen import route
 from explorer.screen.channel import Channel
@@ -19,6 +18,7 @@ from explorer.server.auth import Authenticator, make_authenticator
 from explorer.server.gateway import SCENE_TAB, Screen
 from explorer.server.page_server import CLOSE_TIMEOUT, check_free, close_server, no_cell_output, open_server
 from explorer.server.picture_route import EncodedPicture, PictureRoute
+from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError

@@ -11,6 +11,8 @@ from urllib.parse import parse_qsl, quote, urlencode
 from explorer.parameters import LONGEST_TEXT, UnusableError, format_number, is_line, parse_number
 from explorer.workspace import Picture, Workspace
 from lpn.core.files import printable
+from lpn.descriptors.transforms import Change
+from lpn.library.analyser import OwnPicture, QueryRequest
 from lpn.tasks.task import SCORINGS, scored_key
 
 # Characters and values of an address that are read.
@@ -221,6 +223,10 @@ class ScreenState:
     def __getitem__(self, row: PanelField[T]) -> T:
         value: T = self.of_panels.get(row.name, row.default)
         return value
+
+    def question(self, own: OwnPicture | None = None) -> QueryRequest:
+        """Return what is asked of the task: about the own photo, or about the query without one."""
+        return QueryRequest(own or self.query, Change(self.angle), self.weights or None, compare=self.compare)
 
     def value(self, name: str) -> Any:
         """Return the value of a field by its name."""

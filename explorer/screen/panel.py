@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from explorer.client.services import WorkspaceServices
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import PanelField, ScreenState
 from explorer.screen.loop import ScreenMessage
 from explorer.screen.result import ScreenResult
+from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 
 Action = Callable[[Mapping[str, Any]], None]

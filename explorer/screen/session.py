@@ -12,7 +12,6 @@ from typing import Any
 import viser
 
 from explorer import uploads
-from explorer.client.services import WorkspaceServices
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
@@ -28,12 +27,13 @@ from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
 from explorer.screen.scene.scene import Scene, views_of
+from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
 from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.descriptors.transforms import Change
-from lpn.library.analyser import OwnPicture, QueryRequest
+from lpn.library.analyser import OwnPicture
 from lpn.library.answer import Answer
 from lpn.tasks.task import SCORINGS, scored_key
 
@@ -461,7 +461,7 @@ class ScreenSession:
     def _answer(self, state: ScreenState) -> ScreenMessage:
         services, opened = self._of(state), self._access()
         own = self._own.get(state.own)
-        question = _question(state, None if own is None else own[0])
+        question = state.question(None if own is None else own[0])
         analysis = opened.analyser.analyse(self._ranking(state).task, question, STRIP)
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
         scale = self._screens.scale(analysis.task)
@@ -503,10 +503,6 @@ class ScreenSession:
 
     def _curve_key(self, state: ScreenState, analysis: Answer) -> tuple[object, ...]:
         return state.place, state.model, analysis.task.key, state.own or state.query
-
-
-def _question(state: ScreenState, own: OwnPicture | None) -> QueryRequest:
-    return QueryRequest(own or state.query, Change(state.angle), state.weights or None, compare=state.compare)
 
 
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:

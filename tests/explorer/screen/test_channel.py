@@ -48,7 +48,8 @@ def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_
         assert get(app, f"/screen/page/{name}")[0] == 200
     assert get(app, "/screen/page/nothing.js")[0] == 404
     assert get(app, "/screen/page/../session.py")[0] == 404
-    assert b"viser" in get(app, "/classic/")[2].lower()
+    assert b"viser" in get(app, f"/scene/{TAB}/")[2].lower()
+    assert b"viser" not in get(app, "/classic/")[2].lower()
 
 
 def test_a_browser_gets_a_file_again_only_if_it_has_changed(app: App) -> None:
