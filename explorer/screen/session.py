@@ -223,6 +223,7 @@ class ScreenSession:
             self._send({"error": str(error)})
             services = self._screens.services(self._screens.home)
         state, problems = fields.from_address(search, services.workspace)
+        state = replace(state, place=services.workspace.key)  # the address may name one that cannot be opened
         if not self._opens_model(state):
             state = replace(state, model="0")
         self._show(state, problems, new_page=True)
