@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
@@ -228,7 +228,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         return partial(
             open_model,
             DEMO if self.source is None else self.path,
-            replace(_model_of(self), model=self.model or (DEMO_MODEL if self.source is None else shipped_model())),
+            replace(self, model=self.model or (DEMO_MODEL if self.source is None else shipped_model())),
             query,
             beside,
             baseline,
@@ -269,7 +269,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         open_data = self.opens_data()
         if not self._is_demo:
             return Workspaces(open_data)
-        model, others = replace(_model_of(self), model=DEMO_MODEL), {}
+        model, others = replace(self, model=DEMO_MODEL), {}
         for key, (map_path, flight_path), query in (("place", DEMO_PLACE, DEMO_PHOTO), ("flight", DEMO_FLIGHT, None)):
             if map_path.exists():
                 shipped = map_path.with_name(DEMO_ANSWERS)
@@ -285,8 +285,3 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
 
 
 _LABELS = {DATA: "a computer-generated city", "place": "a real flight", "flight": "a computer-generated flight"}
-
-
-def _model_of(options: ModelOptions) -> ModelOptions:
-    """Return the options of the model alone."""
-    return ModelOptions(**{one.name: getattr(options, one.name) for one in fields(ModelOptions)})
