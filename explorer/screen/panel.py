@@ -81,12 +81,16 @@ class PanelPart:
         self.tab = tab
         self.actions: Mapping[str, Action] = {}
 
-    def show(self) -> None:
+    def show(self) -> float | None:
         """Send what the panel shows: after it opened, after each change of the state, and after each result.
 
         The calls come one after the other from a thread of their own; several changes lead to one more call. A sentence of an
         LPNError that this raises is shown in the headline's place.
+
+        Returns:
+            Seconds until the next call, for a panel that waits for something or computes step by step; None to wait for a change.
         """
+        return None
 
     def close(self) -> None:
         """End what goes on for the panel."""

@@ -123,7 +123,7 @@ class ScreenResult:
             "rival_word": self._word(compared, pinned),
             "pinned": pinned,
             "truth": None if truth is None else truth.index,
-            "rows": self._rows(compared, pinned),
+            "rows": self.rows(compared, pinned),
             "strip": [match.index for match in strip],
             "tiles": tiles,
             "rank": None if truth is None else truth.rank,
@@ -158,7 +158,7 @@ class ScreenResult:
             return "pinned"
         return "truth" if compared.true else "next"
 
-    def _rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
+    def rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
         """Return for each part how much nearer the answer is than the compared tile, and whether that is towards the truth.
 
         The gains are shown as the verdict shows them: rounded, they add up to the difference of the shown distances.
@@ -266,8 +266,11 @@ class ScreenResult:
         Args:
             losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN where not measured yet.
         """
-        lost = np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1)
-        return self._heat(self.analysis.query, self.task.query_view, 0, lost / overlays.evidence_limit(lost))
+        return self.painted(np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1))
+
+    def painted(self, cells: FloatingArray) -> dict[str, Any]:
+        """Return the photo's parts and, in place of its activation, signed values of its cells, (h, w), on their own scale."""
+        return self._heat(self.analysis.query, self.task.query_view, 0, cells / overlays.evidence_limit(cells))
 
     def _signed(self, side: SideEvidence) -> Float64Array:
         """Return each cell's share of the score of its pair, from -1 to 1 of the greatest of all pairs of the result."""

@@ -346,10 +346,9 @@ class ScreenSession:
             if name:
                 self._panel = name, PANELS[name].part(self)
 
-    def _show_panel(self) -> None:
+    def _show_panel(self) -> float | None:
         panel = self._panel
-        if panel is not None:
-            panel[1].show()
+        return None if panel is None else panel[1].show()
 
     def _fail_panel(self, error: Exception) -> None:
         if isinstance(error, LPNError):

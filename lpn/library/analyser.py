@@ -137,7 +137,7 @@ class QueryAnalyser:
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
-        search = self._search.get(search_key, lambda: _start_search(task, index, query, request.region, weights))
+        search = self._search.get(search_key, lambda: start_search(task, index, query, request.region, weights))
         ranking = search(weights)
         matches = ranking.top(k)
         if not matches:
@@ -188,10 +188,16 @@ def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPictu
     return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)
 
 
-def _start_search(
+def start_search(
     task: Task, index: int | None, query: DescribedPicture, region: tuple[int, ...], weights: Float32Array
 ) -> RankUnderWeights:
-    """Compare the query, or the region that it is restricted to, with the gallery."""
+    """Compare a query with the gallery, by all of it or by a region.
+
+    Args:
+        index: the query's position; None for a picture that is none of the task's queries.
+        region: cells of the query's feature map, row by row; empty for all.
+        weights: part weights that sum to one, (n,); the descriptor of a region depends on them.
+    """
     if not region or query.trace is None:
         return task.start_search(index, query.descriptor)
     size = query.trace.size

@@ -175,16 +175,20 @@ const draw = () => {
 const drawHead = () => {
   const { page, state, rail } = view;
   find("#about").textContent = page.parts === 1 ? "The baseline compares whole pictures: one part." : `Photo and tile are cut into ${page.word}s; their distances add up.`;
-  const model = find("#model");
-  model.textContent = `Model: ${page.models[Number(state.model)].replace(/\.onnx$/, "")}`;
-  model.hidden = page.models.length < 2;
+  const [model, models] = [find("#model"), find("#models")];
+  const names = page.models.map((label) => `Model: ${label.replace(/\.onnx$/, "")}`);
+  model.textContent = names[Number(state.model)];
+  [model.hidden, models.hidden] = [names.length !== 2, names.length < 3];
+  if (models.length !== names.length) models.replaceChildren(...names.map((text, value) => make("option", { text, value })));
+  models.value = state.model;
   for (const button of findAll("#rail .filter button")) button.setAttribute("aria-pressed", String(button.dataset.filter === state.filter));
   find("#rail .filter [data-filter=missed]").title = rail ? `${rail.missed} of ${rail.queries} missed (M)` : "";
 };
 
 const drawHeadline = () => {
-  const [title, reason] = [find("#headline h1"), find("#headline p")];
+  const [title, reason] = [find("#headline h1 button"), find("#headline p")];
   const { result, page } = view;
+  title.disabled = Boolean(view.said) || !result;
   if (view.said) {
     title.textContent = view.said;
     reason.textContent = "";
@@ -193,8 +197,8 @@ const drawHeadline = () => {
     reason.textContent = "";
   } else {
     const { found, title: rest, reason: why } = result.headline;
-    if (found === null) title.textContent = rest;
-    else title.replaceChildren(make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : "✗ Missed" }), `, ${rest}`);
+    const judged = found === null ? [] : [make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : "✗ Missed" }), ", "];
+    title.replaceChildren(...judged, rest, make("i", { class: "more", "aria-hidden": "true", text: "?" }));
     reason.textContent = why;
   }
 };
@@ -303,6 +307,11 @@ find("#random").onclick = () => channel.act("random");
 find("#find").onclick = () => commands.open();
 find("#palette").onclick = () => commands.open();
 find("#model").onclick = () => set({ model: String((Number(view.state.model) + 1) % view.page.models.length) });
+find("#models").onchange = (event) => {
+  set({ model: event.target.value });
+  event.target.blur(); // keys are the page's again
+};
+find("#headline h1 button").onclick = () => openPanel("why");
 find("#scene .enlarge").onclick = () => enlarge();
 find("#own").onclick = () => find("#file").click();
 const key = find(".key", photo);
@@ -416,6 +425,8 @@ addEventListener("keyup", (event) => {
   if (event.key.toLowerCase() === "t") show({ truth: false });
   if (event.key.toLowerCase() === "f") show({ colour: false });
 });
+
+addEventListener("blur", () => show({ truth: false, colour: false })); // a key is let go elsewhere
 
 const scene = new SceneFrame(find("#scene"), channel, press, (found, why) => {
   if (why === "hover") {

@@ -1,6 +1,6 @@
 // The two large pictures with their rings, and the crops of one ring.
 
-import { find, inkOn, isPhone, makeSvg, partColour, picture, variable } from "./dom.js";
+import { find, inkOn, isPhone, make, makeSvg, partColour, picture, variable } from "./dom.js";
 import { boxOf, cellsOf, isLight, paintHeat } from "./heat.js";
 
 const HEAT_SIDE = 320;
@@ -8,6 +8,12 @@ const MOST_WIDE = 2.5; // of a strip's crop, which is else a line
 
 /** The CSS turn of the photo, which the page turns itself, as the server does. */
 export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
+
+/** @returns {any} a figure for `showPicture`, as wide as its place */
+export const makePicture = () => {
+  const layers = [make("div", { class: "picture", role: "img" }), make("canvas", { class: "heat", "aria-hidden": "true" }), makeSvg("svg", { "aria-hidden": "true" })];
+  return make("figure", { class: "fitted" }, make("div", { class: "frame" }, make("div", { class: "pan" }, ...layers)));
+};
 
 const drawnParts = new WeakMap();
 
