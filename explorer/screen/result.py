@@ -216,10 +216,12 @@ class ScreenResult:
         return tile | {"aspect": aspect, **cells}
 
     def described(self, match: Match) -> DescribedPicture:
-        """Return a tile, described."""
+        """Return a tile, described as the task's tiles are."""
         if match.index == self.analysis.chosen.index:
             return self.analysis.tile
-        return self.workspace.tile(self.task, match.index)
+        model = self.workspace.model
+        scored = None if model is None else self.workspace.scored_model(model, self.task)
+        return self.workspace.tile(self.task, match.index, scored)
 
     def quarter(self, match: Match) -> int:
         """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""
