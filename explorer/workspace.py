@@ -42,7 +42,7 @@ from lpn.explain.lead_places import TileGround
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
 from lpn.locate.belief import FlightVerdicts
-from lpn.locate.grades import doubtful_photos
+from lpn.locate.grades import doubtful_photos, is_doubtful
 from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
 from lpn.locate.own_photo import OwnPhoto
 from lpn.maps import Map
@@ -290,6 +290,14 @@ class Workspace:
         if known is not None:
             graded &= known
         return graded if doubtful is None else graded & ~doubtful
+
+    def judged(self, analysis: StateAnalysis, query: int) -> StateAnalysis:
+        """Return the answer to a query, without grades where its judge is in doubt, or no tile is right by it."""
+        flight, first = self.flight, analysis.ranking.match(0)
+        if flight is None or first.true is None:
+            return analysis
+        doubtful = is_doubtful(flight, analysis.task, query, first.index, first.true)
+        return analysis.ungraded() if doubtful or analysis.positive is None else analysis
 
     def counts(self, ranking: RankingJob) -> tuple[int, int]:
         """Return how many queries are right, and how many are graded; none before they are ranked."""

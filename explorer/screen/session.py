@@ -465,6 +465,7 @@ class ScreenSession:
             _as_session_state(state, opened.workspace, None if own is None else own[0]), STRIP
         )
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
+        analysis = analysis if own is not None else opened.workspace.judged(analysis, state.query)
         scale = self._screens.scale(analysis.task)
         result = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
         key = self._curve_key(state, analysis)

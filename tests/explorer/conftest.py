@@ -6,6 +6,7 @@ from queue import Queue
 from typing import Any
 
 from explorer.client.services import WorkspaceServices
+from explorer.screen.fields import needs_answer
 from explorer.screen.result import ScreenResult
 from explorer.screen.session import Screens, ScreenSession
 from explorer.workspace import Workspace
@@ -38,8 +39,8 @@ def answered(workspace: Workspace, search: str = "", own: bytes = b"", **fields:
             message = messages.get(timeout=TIMEOUT)
             if "error" in message:
                 raise RefusedError(message["error"])
-            if "result" in message and message["result"]["state"] == session.state.values():
-                assert session.result is not None
-                return session.result
+            result = session.result
+            if "result" in message and result is not None and not needs_answer(result.state, session.state):
+                return result
     finally:
         session.leave()
