@@ -247,15 +247,15 @@ FIELDS: dict[str, PanelField[Any]] = {
     if row.metadata
 }
 _OF_PANELS: set[str] = set()
-# The names of all panels.
+# The names of all panels that open.
 PANELS: list[str] = []
 # Fields whose change needs no new answer, beside those of panels.
 _OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
 
 
-def add_panel(name: str, rows: Sequence[PanelField[Any]]) -> None:
-    """Add a panel's name and rows to the table."""
-    PANELS.append(name)
+def add_panel(name: str, rows: Sequence[PanelField[Any]], opens: bool = True) -> None:
+    """Add a panel's name, unless it has only commands, and its rows to the table."""
+    PANELS.extend([name] * opens)
     for row in rows:
         assert row.name.startswith(f"{name}_"), row.name
         assert row.key == "" or row.key not in {other.key for other in FIELDS.values()}, row.key

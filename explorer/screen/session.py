@@ -20,10 +20,11 @@ from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
 from explorer.screen import fields
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
+from explorer.screen.downloads import Downloads, MakeFile
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
-from explorer.screen.panel import PanelPart
+from explorer.screen.panel import Command, Panel, PanelPart
 from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
@@ -39,6 +40,8 @@ from lpn.tasks.task import SCORINGS, scored_key
 
 # Own photos that all tabs hold at a time, each of up to 8 MB.
 _MOST_OWN = 100
+# The panels' commands by the actions that the page asks for, each with its panel.
+_COMMANDS = {f"{panel.name}.{one.name}": (panel, one) for panel in PANELS.values() for one in panel.commands}
 # Seconds between two looks at a workspace that is being opened.
 _POLL = 0.2
 _SHOWN_OWN = 800
@@ -112,6 +115,7 @@ class ScreenSession:
         # The open panel, whose work has a thread of its own.
         self._panel: tuple[str, PanelPart] | None = None
         self._panels = Worker(self._show_panel, self._fail_panel)
+        self._downloads = Downloads(send)
 
     # What panels use, see `Tab`.
 
@@ -164,6 +168,14 @@ class ScreenSession:
         """Show a sentence in the headline's place."""
         self._send({"error": text})
 
+    def note(self, text: str) -> None:
+        """Show a sentence for some seconds in place of the headline's reason."""
+        self._send({"note": text})
+
+    def download(self, title: str, make: MakeFile) -> None:
+        """Make a file on a thread of its own, and have the browser save it."""
+        self._downloads.make(title, make, self.services.feeds, self)
+
     def receive(self, message: object) -> None:
         """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
         match message:
@@ -172,6 +184,8 @@ class ScreenSession:
             case {"do": str(name), "args": dict(arguments)} if name in self._actions:
                 if name == "open" or self._state is not None:
                     self._actions[name](arguments)
+            case {"do": str(name)} if name in _COMMANDS and self._state is not None:
+                self._command(*_COMMANDS[name])
             case {"do": str(name), "args": dict(arguments)} if (action := self._panel_action(name)) is not None:
                 action(arguments)
             case {"do": str(name)}:
@@ -195,6 +209,7 @@ class ScreenSession:
         self._occlusion.stop()
         self._painter.stop()
         self._panels.stop()
+        self._downloads.close()
         self._close_panel()
         self._progress.close()
         with self._lock:
@@ -326,7 +341,14 @@ class ScreenSession:
         self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)))
         self._send({"scene": "ready"})
 
-    # The open panel.
+    # Panels' commands, and the open panel.
+
+    def _command(self, panel: Panel, command: Command) -> None:
+        if panel.offered(self.services.workspace) and command.offered(self.services.workspace):
+            try:
+                command.act(self)
+            except LPNError as error:
+                self.say(str(error))
 
     def _panel_action(self, name: str) -> Callable[[Mapping[str, Any]], None] | None:
         panel = self._panel
@@ -342,8 +364,9 @@ class ScreenSession:
         """Make the state's panel the open one, for the state's place and model."""
         if (self._panel[0] if self._panel else "") != name:
             self._close_panel()
-            if name:
-                self._panel = name, PANELS[name].part(self)
+            part = PANELS[name].part if name else None
+            if part is not None:
+                self._panel = name, part(self)
 
     def _show_panel(self) -> None:
         panel = self._panel
@@ -400,7 +423,12 @@ class ScreenSession:
             "panels": [
                 {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
                 for one in PANELS.values()
-                if one.offered(base)
+                if one.part is not None and one.offered(base)
+            ],
+            "commands": [
+                {"name": name, "title": one.title, "key": one.key}
+                for name, (panel, one) in _COMMANDS.items()
+                if panel.offered(base) and one.offered(base)
             ],
         }
 

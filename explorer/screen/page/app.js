@@ -13,11 +13,12 @@ import { SceneFrame } from "./scene.js";
 import { makeTurnable } from "./turn.js";
 
 const STEP = 15; // degrees of a key
+const NOTED = 8000; // ms of a note
 const MOST = 30_000_000; // bytes of a photo
 const KEPT = "lpn-theme";
 
-/** @type {{page: any, state: any, result: any, rail: any, curve: any, angle: number, focus: number, truth: boolean, colour: boolean, waiting: boolean, said: string, lost: boolean}} */
-const view = { page: null, state: null, result: null, rail: null, curve: null, angle: 0, focus: -1, truth: false, colour: false, waiting: false, said: "", lost: false };
+/** @type {{page: any, state: any, result: any, rail: any, curve: any, angle: number, focus: number, truth: boolean, colour: boolean, waiting: boolean, said: string, note: string, lost: boolean}} */
+const view = { page: null, state: null, result: null, rail: null, curve: null, angle: 0, focus: -1, truth: false, colour: false, waiting: false, said: "", note: "", lost: false };
 const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#curve", "#strip", "#sum"].map((one) => find(one));
 const list = new RailList(find("#list"));
 
@@ -65,6 +66,8 @@ const channel = connect(
       soon();
     },
     panel: ({ name, message }) => panels.receive(name, message),
+    note: (text) => note(text),
+    download: ({ address, name }) => make("a", { href: address, download: name }).click(),
     busy: (text) => say(text),
     error: (text) => {
       say(text);
@@ -92,6 +95,15 @@ const channel = connect(
 /** Say something in the headline's place; the last result stays, faded. */
 const say = (text) => {
   view.said = text;
+  soon();
+};
+
+/** Note something in place of the headline's reason, which comes back after a while. */
+let noted = 0;
+const note = (text) => {
+  view.note = text;
+  clearTimeout(noted);
+  noted = setTimeout(() => note(""), NOTED);
   soon();
 };
 
@@ -195,7 +207,7 @@ const drawHeadline = () => {
     const { found, title: rest, reason: why } = result.headline;
     if (found === null) title.textContent = rest;
     else title.replaceChildren(make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : "✗ Missed" }), `, ${rest}`);
-    reason.textContent = why;
+    reason.textContent = view.note || why;
   }
 };
 
@@ -352,6 +364,7 @@ const commands = new Commands(find("#commands"), list, () => {
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
     ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : view.page.place, key: "X", act: () => KEYS.x() }] : []),
+    ...page.commands.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => channel.act(one.name) })),
     ...page.panels.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => openPanel(one.name) })),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
     { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
@@ -404,7 +417,9 @@ export const press = (event) => {
   if (typing && name !== "escape") return;
   const part = Number(name) - 1;
   const panel = view.page?.panels.find((one) => one.key === name);
+  const command = view.page?.commands.find((one) => one.key === name);
   if (name.length === 1 && part >= 0 && part < (view.page?.parts ?? 0)) focusOn(view.focus === part ? -1 : part);
+  else if (command && !event.repeat) channel.act(command.name);
   else if (panel && !event.repeat) openPanel(panel.name);
   else if (KEYS[name] && !(event.repeat && "tf".includes(name))) {
     event.preventDefault();
