@@ -125,6 +125,8 @@ class Workspace:
         self.key = ""
         # The app's workspaces that are open, by their keys.
         self.opened: Callable[[], Mapping[str, Workspace]] = dict
+        # The file that keeps stories; None for that beside the data.
+        self.stories: Path | None = None
         # A few words about the pictures for the first screen; a workspace that has them opens there.
         self.about = ""
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.

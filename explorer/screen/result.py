@@ -6,12 +6,13 @@ from base64 import b64encode
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from explorer.browse.feeds import Feeds
 from explorer.screen.fields import ScreenState
+from explorer.session_state import SessionState
 from explorer.workspace import StateAnalysis, Workspace
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, UInt8Array
@@ -21,10 +22,11 @@ from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.attribution import SideEvidence
+from lpn.library.analyser import OwnPicture
 from lpn.library.answer import pair_evidence
 from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
-from lpn.tasks.task import Task
+from lpn.tasks.task import Scoring, Task
 
 # Tiles of the strip; the truth takes the last place if it is not among the first.
 STRIP = 6
@@ -103,6 +105,14 @@ class ScreenResult:
         }
         return {index: pair.evidence for index, pair in pairs.items() if pair is not None}
 
+    @property
+    def headline(self) -> dict[str, Any]:
+        """What the headline says: whether the photo is found, its rank, and the reason."""
+        verdict = self.analysis.verdict
+        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
+        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        return {"found": verdict.sign, "title": self._title(self.analysis.positive), "reason": reason}
+
     def message(self) -> dict[str, Any]:
         """Return the result as JSON takes it."""
         state, workspace = self.state, self.workspace
@@ -110,14 +120,12 @@ class ScreenResult:
         pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
-        verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
-        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
-        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        metres = self.analysis.error_m(self.first)
         weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
         return {
             "photo": self._photo(),
             "angle": state.angle,
-            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": reason},
+            "headline": self.headline,
             "answer": self.first.index,
             "rival": None if compared is None else compared.index,
             "rival_word": self._word(compared, pinned),
@@ -276,6 +284,20 @@ class ScreenResult:
         weights = self.analysis.ranking.weights
         sides = [one for pair in self.evidence.values() for one in (pair.query, pair.tile)]
         return side.score_map(weights) / overlays.evidence_limit(*(one.score_map(weights) for one in sides))
+
+
+def as_session_state(state: ScreenState, workspace: Workspace, own: OwnPicture | None = None) -> SessionState:
+    """Return a state as analysers take it; `own` is the own photo that it shows."""
+    return SessionState(
+        state.task,
+        workspace.contract.n_parts,
+        query=state.query,
+        upload=own,
+        angle=state.angle,
+        weights=state.weights,
+        scoring=cast("Scoring", state.scoring),
+        selected=state.compare,
+    )
 
 
 def measured_scale(task: Task) -> BarScale:

@@ -7,7 +7,8 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, cast
+from urllib.parse import quote
 
 import viser
 
@@ -24,10 +25,10 @@ from explorer.screen.downloads import Downloads, MakeFile
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
-from explorer.screen.panel import Command, Panel, PanelPart
+from explorer.screen.panel import PanelPart
 from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
-from explorer.screen.result import STRIP, ScreenResult, measured_scale
+from explorer.screen.result import STRIP, ScreenResult, as_session_state, measured_scale
 from explorer.screen.scene.scene import Scene, views_of
 from explorer.server.message_filter import MAX_UPLOAD
 from explorer.session_state import SessionState
@@ -36,7 +37,7 @@ from lpn.core import images
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.library.analyser import OwnPicture
-from lpn.tasks.task import SCORINGS, scored_key
+from lpn.tasks.task import SCORINGS, Scoring, scored_key
 
 # Own photos that all tabs hold at a time, each of up to 8 MB.
 _MOST_OWN = 100
@@ -185,9 +186,12 @@ class ScreenSession:
                 if name == "open" or self._state is not None:
                     self._actions[name](arguments)
             case {"do": str(name)} if name in _COMMANDS and self._state is not None:
-                self._command(*_COMMANDS[name])
+                panel, command = _COMMANDS[name]
+                base = self.services.workspace
+                if panel.offered(base) and command.offered(base):
+                    self._try(lambda: command.act(self))
             case {"do": str(name), "args": dict(arguments)} if (action := self._panel_action(name)) is not None:
-                action(arguments)
+                self._try(lambda: action(arguments))
             case {"do": str(name)}:
                 self._send({"error": f"There is no action {printable(name)[:40]}."})
 
@@ -229,35 +233,39 @@ class ScreenSession:
     # What messages do.
 
     def _open(self, arguments: Mapping[str, Any]) -> None:
-        search = arguments.get("search")
-        search = search if isinstance(search, str) else ""
-        wanted = dict(fields.parsed(search)).get("show", self._screens.home)
+        """Show the state of an address; a page that shows something keeps its place and theme where the address has none."""
+        search, before = arguments.get("search"), self._state
+        given = fields.parsed(search) if isinstance(search, str) else {}
+        place = given.get("show", "")
+        if place not in self._screens.places:
+            place = self._screens.home if before is None else before.place
+        if before is not None and place != before.place:
+            self._send({"busy": f"Opening {self._screens.places[place]}"})
         try:
-            services = self._screens.services(wanted if wanted in self._screens.places else self._screens.home)
+            services = self._screens.services(place)
         except LPNError as error:
             self._send({"error": str(error)})
+            if before is not None:
+                return
             services = self._screens.services(self._screens.home)
-        state, problems = fields.from_address(search, services.workspace)
+        if before is not None:
+            given = {"theme": before.theme} | given
+        state, problems = fields.from_values(given, services.workspace)
+        moved = before is None or before.place != state.place
+        if before is not None and moved:
+            self._of(before).feeds.leave(self._rail)
+            self._rail = Rail()
+            self._drop_own()
         if not self._opens_model(state):
             state = replace(state, model="0")
-        self._show(state, problems, new_page=True)
+        self._show(state, problems, new_page=moved)
 
     def _set(self, values: Mapping[str, Any]) -> None:
         state = self._state
         assert state is not None
         place = values.get("place")
         if isinstance(place, str) and place != state.place and place in self._screens.places:
-            self._send({"busy": f"Opening {self._screens.places[place]}"})
-            try:
-                services = self._screens.services(place)
-            except LPNError as error:
-                self._send({"error": str(error)})
-                return
-            self._of(state).feeds.leave(self._rail)
-            self._rail = Rail()
-            self._drop_own()
-            opened = replace(fields.opening(services.workspace), theme=state.theme, view=state.view)
-            self._show(opened, [], new_page=True)
+            self._open({"search": f"show={quote(place)}&view={state.view}"})
             return
         changed, problems = fields.changed(state, values, self._of(state).workspace)
         if changed.own not in ("", *self._own):
@@ -343,12 +351,11 @@ class ScreenSession:
 
     # Panels' commands, and the open panel.
 
-    def _command(self, panel: Panel, command: Command) -> None:
-        if panel.offered(self.services.workspace) and command.offered(self.services.workspace):
-            try:
-                command.act(self)
-            except LPNError as error:
-                self.say(str(error))
+    def _try(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except LPNError as error:
+            self.say(str(error))
 
     def _panel_action(self, name: str) -> Callable[[Mapping[str, Any]], None] | None:
         panel = self._panel
@@ -398,6 +405,8 @@ class ScreenSession:
     def _choices(self, state: ScreenState) -> ScreenMessage:
         workspace = self._of(state).workspace
         address = fields.to_address(state, workspace)
+        if state.place != self._screens.home:
+            address = f"show={quote(state.place)}&{address}"
         return state.values() | {"address": address, "query_name": workspace.tasks[state.task].query_names[state.query]}
 
     def _page(self, state: ScreenState) -> ScreenMessage:
@@ -470,7 +479,9 @@ class ScreenSession:
     def _ranking(self, state: ScreenState) -> RankingJob:
         workspace = self._workspace(state)
         name = state.task if state.task in workspace.tasks else next(iter(workspace.tasks))
-        return workspace.rankings.get(scored_key(name, _scoring(state)), workspace.rankings[workspace.tasks[name].key])
+        return workspace.rankings.get(
+            scored_key(name, cast("Scoring", state.scoring)), workspace.rankings[workspace.tasks[name].key]
+        )
 
     def _access(self) -> _Opened:
         """Return the newest state's workspace with this tab's access to it."""
@@ -490,7 +501,7 @@ class ScreenSession:
         services, opened = self._of(state), self._access()
         own = self._own.get(state.own)
         analysis = opened.analyser.analyse(
-            _as_session_state(state, opened.workspace, None if own is None else own[0]), STRIP
+            as_session_state(state, opened.workspace, None if own is None else own[0]), STRIP
         )
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
         scale = self._screens.scale(analysis.task)
@@ -534,26 +545,9 @@ class ScreenSession:
         return state.place, state.model, analysis.task.key, state.own or state.query
 
 
-def _as_session_state(state: ScreenState, workspace: Workspace, own: OwnPicture | None) -> SessionState:
-    return SessionState(
-        state.task,
-        workspace.contract.n_parts,
-        query=state.query,
-        upload=own,
-        angle=state.angle,
-        weights=state.weights,
-        scoring=_scoring(state),
-        selected=state.compare,
-    )
-
-
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:
     """Return a text that names a photo and the part weights, by which the page knows the curve of a result."""
     return repr((key, state.weights))
-
-
-def _scoring(state: ScreenState) -> Any:
-    return state.scoring
 
 
 def _noun(view: str, of_flight: bool) -> str:

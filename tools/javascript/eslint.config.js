@@ -15,5 +15,6 @@ export default [
       "prefer-const": ["error", { destructuring: "all" }],
     },
   },
-  { files: ["**/screen/page/*.js"], languageOptions: { sourceType: "module" } },
+  { files: ["**/screen/{page,panels}/**/*.js"], languageOptions: { sourceType: "module" } },
+  { ignores: ["**/screen/vendor/*"] },
 ];

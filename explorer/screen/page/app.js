@@ -37,7 +37,7 @@ const channel = connect(
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
       view.state = state;
-      if (moved) view.angle = state.angle;
+      if (moved || sent === null) view.angle = state.angle;
       setTheme(state.theme);
       history.replaceState(null, "", state.address ? `?${state.address}` : location.pathname);
       soon();
@@ -364,12 +364,19 @@ const commands = new Commands(find("#commands"), list, () => {
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
     ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : view.page.place, key: "X", act: () => KEYS.x() }] : []),
+    { label: "Copy the link", act: copyLink },
     ...page.commands.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => channel.act(one.name) })),
     ...page.panels.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => openPanel(one.name) })),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
     { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
   ];
 }, (text) => set({ find: text.slice(0, 200) }));
+
+const copyLink = () =>
+  Promise.resolve(navigator.clipboard?.writeText(location.href)).then(
+    () => note(navigator.clipboard ? "The link is copied." : "The address bar has the link."),
+    () => note("The address bar has the link."),
+  );
 
 /** The former page's address of the same photo. */
 const classicAddress = () => {
@@ -378,7 +385,9 @@ const classicAddress = () => {
 };
 
 const openPanel = (name) => set({ panel: view.state.panel === name ? "" : name });
-const panels = new Panels(find("#panel"), { set, act: channel.act, say, view });
+/** Show the state of an address. */
+const go = (search) => channel.act("open", { search });
+const panels = new Panels(find("#panel"), { set, go, act: channel.act, say, view });
 
 const toggleFilter = () => set({ filter: view.state.filter === "all" ? "missed" : "all" });
 const escape = () => {
