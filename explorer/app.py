@@ -105,7 +105,7 @@ class App:
     def _add(self, key: str, workspace: Workspace) -> WorkspaceServices:
         """Return the services of a workspace, made once."""
         if key not in self._services:
-            workspace.key, workspace.choices = key, self._places
+            workspace.key, workspace.choices, workspace.opened = key, self._places, self._open_workspaces
             self._services[key] = WorkspaceServices.of(workspace)
         return self._services[key]
 
@@ -119,6 +119,9 @@ class App:
             with self._lock:
                 self._add(key, other.workspace)
         return self._services[key]
+
+    def _open_workspaces(self) -> dict[str, Workspace]:
+        return {key: services.workspace for key, services in list(self._services.items())}
 
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
         computes = (services.find_picture(path) for services in list(self._services.values()))

@@ -110,6 +110,10 @@ class Workspace:
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
+        # The app's workspaces that are open, by their keys.
+        self.opened: Callable[[], Mapping[str, Workspace]] = dict
+        # The file that keeps stories; None for that beside the data.
+        self.stories: Path | None = None
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
         self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
@@ -175,6 +179,10 @@ class Workspace:
         """Return the scoring that a task opens with: the first of `opens_with` that it has, or the one it was opened under."""
         ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
         return next(ready, self.tasks[name].scoring)
+
+    def ranking(self, name: str, scoring: Scoring) -> RankingJob:
+        """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
+        return self.rankings.get(scored_key(name, scoring), self.rankings[self.tasks[name].key])
 
     def scored_rankings(self, task: Task) -> list[RankingJob]:
         """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""
@@ -397,6 +405,11 @@ class LazyWorkspace:
     def progress(self) -> tuple[int, int]:
         """The numbers of described and of all pictures while it is being opened; (0, 0) until they are known."""
         return (0, 0) if self._job is None else (self._job.done, self._job.total)
+
+    @property
+    def asked(self) -> bool:
+        """It was opened, or its opening began."""
+        return self._job is not None
 
     def open(self) -> BackgroundJob[Workspace]:
         """Open it in the background, unless it is open or being opened; after a failure, try again."""

@@ -13,12 +13,12 @@ from explorer.workspace import Picture, Workspace
 from lpn.core.files import printable
 from lpn.descriptors.transforms import Change
 from lpn.library.analyser import OwnPicture, QueryRequest
-from lpn.tasks.task import SCORINGS, scored_key
+from lpn.tasks.task import SCORINGS, Scoring, scored_key
 
 # Characters and values of an address that are read.
 _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
 # The most that a part weighs, and the digits by which weights are written.
-_MAX_WEIGHT, _WEIGHT_DIGITS = 2.0, 2
+MAX_WEIGHT, _WEIGHT_DIGITS = 2.0, 2
 
 
 class FieldKind(Protocol):
@@ -143,11 +143,11 @@ class Weights:
         if given in ([], [""], None):
             return ()
         if not isinstance(given, list) or len(given) != n:
-            raise UnusableError(f"expected {n} numbers from 0 to {_MAX_WEIGHT:g}, not all 0.")
-        number = NumberIn(0.0, _MAX_WEIGHT)
+            raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
+        number = NumberIn(0.0, MAX_WEIGHT)
         weights = tuple(round(number.read(one, state, workspace), _WEIGHT_DIGITS) for one in given)
         if not any(weights):
-            raise UnusableError(f"expected {n} numbers from 0 to {_MAX_WEIGHT:g}, not all 0.")
+            raise UnusableError(f"expected {n} numbers from 0 to {MAX_WEIGHT:g}, not all 0.")
         return () if len(set(weights)) == 1 else weights
 
     def write(self, value: tuple[float, ...], state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
@@ -206,7 +206,7 @@ class ScreenState:
     place: str = _row(OneOf("places"), "", "show")
     task: str = _row(OneOf("tasks"), "", "task")
     model: str = _row(OneOf("models"), "0", "model")
-    scoring: str = _row(OneOf("scorings"), "plain", "scoring")
+    scoring: Scoring = _row(OneOf("scorings"), "plain", "scoring")
     query: int = _row(PictureOf("queries"), 0, "query")
     own: str = _row(Line(), "")
     angle: float = _row(NumberIn(-180.0, 180.0), 0.0, "angle", of_query=True)
@@ -252,15 +252,15 @@ FIELDS: dict[str, PanelField[Any]] = {
     if row.metadata
 }
 _OF_PANELS: set[str] = set()
-# The names of all panels.
+# The names of all panels that open.
 PANELS: list[str] = []
 # Fields whose change needs no new answer, beside those of panels.
 _OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
 
 
-def add_panel(name: str, rows: Sequence[PanelField[Any]]) -> None:
-    """Add a panel's name and rows to the table."""
-    PANELS.append(name)
+def add_panel(name: str, rows: Sequence[PanelField[Any]], opens: bool = True) -> None:
+    """Add a panel's name, unless it has only commands, and its rows to the table."""
+    PANELS.extend([name] * opens)
     for row in rows:
         assert row.name.startswith(f"{name}_"), row.name
         assert row.key == "" or row.key not in {other.key for other in FIELDS.values()}, row.key
@@ -319,7 +319,11 @@ def to_address(state: ScreenState, workspace: Workspace) -> str:
 
 def from_address(search: str, workspace: Workspace) -> tuple[ScreenState, list[str]]:
     """Return the state of a query string, and a sentence for each value that cannot be used; other keys are ignored."""
-    given = parsed(search)
+    return from_values(parsed(search), workspace)
+
+
+def from_values(given: Mapping[str, str], workspace: Workspace) -> tuple[ScreenState, list[str]]:
+    """Return the state of an address's values by their keys, see `from_address`."""
     values = {name: given[row.key] for name, row in FIELDS.items() if row.key in given}
     return changed(opening(workspace), values, workspace)
 

@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol
 
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
+from explorer.screen.downloads import MakeFile
 from explorer.screen.fields import PanelField, ScreenState
 from explorer.screen.loop import ScreenMessage
 from explorer.screen.result import ScreenResult
@@ -66,7 +67,15 @@ class Tab(Protocol):
         ...
 
     def say(self, text: str) -> None:
-        """Show a sentence in the headline's place."""
+        """Show a sentence in the headline's place; the result fades."""
+        ...
+
+    def note(self, text: str) -> None:
+        """Show a sentence for some seconds in place of the headline's reason; nothing else changes."""
+        ...
+
+    def download(self, title: str, make: MakeFile) -> None:
+        """Make a file on a thread of its own, with notes of its progress, and have the browser save it; see `Downloads`."""
         ...
 
 
@@ -97,23 +106,44 @@ class PanelPart:
 
 
 @dataclass(frozen=True)
+class Command:
+    """What a person can do by the palette or a key, whether the panel is open or not.
+
+    Attributes:
+        name: of the action, which the page asks for as `PANEL.NAME`; it comes before an action of the panel's part.
+        title: in the palette.
+        act: does it for a tab, within a moment; the sentence of an LPNError that it raises is shown in the headline's place.
+        key: that does it, in lower case; empty for none.
+        offered: whether a workspace has it.
+    """
+
+    name: str
+    title: str
+    act: Callable[[Tab], None]
+    key: str = ""
+    offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
+
+
+@dataclass(frozen=True)
 class Panel:
     """A panel, which its folder's `__init__.py` calls `PANEL`.
 
     Attributes:
         name: of the folder, of its module `NAME.js`, of its style sheet `NAME.css`, and in the address.
         title: of its command, and of its heading.
-        part: makes its part of a tab.
+        part: makes its part of a tab; None where there are only commands, and nothing opens.
         key: that opens and closes it, in lower case; empty for none.
         place: "beside" the rings in place of the rail, a "page" over the rings, or the "full" window.
         fields: the choices that it adds to the state; their names begin with the panel's and "_".
-        offered: whether a workspace has it.
+        offered: whether a workspace has it, and its commands.
+        commands: what it offers in the palette and by keys.
     """
 
     name: str
     title: str
-    part: Callable[[Tab], PanelPart]
+    part: Callable[[Tab], PanelPart] | None = None
     key: str = ""
     place: Literal["beside", "page", "full"] = "page"
     fields: Sequence[PanelField[Any]] = ()
     offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
+    commands: Sequence[Command] = ()

@@ -34,14 +34,8 @@ class Rail:
         key = state.place, state.model, ranking.task.key, state.filter, state.find, ranking.result
         if key != self._key:
             self._key = key
-            ranks = _ranks(workspace, ranking)
-            wanted = state.find.strip().casefold()
-            named = [i for i, name in enumerate(ranking.task.query_names) if wanted in name.casefold()]
-            self._listed = np.array(named, np.int64)
-            if state.filter == "missed":
-                missed = self._listed[ranks[self._listed] > 1]
-                self._listed = missed[np.argsort(-ranks[missed], kind="stable")]
-            listed, names = self._listed, ranking.task.query_names
+            ranks, names = _ranks(workspace, ranking), ranking.task.query_names
+            listed = self._listed = listed_queries(state, workspace, ranking)
             self._message = {
                 "feed": feeds.publish_list(
                     self,
@@ -72,6 +66,17 @@ class Rail:
     def _position(self, query: int) -> int:
         found = np.flatnonzero(self._listed == query)
         return int(found[0]) if len(found) else -1
+
+
+def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob) -> Int64Array:
+    """Return the queries that a state lists; the missed ones stand worst first."""
+    wanted = state.find.strip().casefold()
+    named = np.array([i for i, name in enumerate(ranking.task.query_names) if wanted in name.casefold()], np.int64)
+    if state.filter != "missed":
+        return named
+    ranks = _ranks(workspace, ranking)[named]
+    order = np.argsort(-ranks, kind="stable")
+    return named[order][ranks[order] > 1]
 
 
 def _ranks(workspace: Workspace, ranking: RankingJob) -> Int64Array:

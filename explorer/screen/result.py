@@ -21,6 +21,7 @@ from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.attribution import SideEvidence
+from lpn.library.analyser import QueryRequest
 from lpn.library.answer import Answer, pair_evidence
 from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
@@ -49,12 +50,14 @@ class ScreenResult:
     """An analysis with the tiles that a person compares.
 
     Attributes:
+        question: what was asked of the task.
         address: of the photo's picture, relative to the page.
     """
 
     workspace: Workspace
     feeds: Feeds
     state: ScreenState
+    question: QueryRequest
     analysis: Answer
     scale: BarScale
     address: str
@@ -103,6 +106,14 @@ class ScreenResult:
         }
         return {index: pair.evidence for index, pair in pairs.items() if pair is not None}
 
+    @property
+    def headline(self) -> dict[str, Any]:
+        """What the headline says: whether the photo is found, its rank, and the reason."""
+        verdict = self.analysis.verdict
+        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
+        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        return {"found": verdict.sign, "title": self._title(self.analysis.positive), "reason": reason}
+
     def message(self) -> dict[str, Any]:
         """Return the result as JSON takes it."""
         state, workspace = self.state, self.workspace
@@ -110,14 +121,12 @@ class ScreenResult:
         pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
-        verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
-        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
-        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        metres = self.analysis.error_m(self.first)
         weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
         return {
             "photo": self._photo(),
             "angle": state.angle,
-            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": reason},
+            "headline": self.headline,
             "answer": self.first.index,
             "rival": None if compared is None else compared.index,
             "rival_word": self._word(compared, pinned),

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
+from urllib.parse import quote
 
 import viser
 
@@ -19,6 +20,7 @@ from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
 from explorer.screen import fields
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
+from explorer.screen.downloads import Downloads, MakeFile
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
@@ -39,6 +41,8 @@ from lpn.tasks.task import SCORINGS, scored_key
 
 # Own photos that all tabs hold at a time, each of up to 8 MB.
 _MOST_OWN = 100
+# The panels' commands by the actions that the page asks for, each with its panel.
+_COMMANDS = {f"{panel.name}.{one.name}": (panel, one) for panel in PANELS.values() for one in panel.commands}
 # Seconds between two looks at a workspace that is being opened.
 _POLL = 0.2
 _SHOWN_OWN = 800
@@ -112,6 +116,7 @@ class ScreenSession:
         # The open panel, whose work has a thread of its own.
         self._panel: tuple[str, PanelPart] | None = None
         self._panels = Worker(self._show_panel, self._fail_panel)
+        self._downloads = Downloads(send)
 
     # What panels use, see `Tab`.
 
@@ -164,6 +169,14 @@ class ScreenSession:
         """Show a sentence in the headline's place."""
         self._send({"error": text})
 
+    def note(self, text: str) -> None:
+        """Show a sentence for some seconds in place of the headline's reason."""
+        self._send({"note": text})
+
+    def download(self, title: str, make: MakeFile) -> None:
+        """Make a file on a thread of its own, and have the browser save it."""
+        self._downloads.make(title, make, self.services.feeds, self)
+
     def receive(self, message: object) -> None:
         """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
         match message:
@@ -172,8 +185,13 @@ class ScreenSession:
             case {"do": str(name), "args": dict(arguments)} if name in self._actions:
                 if name == "open" or self._state is not None:
                     self._actions[name](arguments)
+            case {"do": str(name)} if name in _COMMANDS and self._state is not None:
+                panel, command = _COMMANDS[name]
+                base = self.services.workspace
+                if panel.offered(base) and command.offered(base):
+                    self._try(lambda: command.act(self))
             case {"do": str(name), "args": dict(arguments)} if (action := self._panel_action(name)) is not None:
-                action(arguments)
+                self._try(lambda: action(arguments))
             case {"do": str(name)}:
                 self._send({"error": f"There is no action {printable(name)[:40]}."})
 
@@ -195,6 +213,7 @@ class ScreenSession:
         self._occlusion.stop()
         self._painter.stop()
         self._panels.stop()
+        self._downloads.close()
         self._close_panel()
         self._progress.close()
         with self._lock:
@@ -214,36 +233,40 @@ class ScreenSession:
     # What messages do.
 
     def _open(self, arguments: Mapping[str, Any]) -> None:
-        search = arguments.get("search")
-        search = search if isinstance(search, str) else ""
-        wanted = dict(fields.parsed(search)).get("show", self._screens.home)
+        """Show the state of an address; a page that shows something keeps its place and theme where the address has none."""
+        search, before = arguments.get("search"), self._state
+        given = fields.parsed(search) if isinstance(search, str) else {}
+        place = given.get("show", "")
+        if place not in self._screens.places:
+            place = self._screens.home if before is None else before.place
+        if before is not None and place != before.place:
+            self._send({"busy": f"Opening {self._screens.places[place]}"})
         try:
-            services = self._screens.services(wanted if wanted in self._screens.places else self._screens.home)
+            services = self._screens.services(place)
         except LPNError as error:
             self._send({"error": str(error)})
+            if before is not None:
+                return
             services = self._screens.services(self._screens.home)
-        state, problems = fields.from_address(search, services.workspace)
+        if before is not None:
+            given = {"theme": before.theme} | given
+        state, problems = fields.from_values(given, services.workspace)
         state = replace(state, place=services.workspace.key)  # the address may name one that cannot be opened
+        moved = before is None or before.place != state.place
+        if before is not None and moved:
+            self._of(before).feeds.leave(self._rail)
+            self._rail = Rail()
+            self._drop_own()
         if not self._opens_model(state):
             state = replace(state, model="0")
-        self._show(state, problems, new_page=True)
+        self._show(state, problems, new_page=moved)
 
     def _set(self, values: Mapping[str, Any]) -> None:
         state = self._state
         assert state is not None
         place = values.get("place")
         if isinstance(place, str) and place != state.place and place in self._screens.places:
-            self._send({"busy": f"Opening {self._screens.places[place]}"})
-            try:
-                services = self._screens.services(place)
-            except LPNError as error:
-                self._send({"error": str(error)})
-                return
-            self._of(state).feeds.leave(self._rail)
-            self._rail = Rail()
-            self._drop_own()
-            opened = replace(fields.opening(services.workspace), theme=state.theme, view=state.view)
-            self._show(opened, [], new_page=True)
+            self._open({"search": f"show={quote(place)}&view={state.view}"})
             return
         changed, problems = fields.changed(state, values, self._of(state).workspace)
         if changed.own not in ("", *self._own):
@@ -327,7 +350,13 @@ class ScreenSession:
         self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)))
         self._send({"scene": "ready"})
 
-    # The open panel.
+    # Panels' commands, and the open panel.
+
+    def _try(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except LPNError as error:
+            self.say(str(error))
 
     def _panel_action(self, name: str) -> Callable[[Mapping[str, Any]], None] | None:
         panel = self._panel
@@ -343,8 +372,9 @@ class ScreenSession:
         """Make the state's panel the open one, for the state's place and model."""
         if (self._panel[0] if self._panel else "") != name:
             self._close_panel()
-            if name:
-                self._panel = name, PANELS[name].part(self)
+            part = PANELS[name].part if name else None
+            if part is not None:
+                self._panel = name, part(self)
 
     def _show_panel(self) -> float | None:
         panel = self._panel
@@ -375,6 +405,8 @@ class ScreenSession:
     def _choices(self, state: ScreenState) -> ScreenMessage:
         workspace = self._of(state).workspace
         address = fields.to_address(state, workspace)
+        if state.place != self._screens.home:
+            address = f"show={quote(state.place)}&{address}"
         return state.values() | {"address": address, "query_name": workspace.tasks[state.task].query_names[state.query]}
 
     def _page(self, state: ScreenState) -> ScreenMessage:
@@ -400,7 +432,12 @@ class ScreenSession:
             "panels": [
                 {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
                 for one in PANELS.values()
-                if one.offered(base)
+                if one.part is not None and one.offered(base)
+            ],
+            "commands": [
+                {"name": name, "title": one.title, "key": one.key}
+                for name, (panel, one) in _COMMANDS.items()
+                if panel.offered(base) and one.offered(base)
             ],
         }
 
@@ -442,7 +479,7 @@ class ScreenSession:
     def _ranking(self, state: ScreenState) -> RankingJob:
         workspace = self._workspace(state)
         name = state.task if state.task in workspace.tasks else next(iter(workspace.tasks))
-        return workspace.rankings.get(scored_key(name, _scoring(state)), workspace.rankings[workspace.tasks[name].key])
+        return workspace.ranking(name, state.scoring)
 
     def _access(self) -> _Opened:
         """Return the newest state's workspace with this tab's access to it."""
@@ -465,7 +502,7 @@ class ScreenSession:
         analysis = opened.analyser.analyse(self._ranking(state).task, question, STRIP)
         address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
         scale = self._screens.scale(analysis.task)
-        result = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
+        result = ScreenResult(opened.workspace, services.feeds, state, question, analysis, scale, address)
         key = self._curve_key(state, analysis)
         if state.angle % STEP == 0 and opened.workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
@@ -508,10 +545,6 @@ class ScreenSession:
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:
     """Return a text that names a photo and the part weights, by which the page knows the curve of a result."""
     return repr((key, state.weights))
-
-
-def _scoring(state: ScreenState) -> Any:
-    return state.scoring
 
 
 def _noun(view: str, of_flight: bool) -> str:

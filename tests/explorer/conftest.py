@@ -5,7 +5,7 @@ from __future__ import annotations
 from queue import Queue
 from typing import Any
 
-from explorer.client.services import WorkspaceServices
+from explorer.services import WorkspaceServices
 from explorer.screen.fields import needs_answer
 from explorer.screen.result import ScreenResult
 from explorer.screen.session import Screens, ScreenSession

@@ -14,11 +14,12 @@ import "./terms.js";
 import { makeTurnable } from "./turn.js";
 
 const STEP = 15; // degrees of a key
+const NOTED = 8000; // ms of a note
 const MOST = 30_000_000; // bytes of a photo
 const KEPT = "lpn-theme";
 
-/** @type {{page: any, state: any, result: any, rail: any, curve: any, angle: number, focus: number, truth: boolean, colour: boolean, waiting: boolean, said: string, lost: boolean}} */
-const view = { page: null, state: null, result: null, rail: null, curve: null, angle: 0, focus: -1, truth: false, colour: false, waiting: false, said: "", lost: false };
+/** @type {{page: any, state: any, result: any, rail: any, curve: any, angle: number, focus: number, truth: boolean, colour: boolean, waiting: boolean, said: string, note: string, lost: boolean}} */
+const view = { page: null, state: null, result: null, rail: null, curve: null, angle: 0, focus: -1, truth: false, colour: false, waiting: false, said: "", note: "", lost: false };
 const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#curve", "#strip", "#sum"].map((one) => find(one));
 const list = new RailList(find("#list"));
 
@@ -37,7 +38,7 @@ const channel = connect(
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
       view.state = state;
-      if (moved) view.angle = state.angle;
+      if (moved || sent === null) view.angle = state.angle;
       setTheme(state.theme);
       history.replaceState(null, "", state.address ? `?${state.address}` : location.pathname);
       soon();
@@ -66,6 +67,8 @@ const channel = connect(
       soon();
     },
     panel: ({ name, message }) => panels.receive(name, message),
+    note: (text) => note(text),
+    download: ({ address, name }) => make("a", { href: address, download: name }).click(),
     busy: (text) => say(text),
     error: (text) => {
       say(text);
@@ -93,6 +96,15 @@ const channel = connect(
 /** Say something in the headline's place; the last result stays, faded. */
 const say = (text) => {
   view.said = text;
+  soon();
+};
+
+/** Note something in place of the headline's reason, which comes back after a while. */
+let noted = 0;
+const note = (text) => {
+  view.note = text;
+  clearTimeout(noted);
+  noted = setTimeout(() => note(""), NOTED);
   soon();
 };
 
@@ -200,7 +212,7 @@ const drawHeadline = () => {
     const { found, title: rest, reason: why } = result.headline;
     const judged = found === null ? [] : [make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : "✗ Missed" }), ", "];
     title.replaceChildren(...judged, rest, make("i", { class: "more", "aria-hidden": "true", text: "?" }));
-    reason.textContent = why;
+    reason.textContent = view.note || why;
   }
 };
 
@@ -362,11 +374,19 @@ const commands = new Commands(find("#commands"), list, () => {
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
     ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : view.page.place, key: "X", act: () => KEYS.x() }] : []),
+    { label: "Copy the link", act: copyLink },
+    ...page.commands.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => channel.act(one.name) })),
     ...page.panels.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => openPanel(one.name) })),
     { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
     { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
   ];
 }, (text) => set({ find: text.slice(0, 200) }));
+
+const copyLink = () =>
+  Promise.resolve(navigator.clipboard?.writeText(location.href)).then(
+    () => note(navigator.clipboard ? "The link is copied." : "The address bar has the link."),
+    () => note("The address bar has the link."),
+  );
 
 /** The former page's address of the same photo. */
 const classicAddress = () => {
@@ -375,7 +395,9 @@ const classicAddress = () => {
 };
 
 const openPanel = (name) => set({ panel: view.state.panel === name ? "" : name });
-const panels = new Panels(find("#panel"), { set, act: channel.act, say, view });
+/** Show the state of an address. */
+const go = (search) => channel.act("open", { search });
+const panels = new Panels(find("#panel"), { set, go, act: channel.act, say, view });
 
 const toggleFilter = () => set({ filter: view.state.filter === "all" ? "missed" : "all" });
 const escape = () => {
@@ -414,7 +436,9 @@ export const press = (event) => {
   if (typing && name !== "escape") return;
   const part = Number(name) - 1;
   const panel = view.page?.panels.find((one) => one.key === name);
+  const command = view.page?.commands.find((one) => one.key === name);
   if (name.length === 1 && part >= 0 && part < (view.page?.parts ?? 0)) focusOn(view.focus === part ? -1 : part);
+  else if (command && !event.repeat) channel.act(command.name);
   else if (panel && !event.repeat) openPanel(panel.name);
   else if (KEYS[name] && !(event.repeat && "tf".includes(name))) {
     event.preventDefault();

@@ -24,7 +24,7 @@ def result_of(workspace: Workspace, **values: Any) -> ScreenResult:
     state: ScreenState = replace(fields.opening(workspace), **values)
     analysis = WorkspaceAnalyser(workspace).analyse(workspace.tasks[state.task], state.question(), STRIP)
     feeds = WorkspaceServices.of(workspace).feeds
-    return ScreenResult(workspace, feeds, state, analysis, measured_scale(analysis.task), "photo.jpg")
+    return ScreenResult(workspace, feeds, state, state.question(), analysis, measured_scale(analysis.task), "photo.jpg")
 
 
 @pytest.mark.parametrize("query", range(8))

@@ -13,11 +13,13 @@ from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import OneOf, PanelField, ScreenState
 from explorer.screen.panel import Tab
 from explorer.screen.result import ScreenResult
-from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import LPNError
 from lpn.core.numbers import rounded_to_sum
 from lpn.core.texts import ordinal
+from lpn.library.analyser import QueryRequest
+from lpn.library.answer import Answer
 from lpn.tasks.task import Task
 
 # The model beside the screen's own; empty for the first other one.
@@ -44,7 +46,7 @@ class SecondModel:
 
     def __init__(self, tab: Tab) -> None:
         self._tab = tab
-        self._opened: dict[Workspace, tuple[RequestContext, StateAnalyser]] = {}
+        self._opened: dict[Workspace, tuple[RequestContext, WorkspaceAnalyser]] = {}
         self._joined: list[RankingJob] = []
 
     def open_again(self) -> None:
@@ -88,12 +90,10 @@ class SecondModel:
     def _both(self, result: ScreenResult, other: Workspace, shown: dict[str, Any]) -> ModelsMessage:
         own = result.workspace
         task = own.shared_task(result.task, [other])
-        state = replace(result.analysis.state, scoring=task.scoring, region=(), why=False)
-        analysis: StateAnalysis = result.analysis
+        question, analysis = replace(result.question, compare=None), result.analysis
         if task.key != result.task.key:
-            analysis = self._analyse(own, replace(state, selected=None))
-        parts = other.contract.n_parts
-        theirs = self._analyse(other, replace(state, n_parts=parts, weights=(), enabled=(), selected=None))
+            analysis = self._analyse(own, task, question)
+        theirs = self._analyse(other, other.ranking(task.name, task.scoring).task, replace(question, weights=None))
         rankings = [ranking for one in (own, other) if (ranking := one.ranked_as(task)) is not None]
         waits = [ranking for ranking in rankings if ranking.result is None and not ranking.error]
         self._join(waits[:1])
@@ -110,7 +110,7 @@ class SecondModel:
         return ModelsMessage(values, _INTERVAL if waits else None)
 
     def _column(
-        self, result: ScreenResult, workspace: Workspace, analysis: StateAnalysis, ranking: RankingJob
+        self, result: ScreenResult, workspace: Workspace, analysis: Answer, ranking: RankingJob
     ) -> dict[str, Any]:
         truth, verdict = analysis.positive, analysis.verdict
         graded = workspace.graded(ranking)
@@ -156,12 +156,12 @@ class SecondModel:
         ]
         return {"alone": [int(graded.sum()), *alone], "better": listed[0], "worse": listed[1]}
 
-    def _analyse(self, workspace: Workspace, state: Any) -> StateAnalysis:
+    def _analyse(self, workspace: Workspace, task: Task, question: QueryRequest) -> Answer:
         if workspace not in self._opened:
             requests = RequestContext(workspace.inference)
             model = requests.queued(workspace.model, background=True)
-            self._opened[workspace] = requests, StateAnalyser(workspace, model, cancellable=False)
-        return self._opened[workspace][1].analyse(state, _TILES)
+            self._opened[workspace] = requests, WorkspaceAnalyser(workspace, model, cancellable=False)
+        return self._opened[workspace][1].analyse(task, question, _TILES)
 
     def _number(self, state: ScreenState) -> int:
         """Return the number of the second model, which is not the screen's own."""

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from explorer.screen.fields import MAX_WEIGHT
 from explorer.screen.result import ScreenResult
-from explorer.session_state import MAX_WEIGHT
 from lpn.analysis.comparison import Comparison
 from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.core.texts import ordinal

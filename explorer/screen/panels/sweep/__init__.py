@@ -40,7 +40,7 @@ class Sweep:
 
     def __init__(self, over: SweptProperty, result: ScreenResult, model: Model) -> None:
         self.over, self._result = over, result
-        analysis, task, state = result.analysis, result.task, result.analysis.state
+        analysis, task, state = result.analysis, result.task, result.state
         query = task.queries[state.query]
         height, width = result.workspace.contract.input_size
         base = Change(0.0 if over == "rotation" else state.angle, weather=result.workspace.weather)
@@ -50,7 +50,7 @@ class Sweep:
         self.points: tuple[SweepPoint, ...] = ()
         follow = None if analysis.positive else result.first.index
         self.follows = "truth" if analysis.positive else "answer"
-        rank = task.ranks_under(None if state.upload else state.query, analysis.ranking.weights)
+        rank = task.ranks_under(None if state.own else state.query, analysis.ranking.weights)
         described = result.workspace.scored_model(model, task).for_task(*task.views)
         self._ahead: Iterator[SweepPoint] = sweeps.sweep_points(
             described, analysis.source, task.query_view, changes, rank, follow
@@ -126,8 +126,8 @@ class Sweep:
 
     def _heading(self, guess: float) -> str:
         """Judge the guess of the photo's heading by the nearest tile alone."""
-        state, places = self._result.analysis.state, self._result.task.geometry
-        place = None if places is None or state.upload else places.queries[state.query]
+        state, places = self._result.state, self._result.task.geometry
+        place = None if places is None or state.own else places.queries[state.query]
         known = None if place is None else place.heading
         said = f"By the nearest tile alone, the photo's top points {guess:.0f}° clockwise from north"
         if known is None:

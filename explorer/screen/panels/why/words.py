@@ -148,15 +148,15 @@ def _judged(result: ScreenResult, ranking: RankingJob) -> list[str]:
 
 def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
     """Return how far the lead of this answer may be trusted, which needs no truth."""
-    analysis, workspace, state = result.analysis, result.workspace, result.analysis.state
-    own = state.upload is not None
+    analysis, workspace, state = result.analysis, result.workspace, result.state
+    own = bool(state.own)
     gap, said = result.first.shown_gap, list[str]()
     if gap is not None:
         said.append(f"It leads the next tile by {gap:.3f}.")
     rendered = shows_rendered(workspace.root)
     if own and rendered:
         said.append("Computers drew this place, so a photo of yours has no true tile here.")
-    elif state.altered_weights:
+    elif state.weights:
         said.append("No other photo was ranked under these part weights, so nothing tells how typical that is.")
     elif ranking.result is not None:
         graded = workspace.graded(ranking)
@@ -169,9 +169,11 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
             )
         if own:
             said += _far(result)
-        elif result.first.true and not state.change and (known := workspace.outcomes(result.task)) is not None:
+        elif (
+            result.first.true and not result.question.change and (known := workspace.outcomes(result.task)) is not None
+        ):
             said.append(answer_context.describe_lead(known[0], analysis.verdict.lead))
-        if state.change:
+        if result.question.change:
             said.append("That counts photos as they were taken; this one is turned.")
     return {
         "said": [one for one in said if one],
@@ -227,7 +229,7 @@ def _scored(result: ScreenResult) -> list[str]:
 def _pictures(result: ScreenResult) -> list[dict[str, str]]:
     """Return who made the pictures, the model, and the program: texts, some with an address."""
     workspace = result.workspace
-    said = [{"text": f"Data: {workspace.data_name}{workspace.about and f', {workspace.about}'}."}]
+    said = [{"text": f"Data: {workspace.data_name}."}]
     place = None if workspace.basemap is None else workspace.basemap.place
     if place is not None and place.credit:
         said.append({"text": f"Pictures: {place.credit}.", "href": place.source})
