@@ -236,7 +236,8 @@ class ScreenState:
     def with_value(self, name: str, value: Any) -> ScreenState:
         """Return the state with another value of a field, which is not checked."""
         if name in _OF_PANELS:
-            return replace(self, of_panels={**self.of_panels, name: value})
+            others = {key: one for key, one in self.of_panels.items() if key != name}
+            return replace(self, of_panels=others if value == FIELDS[name].default else {**others, name: value})
         changes: dict[str, Any] = {name: value}
         return replace(self, **changes)
 
