@@ -15,6 +15,8 @@ from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array
 
 _RANDOM = Random()
+# The filter, and the word of a search, that lists the missed queries alone.
+_MISSED = "missed"
 
 
 class Rail:
@@ -36,9 +38,10 @@ class Rail:
         if key != self._key:
             self._key = key
             ranks = _ranks(workspace, ranking)
-            named = matching_names(ranking.task.query_names, state.find)
-            self._listed = np.array(named, np.int64)
-            if state.filter == "missed":
+            words = state.find.split()
+            text = " ".join(word for word in words if word.lower() != _MISSED)
+            self._listed = np.array(matching_names(ranking.task.query_names, text), np.int64)
+            if state.filter == _MISSED or len(text) < len(" ".join(words)):
                 missed = self._listed[ranks[self._listed] > 1]
                 self._listed = missed[np.argsort(-ranks[missed], kind="stable")]
             listed, names = self._listed, ranking.task.query_names

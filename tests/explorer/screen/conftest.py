@@ -86,6 +86,7 @@ class Tab:
 
     def open(self, search: str = "") -> dict[str, Any]:
         """Open the page of an address, and return its first result."""
+        self.last.pop("result", None)
         self.act("open", search=search)
         return self.result()
 
