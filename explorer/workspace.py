@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import cast
 
 import numpy as np
 
@@ -180,9 +181,9 @@ class Workspace:
         ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
         return next(ready, self.tasks[name].scoring)
 
-    def ranking(self, name: str, scoring: Scoring) -> RankingJob:
+    def ranking(self, name: str, scoring: str) -> RankingJob:
         """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
-        return self.rankings.get(scored_key(name, scoring), self.rankings[self.tasks[name].key])
+        return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
 
     def scored_rankings(self, task: Task) -> list[RankingJob]:
         """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""

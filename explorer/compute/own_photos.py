@@ -8,13 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
+from lpn.core.numbers import distance
 from lpn.core.resources import yield_cores
 from lpn.flights import Frame
 from lpn.library.analyser import OwnPicture
+from lpn.locate.belief import belief
+from lpn.locate.grades import off_window, window_of
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import open_matchers
+from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto, register_own_photo
 from lpn.maps import Map, Window
+from lpn.tasks.task import Task
 
 # Seconds between looks at the progress of a registration, and at whether one that waits for its turn is still wanted.
 _INTERVAL, _PATIENCE = 0.5, 0.1
@@ -232,6 +237,35 @@ class OwnPhotoComparisons:
         """Leave all jobs for good."""
         for progress in list(self._of_places.values()):
             progress.close()
+
+
+def likely_windows(task: Task, order: Sequence[int]) -> list[Window]:
+    """Return the most similar windows of a map, about which a photo is searched on a large one.
+
+    Args:
+        order: gallery positions, the nearest first.
+    """
+    return [window for index in order[:TOP] if (window := window_of(task, index)) is not None]
+
+
+def mark(job: BackgroundJob[OwnPhoto], task: Task, answer: int) -> tuple[bool | None, str, str]:
+    """Return what the check of a photo says of the nearest tile: a sign, a few words, and a sentence of the registration.
+
+    Args:
+        answer: gallery position of the nearest tile.
+    """
+    found = job.value
+    if found is None:
+        tries = f", try {job.done} of {job.total}" if job.total else ""
+        return None, "not checked" if job.error else f"checking the map{tries}", job.error or ""
+    why = found.answer.sentence
+    if not found.answer.accepted:
+        return None, "fits no place of the map" if found.whole_map else "fits none of the nearest tiles", why
+    off = off_window(found.located, window_of(task, answer))
+    if off is not None and off > 0:
+        return False, f"fits the map {distance(off)} away", why
+    sign = belief(found.located).sign
+    return sign, "fits the map here" if sign else "fits the map here, in doubt", why
 
 
 def _frame(picture: OwnPicture) -> Frame | None:

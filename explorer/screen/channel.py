@@ -76,13 +76,13 @@ class Channel:
         """Give a tab's session the client of its scene; a scene without a session shows nothing."""
         session = self.sessions.get(tab)
         if session is not None:
-            session.attach(client)
+            session.scene.attach(client)
 
     def detach(self, tab: str, client: viser.ClientHandle) -> None:
         """Take the client of a scene that has gone."""
         session = self.sessions.get(tab)
-        if session is not None and session.client is client:
-            session.attach(None)
+        if session is not None and session.scene.client is client:
+            session.scene.attach(None)
 
     async def serve(self, tab: str, connection: ServerConnection) -> None:
         """Serve one tab until its connection ends.

@@ -13,7 +13,7 @@ from explorer.workspace import Picture, Workspace
 from lpn.core.files import printable
 from lpn.descriptors.transforms import Change
 from lpn.library.analyser import OwnPicture, QueryRequest
-from lpn.tasks.task import SCORINGS, Scoring, scored_key
+from lpn.tasks.task import SCORINGS, scored_key
 
 # Characters and values of an address that are read.
 _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
@@ -206,7 +206,7 @@ class ScreenState:
     place: str = _row(OneOf("places"), "", "show")
     task: str = _row(OneOf("tasks"), "", "task")
     model: str = _row(OneOf("models"), "0", "model")
-    scoring: Scoring = _row(OneOf("scorings"), "plain", "scoring")
+    scoring: str = _row(OneOf("scorings"), "plain", "scoring")
     query: int = _row(PictureOf("queries"), 0, "query")
     own: str = _row(Line(), "")
     angle: float = _row(NumberIn(-180.0, 180.0), 0.0, "angle", of_query=True)

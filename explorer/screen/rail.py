@@ -14,6 +14,8 @@ from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array
 
 _RANDOM = Random()
+# The filter, and the word of a search, that lists the missed queries alone.
+_MISSED = "missed"
 
 
 class Rail:
@@ -70,9 +72,10 @@ class Rail:
 
 def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob) -> Int64Array:
     """Return the queries that a state lists; the missed ones stand worst first."""
-    wanted = state.find.strip().casefold()
-    named = np.array([i for i, name in enumerate(ranking.task.query_names) if wanted in name.casefold()], np.int64)
-    if state.filter != "missed":
+    words = state.find.casefold().split()
+    text = " ".join(word for word in words if word != _MISSED)
+    named = np.array([i for i, name in enumerate(ranking.task.query_names) if text in name.casefold()], np.int64)
+    if state.filter != _MISSED and _MISSED not in words:
         return named
     ranks = _ranks(workspace, ranking)[named]
     order = np.argsort(-ranks, kind="stable")

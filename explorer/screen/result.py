@@ -21,7 +21,7 @@ from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.attribution import SideEvidence
-from lpn.library.analyser import QueryRequest
+from lpn.library.analyser import OwnPicture, QueryRequest
 from lpn.library.answer import Answer, pair_evidence
 from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
@@ -66,6 +66,11 @@ class ScreenResult:
     def task(self) -> Task:
         """The task of the analysis."""
         return self.analysis.task
+
+    @property
+    def own(self) -> OwnPicture | None:
+        """The own photo that is shown; None for a query."""
+        return self.question.query if isinstance(self.question.query, OwnPicture) else None
 
     @cached_property
     def first(self) -> Match:

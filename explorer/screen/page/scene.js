@@ -56,9 +56,13 @@ export class SceneFrame {
     this.box.classList.add("ready");
   }
 
+  /** The connection is lost: what viser's page says of its own is not shown. */
+  away() {
+    this.box.classList.remove("ready");
+  }
+
   /** viser's page connects again by itself only while it has the focus, which this page keeps. */
   reload() {
-    this.box.classList.remove("ready");
     this.frame?.contentWindow?.location.reload();
   }
 
