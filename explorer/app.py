@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
+from pathlib import Path
 
 import viser
 
@@ -55,6 +56,7 @@ class App:
         others: further workspaces that a page can show, by their keys in its address.
         embedders: see `Gateway`.
         key: that of `workspace`. An address that names a picture and no workspace is one of the workspace `DATA`.
+        stories: the file that keeps stories of all workspaces; by default one beside each data set.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -71,11 +73,13 @@ class App:
         others: Mapping[str, LazyWorkspace] | None = None,
         embedders: Sequence[str] = (),
         key: str = DATA,
+        stories: Path | None = None,
     ) -> None:
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         self._others, self._lock = others or {}, threading.Lock()
         self._changing: set[int] = set()
         self._opens_quick = False
+        self._stories = stories
         self._services: dict[str, WorkspaceServices] = {}
         self._choices = {key: label} | {key: other.label for key, other in self._others.items()} if others else {}
         self._first = self._add(key, workspace)
@@ -166,6 +170,7 @@ class App:
         """Return the services of a workspace, made once."""
         if key not in self._services:
             workspace.key, workspace.choices, workspace.opened = key, self._choices, self._open_workspaces
+            workspace.stories = self._stories
             self._services[key] = WorkspaceServices.of(workspace)
         return self._services[key]
 
@@ -279,6 +284,7 @@ def serve(
     others: Mapping[str, LazyWorkspace] | None = None,
     label: str = "",
     key: str = DATA,
+    stories: Path | None = None,
 ) -> None:
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
@@ -287,12 +293,13 @@ def serve(
         authenticator: the access rules; by default those of `App`.
         others: workspaces that a page offers beside it, by the keys that an address gives them.
         label, key: of the workspace beside them, see `App`.
+        stories: the file that keeps stories, see `App`.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     host = host or "0.0.0.0"
-    app = _start(open_workspace, host, port, authenticator, others, label, key)
+    app = _start(open_workspace, host, port, authenticator, others, label, key, stories=stories)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     if not is_loopback(host):
@@ -341,8 +348,9 @@ def _start(
     label: str,
     key: str,
     embedders: Sequence[str] = (),
+    stories: Path | None = None,
 ) -> App:
     check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, label, others, embedders, key)
+    return App(open_workspace(), host, port, authenticator, label, others, embedders, key, stories)
