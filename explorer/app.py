@@ -7,6 +7,7 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 
 import viser
 
@@ -47,6 +48,7 @@ class App:
         label: display name of the workspace beside `others`.
         others: further workspaces that a page can show, by their keys in its address.
         embedders: see `Gateway`.
+        stories: the file that keeps stories of all workspaces; by default one beside each data set.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -62,9 +64,11 @@ class App:
         label: str = "",
         others: Mapping[str, LazyWorkspace] | None = None,
         embedders: Sequence[str] = (),
+        stories: Path | None = None,
     ) -> None:
         self.authenticator = authenticator or make_authenticator(host, None, False, ())
         self._others, self._lock = others or {}, threading.Lock()
+        self._stories = stories
         self._services: dict[str, WorkspaceServices] = {}
         self._places = {DATA: label or DATA} | {key: other.label for key, other in self._others.items()}
         self._add(DATA, workspace)
@@ -106,6 +110,7 @@ class App:
         """Return the services of a workspace, made once."""
         if key not in self._services:
             workspace.key, workspace.choices, workspace.opened = key, self._places, self._open_workspaces
+            workspace.stories = self._stories
             self._services[key] = WorkspaceServices.of(workspace)
         return self._services[key]
 
@@ -123,6 +128,9 @@ class App:
     def _open_workspaces(self) -> dict[str, Workspace]:
         return {key: services.workspace for key, services in list(self._services.items())}
 
+    def _open_workspaces(self) -> dict[str, Workspace]:
+        return {key: services.workspace for key, services in list(self._services.items())}
+
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
         computes = (services.find_picture(path) for services in list(self._services.values()))
         return next((compute for compute in computes if compute is not None), None)
@@ -135,6 +143,7 @@ def serve(
     authenticator: Authenticator | None = None,
     others: Mapping[str, LazyWorkspace] | None = None,
     label: str = "",
+    stories: Path | None = None,
 ) -> None:
     """Open a workspace, print the address of the explorer, and serve it until KeyboardInterrupt.
 
@@ -143,12 +152,13 @@ def serve(
         authenticator: the access rules; by default those of `App`.
         others: workspaces that a page offers beside it, by the keys that an address gives them.
         label: of the workspace beside them.
+        stories: the file that keeps stories, see `App`.
 
     Raises:
         LPNError: when the workspace cannot be opened, or the address cannot be used.
     """
     host = host or "0.0.0.0"
-    app = _start(open_workspace, host, port, authenticator, others, label)
+    app = _start(open_workspace, host, port, authenticator, others, label, stories=stories)
     gc.collect()
     gc.freeze()  # keeps the collection after each disconnect short
     if not is_loopback(host):
@@ -195,8 +205,9 @@ def _start(
     others: Mapping[str, LazyWorkspace] | None,
     label: str,
     embedders: Sequence[str] = (),
+    stories: Path | None = None,
 ) -> App:
     check_free(host, port)
     limit_malloc_arenas()
     images.use_all_cores()
-    return App(open_workspace(), host, port, authenticator, label, others, embedders)
+    return App(open_workspace(), host, port, authenticator, label, others, embedders, stories)

@@ -17,7 +17,7 @@ from explorer.parameters import DATA
 from lpn.cli.live import LiveInput, MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
-from lpn.core.files import printable
+from lpn.core.files import check_outputs, printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
 from lpn.locate.source import FlightSource
@@ -128,41 +128,12 @@ class ExploreLive(ServeOptions, LiveInput):
 
 
 @dataclass(kw_only=True)
-class StoryList:
-    """List the stories that lie beside a data set or flight; lpn explore tells them."""
-
-    source: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = None
-    """Data set in any layout of docs/data.md, or the photos of a flight; by default those that lpn explore opens."""
-    stories: bool = True
-    """List the stories."""
-
-    def run(self) -> None:
-        from explorer.stories.library import read_all
-
-        if self.source is not None and not self.source.is_dir():
-            raise InputError(f"There is no folder {printable(str(self.source))!r}; give that of a data set or flight.")
-        shipped = {DATA: DEMO, "place": DEMO_PLACE[1], "flight": DEMO_FLIGHT[1]}
-        opened = (
-            {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.source is None else {"": self.source}
-        )
-        stories = {of: read_all(root) for of, root in opened.items()}
-        problems = dict.fromkeys(problem for read in stories.values() for problem in read.errors)
-        for problem in problems:
-            print(f"lpn: {problem}", file=sys.stderr)
-        for of, read in stories.items():
-            for story in read.by_name.values():
-                print(f"{printable(story.name)}  ({len(story.steps)} steps{of})")
-        if not problems and not any(read.by_name for read in stories.values()):
-            print("There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.")
-
-
-@dataclass(kw_only=True)
 class Explore(ModelsBeside, ServeOptions, SourceOptions):
     """Open the explorer in a browser: on a source, by default on the demo."""
 
     # The command runs until it is stopped, so a stop is no failure.
     SERVES: ClassVar[bool] = True
-    MODES: ClassVar[dict[str, type[ExploreLive | StoryList]]] = {"--live": ExploreLive, "--stories": StoryList}
+    MODES: ClassVar[dict[str, type[ExploreLive]]] = {"--live": ExploreLive}
 
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
@@ -171,12 +142,19 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
     register: Advanced[bool] = True
     """Lay each photo of a flight over the map; this goes on in the background, and its answers are kept."""
     map_error: MapError = None
+    stories: Advanced[Path | None] = None
+    """File (.json) in which S on the page keeps steps of stories; by default stories.json beside the data."""
 
     def run(self) -> None:
         from explorer.app import serve
+        from explorer.screen.panels.stories.story import read_stories
 
         authenticator, opening = self.authenticator(), self.workspaces()
-        serve(opening.open_workspace, self.host, self.port, authenticator, opening.others, opening.label)
+        check_outputs((self.stories, ".json"))
+        if self.stories is not None:
+            read_stories(self.stories)
+        of_page = opening.others, opening.label, self.stories
+        serve(opening.open_workspace, self.host, self.port, authenticator, *of_page)
 
     @staticmethod
     def in_background(

@@ -33,7 +33,7 @@ def keep(tab: Tab) -> None:
     name = tab.state[STORY] if tab.state[STORY] in stories.own else _free(stories.by_name)
     step = Step(_address(tab), _caption(tab)[:400])
     begun = stories.by_name.get(name, Story(name))
-    kept = files.change(workspace, begun, lambda now: replace(now, steps=(*now.steps, step)))
+    kept = files.change(files.own_stories(workspace), begun, lambda now: replace(now, steps=(*now.steps, step)))
     assert kept is not None
     tab.set({STORY.name: name})
     tab.note(f"Step {len(kept.steps)} of {name} is kept.")
@@ -112,7 +112,8 @@ class StoriesPart(PanelPart):
         """Return the action that changes a story in the file, and shows it."""
 
         def act(given: Mapping[str, Any]) -> None:
-            changed = files.change(self.tab.services.workspace, self._story(given), lambda now: edit(now, given))
+            file = files.own_stories(self.tab.services.workspace)
+            changed = files.change(file, self._story(given), lambda now: edit(now, given))
             self.tab.set({STORY.name: "" if changed is None else changed.name})
 
         return act

@@ -73,17 +73,18 @@ def stories_of(workspace: Workspace) -> Stories:
     shipped = workspace.root == DEMO and workspace.model_name == DEMO_MODEL.name
     by_name = {story.name: story for story in read_stories(DEMO / NAME)} if shipped else {}
     try:
-        own = {story.name: story for story in read_stories(_own(workspace))}
+        own = {story.name: story for story in read_stories(own_stories(workspace))}
     except LPNError as error:
         return Stories(by_name, set(), str(error))
     return Stories(by_name | own, set(own))
 
 
-def change(workspace: Workspace, story: Story, edit: Callable[[Story], Story | None]) -> Story | None:
-    """Change a story in the person's file, and return it; a shipped one is copied there first, and None deletes.
+def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> Story | None:
+    """Change a story in a file, and return it.
 
     Args:
         story: what the file may have in another state by now, or not at all.
+        edit: returns the story in its new state; None deletes it.
 
     Raises:
         InputError: when the changed story cannot be held, or its name is another's.
@@ -103,7 +104,7 @@ def change(workspace: Workspace, story: Story, edit: Callable[[Story], Story | N
         changed.append(made)
         return [*stories[:at], *([] if made is None else [made]), *stories[at + 1 :]]
 
-    _FORMAT.change(_own(workspace), replaced)
+    _FORMAT.change(file, replaced)
     return changed[-1]
 
 
@@ -112,7 +113,8 @@ def place(workspace: Workspace) -> str:
     return workspace.stories.name if workspace.stories else own_file_place(workspace.root, NAME, "data")
 
 
-def _own(workspace: Workspace) -> Path:
+def own_stories(workspace: Workspace) -> Path:
+    """Return the file of a person's stories; OutputError for the demo if the user has no home folder."""
     return workspace.stories or own_file(workspace.root, NAME)
 
 
