@@ -26,6 +26,7 @@ const load = async () => {
  * @param {boolean} [chart.down] small values of y stand above
  * @param {[number, number]} [chart.range] of y
  * @param {number[]} [chart.ticks] of x
+ * @param {boolean} [chart.turned] long texts of x stand upright
  * @param {number} [chart.mark] a place of x that has a line
  * @param {number} [chart.height]
  * @param {(position: number) => void} [chart.pick] a point was clicked
@@ -50,7 +51,7 @@ export const plot = async (box, chart) => {
       legend: { live: true },
       scales: { x: { time: false, distr: chart.logX ? 3 : 1 }, y: { distr: chart.logY ? 3 : 1, dir: chart.down ? -1 : 1, ...(chart.range ? { range: chart.range } : {}) } },
       axes: [
-        { ...axis, label: chart.axes[0], size: 28, values: (_, values) => values.map((one) => (one === null ? "" : text(one))), ...(chart.ticks ? { splits: () => chart.ticks } : {}) },
+        { ...axis, label: chart.axes[0], size: 28, values: (_, values) => values.map((one) => (one === null ? "" : text(one))), ...(chart.ticks ? { splits: () => chart.ticks } : {}), ...(chart.turned ? { rotate: -60, size: 82 } : {}) },
         { ...axis, label: chart.axes[1], size: 44 },
       ],
       series: [

@@ -100,7 +100,7 @@ class SecondModel:
         unlike = (
             ""
             if task.key == result.task.key
-            else f"Compared as {task.scoring}, as not both models are {result.task.scoring}."
+            else f"Compared by {task.scoring} distances: not both models have {result.task.scoring} ones."
         )
         columns = [
             self._column(result, one, of_one, ranking)

@@ -27,7 +27,7 @@ export const open = (box, { set, view }) => {
     said.replaceChildren(...(told.said ?? []).map((text) => make("p", { text })));
     if (told.why || told.done < 2) return;
     const weathers = told.over === "weather";
-    const text = (one) => told.labels[told.x.indexOf(one)] ?? (Number.isInteger(one) || told.over === "zoom" ? String(Number(one.toPrecision(3))) : "");
+    const text = (one) => (weathers ? (told.labels[one] ?? "") : String(Number(one.toPrecision(3))).replace("-", "−"));
     const common = {
       x: told.x, axes: [AXES[told.over], ""], name: told.over === "weather" ? "weather" : told.choices[told.over].toLowerCase(), text, dots: true, mark: told.now, logX: told.over === "zoom",
       ...(told.over === "rotation" ? { pick: (at) => set({ angle: told.x[at] }), ticks: [-180, -90, 0, 90, 180] } : {}),
