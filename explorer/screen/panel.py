@@ -104,6 +104,7 @@ class Panel:
         place: "beside" the rings in place of the rail, a "page" over the rings, or the "full" window.
         fields: the choices that it adds to the state; their names begin with the panel's and "_".
         offered: whether a workspace has it.
+        mark: what it says of a query in the head of the tile, as a `sign` and a `text`; None for nothing.
     """
 
     name: str
@@ -113,3 +114,4 @@ class Panel:
     place: Literal["beside", "page", "full"] = "page"
     fields: Sequence[PanelField[Any]] = ()
     offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
+    mark: Callable[[Workspace, int], Mapping[str, Any] | None] = lambda workspace, query: None  # noqa: ARG005

@@ -69,6 +69,10 @@ class Screens:
         self.held = held_descriptors()
         self.own = threading.BoundedSemaphore(_MOST_OWN)
 
+    def session(self, send: Callable[[ScreenMessage], None]) -> ScreenSession:
+        """Return the session of a new tab."""
+        return ScreenSession(self, send)
+
 
 class ScreenSession:
     """One tab. Messages come from one thread at a time.
@@ -472,7 +476,8 @@ class ScreenSession:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
         self._analysed = state, analysis
         self._number += 1
-        message = result.message() | {"scene": views_of(result), "number": self._number}
+        marks = [] if own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
+        message = result.message() | {"scene": views_of(result), "number": self._number, "marks": marks}
         self._painted = result
         self._panels.wake()
         return message | {"state": state.values(), "curve": _digest(key, state)}

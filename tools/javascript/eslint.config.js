@@ -15,5 +15,6 @@ export default [
       "prefer-const": ["error", { destructuring: "all" }],
     },
   },
-  { files: ["**/screen/page/*.js"], languageOptions: { sourceType: "module" } },
+  { ignores: ["**/vendor/**"] },
+  { files: ["**/screen/page/*.js", "**/screen/panels/**/*.js", "**/flight/*.js"], languageOptions: { sourceType: "module" } },
 ];

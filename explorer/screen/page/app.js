@@ -226,6 +226,7 @@ const drawPictures = () => {
   tile.style.setProperty("--verdict", variable(colour));
   find("figcaption b", tile).replaceChildren(role, " ", sign(answer.true));
   find("figcaption .name", tile).textContent = answer.name;
+  find("figcaption .marks", tile).replaceChildren(...result.marks.filter(Boolean).map((one) => make("i", { text: `${{ true: "✓", false: "✗", null: "?" }[one.sign]} ${one.text}` })));
   find("figcaption .key", tile).textContent = role === "Pinned" ? `rank ${answer.rank} · Esc` : "";
   showPicture(tile, answer, view.focus, page.parts, `rotate(${-90 * answer.quarter}deg)`, `Tile ${answer.name}`);
 };
