@@ -42,7 +42,7 @@ export const open = (box, context) => {
         make("div", { class: "line" }, make("canvas", { tabindex: 0, role: "slider", "aria-label": "Photo", "aria-valuemin": 1 }), make("div", { class: "plate why", hidden: true })))),
     make("div", { class: "right-side", tabindex: 0, role: "region", "aria-label": "The photo, and the flight" },
       make("div", { class: "about", "aria-live": "polite" }, make("p", { class: "soft", text: "Opening the flight" })),
-      make("div", { class: "sums" }), make("div", { class: "legend" }),
+      make("div", { class: "sums" }), make("div", { class: "lines" }), make("div", { class: "legend" }),
       make("div", { class: "tabs", role: "group", "aria-label": "Lists" }), make("div", { class: "listed" }), make("div", { class: "accuracy" })));
   box.replaceChildren(root);
   const figures = { photo: ringed(), tile: ringed() };
@@ -143,6 +143,7 @@ export const open = (box, context) => {
     const since = data.times && chosen >= 0 ? data.times[chosen] - data.times[0] : null;
     const clock = since === null ? "" : `, ${Math.floor(since / 60)}:${String(Math.floor(since % 60)).padStart(2, "0")}`;
     const comes = wanted === null ? "" : `, ${data.names[wanted]} is coming`;
+    find(".status", root).textContent = progress || data.counts;
     find(".now", root).textContent = (chosen < 0 ? "your own photo" : `${chosen + 1} of ${data.names.length}${clock}`) + comes;
   };
 
@@ -197,12 +198,14 @@ export const open = (box, context) => {
       redraw();
     },
     progress: (text) => {
-      find(".status", root).textContent = text;
+      progress = text;
+      tellNow();
       if (!flight.data) find(".about", root).replaceChildren(make("p", { class: "soft", text: text || "Opening the flight" }));
     },
     file: ({ address, name }) => make("a", { href: address, download: name }).click(),
   };
   let scores = null;
+  let progress = ""; // of a registration that goes on
 
   // Drawing.
   const redraw = () => {
@@ -227,7 +230,8 @@ export const open = (box, context) => {
     find(".about", root).replaceChildren(
       make("div", { class: "verdict" }, make("b", { class: INK[card.state], text: `${MARKS[card.sign]} ${card.headline}` })),
       make("div", { class: "facts" }, make("b", { text: card.name }), make("span", { class: "soft", text: ` ${card.facts.join(", ")}` })),
-      make("div", { class: "sight" }, ...sight, picture(told.ground ? `map by ${card.stage ?? "registration"}` : "no place", told.ground)), ...lines);
+      make("div", { class: "sight" }, ...sight, picture(told.ground ? `map by ${card.stage ?? "registration"}` : "no place", told.ground)));
+    find(".lines", root).replaceChildren(...lines);
   };
   /** The rings of the photo and of the window that retrieval answers. */
   const drawRings = () => {
@@ -257,9 +261,12 @@ export const open = (box, context) => {
     });
     const head = ["show", "accepted", "", term("radius", "± m"), term("tag", "m off tag")].map((cell) => make("th", { scope: "col" }, cell));
     const words = Object.entries(data.words).map(([name, text]) => make("span", { class: "key" }, make("i", { style: { background: data.colours[name] } }), text));
+    const unfolded = Boolean(find(".legend details", root)?.open);
     find(".legend", root).replaceChildren(make("table", {}, make("thead", {}, make("tr", {}, ...head)), make("tbody", {}, ...rows)),
-      make("p", { class: "soft" }, "Frame: the ground that the photo shows; thick: its top; dashed: by tag and camera alone. ", ...words),
-      make("p", { class: "soft", text: `Hollow: refused. Diamond: in doubt. Dotted: retrieval's window. Numbers: matched details. ${data.circle}` }));
+      make("p", { class: "soft" }, "Frames: ", ...words),
+      make("details", { class: "soft", open: unfolded }, make("summary", { text: "Marks on the map" }),
+        make("p", { text: "Frame: the ground that the photo shows. Thick: its top. Dashed: by tag and camera alone. Hollow: refused. Diamond: in doubt." }),
+        make("p", { text: `Dotted: retrieval's window. Numbers: matched details, from photo to map. ${data.circle}` })));
   };
   const drawLists = () => {
     const { data, chosen } = flight;
@@ -272,7 +279,7 @@ export const open = (box, context) => {
       ...entries.map(([frame, name, lines]) => make("button", { class: "entry", "data-frame": frame, "aria-current": String(frame === chosen) }, make("b", { text: name }), ...lines.map((text) => make("span", { text: ` ${text}` })))),
       total > entries.length ? make("p", { class: "soft", text: `The first ${entries.length} of ${total}.` }) : "");
     const rows = data.accuracy.map((cells) => make("tr", {}, make("th", { scope: "row", text: cells[0] }), make("td", { text: cells[1] }), make("td", { text: cells[2] })));
-    find(".accuracy", root).replaceChildren(make("h3", { text: "Accuracy" }), make("p", { text: data.counts }), rows.length ? make("table", {}, make("tbody", {}, ...rows)) : "",
+    find(".accuracy", root).replaceChildren(make("h3", { text: "Accuracy" }), rows.length ? make("table", {}, make("tbody", {}, ...rows)) : "",
       make("p", { class: "soft", text: `More: lpn locate --json; against surveyed points: --positions.${data.kept ? ` Corrections are kept in ${data.kept}.` : ""}` }));
   };
   const mark = () => {

@@ -265,7 +265,7 @@ export class FlightMap {
       points.forEach((point, i) => pen[i ? "lineTo" : "moveTo"](...this.toPixels(point, at)));
       if (close) pen.closePath();
     };
-    if (!this.flight.compares) this.drawTracks(pen, at);
+    if (!this.flight.compares && this.flight.over !== "correct") this.drawTracks(pen, at);
     if (this.flight.spotted) this.drawSpot(pen, path);
     if (this.flight.photo) this.drawChosen(pen, path, at);
     for (const sheet of data.sheets) {
@@ -340,7 +340,7 @@ export class FlightMap {
       path([[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]], true);
       stroke(pen, colours.retrieval, 1.5, [2, 3]);
     }
-    for (const [i, [x, y, east, north]] of photo.pins.entries()) {
+    for (const [i, [x, y, east, north]] of (this.flight.compares ? photo.pins : []).entries()) {
       path([[x, y], [x + east, y + north]]);
       stroke(pen, colours.accent, 2);
       const [left, top] = this.toPixels([x + east, y + north], at);

@@ -127,8 +127,7 @@ export class LaidPhoto {
   get tied() {
     return homography(this.corners, this.ties.points);
   }
-  /** @param {any} by */
-  move(which, [right, up]) {
+  move(which, /** @type {any} */ [right, up]) {
     const { ties } = this;
     ties.points = ties.points.map(([x, y], i) => (which === "all" || which === String(i) ? [x + right, y + up] : [x, y]));
     ties.sent = ties.forgot = null; // what was sent are other points

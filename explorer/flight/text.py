@@ -49,11 +49,13 @@ def counts(seen: FlightSnapshot) -> str:
     """Say how many photos are placed, in doubt, guessed, and refused."""
     stages = [verdict.stage for verdict in seen.beliefs]
     ways = [f"{stages.count(stage):,} {words[1]}" for stage, words in PLACED.items() if stage in stages]
+    placed = sum(stage in PLACED for stage in stages)
     doubted = sum(verdict.in_doubt for verdict in seen.beliefs)
-    pieces = [f"{', '.join(ways) or 'none'} placed", f"{doubted:,} in doubt" if doubted else ""]
-    pieces += [f"{stages.count(stage):,} {word}" for stage, word in (("retrieval", "guessed"), (None, "refused"))
-               if stage in stages]  # fmt: skip
-    return f"{len(stages):,} photos: {'; '.join(filter(None, pieces))}. {other_map(seen.flight)}".strip()
+    pieces = [f"{placed:,} placed" + (f" ({', '.join(ways)})" if ways else "")]
+    pieces += [f"{doubted:,} in doubt"] if doubted else []
+    rest = {"guessed": stages.count("retrieval"), "refused": stages.count(None)}
+    pieces += [f"{count:,} {word}" for word, count in rest.items() if count]
+    return f"{len(stages):,} photos: {', '.join(pieces)}. {other_map(seen.flight)}".strip()
 
 
 def refusals(located: LocatedFrame) -> list[str]:
