@@ -128,9 +128,6 @@ class App:
     def _open_workspaces(self) -> dict[str, Workspace]:
         return {key: services.workspace for key, services in list(self._services.items())}
 
-    def _open_workspaces(self) -> dict[str, Workspace]:
-        return {key: services.workspace for key, services in list(self._services.items())}
-
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
         computes = (services.find_picture(path) for services in list(self._services.values()))
         return next((compute for compute in computes if compute is not None), None)

@@ -103,8 +103,7 @@ class ExploreLive(ServeOptions, LiveInput):
     SERVES: ClassVar[bool] = True
 
     def run(self) -> None:
-        from explorer.live_window.record import LiveRecord
-        from explorer.live_window.server import LiveApp
+        from explorer.flight.live import LiveApp, LiveRecord
         from lpn.live.frames import shown_name
         from lpn.maps import open_map
 

@@ -113,8 +113,6 @@ class Workspace:
         self.key = ""
         # The app's workspaces that are open, by their keys.
         self.opened: Callable[[], Mapping[str, Workspace]] = dict
-        # The app's workspaces that are open, by their keys.
-        self.opened: Callable[[], Mapping[str, Workspace]] = dict
         # The file that keeps stories; None for that beside the data.
         self.stories: Path | None = None
         # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
@@ -186,10 +184,6 @@ class Workspace:
     def ranking(self, name: str, scoring: str) -> RankingJob:
         """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
         return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
-
-    def ranking(self, name: str, scoring: Scoring) -> RankingJob:
-        """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
-        return self.rankings.get(scored_key(name, scoring), self.rankings[self.tasks[name].key])
 
     def scored_rankings(self, task: Task) -> list[RankingJob]:
         """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""
@@ -412,11 +406,6 @@ class LazyWorkspace:
     def progress(self) -> tuple[int, int]:
         """The numbers of described and of all pictures while it is being opened; (0, 0) until they are known."""
         return (0, 0) if self._job is None else (self._job.done, self._job.total)
-
-    @property
-    def asked(self) -> bool:
-        """It was opened, or its opening began."""
-        return self._job is not None
 
     @property
     def asked(self) -> bool:

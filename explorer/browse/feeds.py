@@ -36,7 +36,7 @@ class Feeds:
         address: the folder of all of them, relative to the page; it is another one each time that the app starts.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace | None = None) -> None:
         self._workspace, self._name = workspace, secrets.token_hex(4)
         self.address = f"{PREFIX.lstrip('/')}{self._name}/"
         self._lock = threading.Lock()
@@ -45,7 +45,7 @@ class Feeds:
         self._left: WeakSet[Any] = WeakSet()
         # Keys of feeds that are served no more; a page may still ask for their pieces.
         self._ended: deque[str] = deque(maxlen=_ENDED)
-        self._tasks = {name: number for number, name in enumerate(workspace.tasks)}
+        self._tasks = {name: number for number, name in enumerate(workspace.tasks if workspace else ())}
 
     def publish(self, owner: object, name: str, piece: Piece) -> str:
         """Serve a feed until the owner publishes two others of this name, or leaves; nothing for one that has left.
@@ -130,18 +130,17 @@ class Feeds:
     def _find_thumbnail(
         self, task: int, of_query: bool, index: int, large: bool
     ) -> Callable[[], EncodedPicture] | None:
-        tasks = list(self._workspace.tasks.values())
-        if task >= len(tasks):
+        workspace = self._workspace
+        tasks = [] if workspace is None else list(workspace.tasks.values())
+        if workspace is None or task >= len(tasks):
             return None
         pictures = tasks[task].queries if of_query else tasks[task].gallery
         if index >= len(pictures):
             return None
         view = tasks[task].query_view if of_query else tasks[task].gallery_view
         if large:
-            return lambda: EncodedPicture(
-                self._workspace.picture_file(pictures[index], view, not of_query), "image/jpeg"
-            )
-        return lambda: EncodedPicture(self._workspace.thumbnail_file(pictures[index]), "image/jpeg")
+            return lambda: EncodedPicture(workspace.picture_file(pictures[index], view, not of_query), "image/jpeg")
+        return lambda: EncodedPicture(workspace.thumbnail_file(pictures[index]), "image/jpeg")
 
 
 _NOTHING = EncodedPicture(b"[]", "application/json")

@@ -6,15 +6,16 @@ import asyncio
 import json
 import logging
 from collections import OrderedDict
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import Protocol
 
 import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
 from explorer.screen.loop import ScreenMessage
-from explorer.screen.session import Screens, ScreenSession
 from explorer.web.render import shown_json
 
 log = logging.getLogger(__name__)
@@ -23,6 +24,39 @@ log = logging.getLogger(__name__)
 MAX_TEXT = 20_000
 # Threads that do what the messages of all tabs say; one that opens a model takes its thread until that is open.
 _THREADS = 32
+
+
+class TabSession(Protocol):
+    """The session of one tab. Messages come from one thread at a time."""
+
+    @property
+    def client(self) -> viser.ClientHandle | None:
+        """The client of viser whose page is the tab's scene; None without one."""
+        ...
+
+    def receive(self, message: object) -> None:
+        """Do what a message says."""
+        ...
+
+    def receive_bytes(self, part: bytes) -> None:
+        """Take a part of a file."""
+        ...
+
+    def attach(self, client: viser.ClientHandle | None) -> None:
+        """Draw in a frame of viser's page from now on; None once it has gone."""
+        ...
+
+    def leave(self) -> None:
+        """Stop all that goes on for this tab: it has left."""
+        ...
+
+
+class Tabs(Protocol):
+    """What all tabs share."""
+
+    def session(self, send: Callable[[ScreenMessage], None]) -> TabSession:
+        """Return the session of a new tab."""
+        ...
 
 
 class Outbox:
@@ -61,10 +95,10 @@ class Channel:
         screens: what they share.
     """
 
-    def __init__(self, screens: Screens) -> None:
+    def __init__(self, screens: Tabs) -> None:
         self._screens = screens
         self._executor = ThreadPoolExecutor(_THREADS, thread_name_prefix="explorer-screen")
-        self.sessions: dict[str, ScreenSession] = {}
+        self.sessions: dict[str, TabSession] = {}
 
     def close(self) -> None:
         """Stop all sessions."""
@@ -76,13 +110,13 @@ class Channel:
         """Give a tab's session the client of its scene; a scene without a session shows nothing."""
         session = self.sessions.get(tab)
         if session is not None:
-            session.scene.attach(client)
+            session.attach(client)
 
     def detach(self, tab: str, client: viser.ClientHandle) -> None:
         """Take the client of a scene that has gone."""
         session = self.sessions.get(tab)
-        if session is not None and session.scene.client is client:
-            session.scene.attach(None)
+        if session is not None and session.client is client:
+            session.attach(None)
 
     async def serve(self, tab: str, connection: ServerConnection) -> None:
         """Serve one tab until its connection ends.
@@ -92,7 +126,7 @@ class Channel:
         """
         loop = asyncio.get_running_loop()
         outbox = Outbox(loop)
-        session = ScreenSession(self._screens, outbox.put)
+        session = self._screens.session(outbox.put)
         before = self.sessions.pop(tab, None)
         if before is not None:
             before.leave()
@@ -110,7 +144,7 @@ class Channel:
             await asyncio.to_thread(session.leave)
 
 
-def _receive(session: ScreenSession, raw: str | bytes) -> None:
+def _receive(session: TabSession, raw: str | bytes) -> None:
     """Hand a message to its session; one that is malformed is dropped."""
     try:
         if isinstance(raw, bytes):

@@ -137,6 +137,7 @@ class Panel:
         fields: the choices that it adds to the state; their names begin with the panel's and "_".
         offered: whether a workspace has it, and its commands.
         commands: what it offers in the palette and by keys.
+        mark: what it says of a query in the head of the tile, as a `sign` and a `text`; None for nothing.
     """
 
     name: str
@@ -147,3 +148,4 @@ class Panel:
     fields: Sequence[PanelField[Any]] = ()
     offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
     commands: Sequence[Command] = ()
+    mark: Callable[[Workspace, int], Mapping[str, Any] | None] = lambda workspace, query: None  # noqa: ARG005

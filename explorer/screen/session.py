@@ -8,6 +8,8 @@ from functools import lru_cache
 from typing import Any
 from urllib.parse import quote
 
+import viser
+
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
@@ -53,6 +55,10 @@ class Screens:
         self.scale = lru_cache(maxsize=32)(measured_scale)
         self.held = held_descriptors()
         self.own = HeldBytes()
+
+    def session(self, send: Callable[[ScreenMessage], None]) -> ScreenSession:
+        """Return the session of a new tab."""
+        return ScreenSession(self, send)
 
 
 class ScreenSession:
@@ -183,6 +189,15 @@ class ScreenSession:
         self._send(self._own.message(self.services.feeds))
         if key is not None:
             self._set({"own": key})
+
+    @property
+    def client(self) -> viser.ClientHandle | None:
+        """The client of viser whose page is the tab's scene; None without one."""
+        return self.scene.client
+
+    def attach(self, client: viser.ClientHandle | None) -> None:
+        """Draw in a frame of viser's page from now on; None once it has gone."""
+        self.scene.attach(client)
 
     def leave(self) -> None:
         """Stop all that goes on for this tab: it has left."""
@@ -420,7 +435,8 @@ class ScreenSession:
         if state.angle % STEP == 0 and workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
         self._number += 1
-        message = result.message() | {"scene": views_of(result), "number": self._number}
+        marks = [] if state.own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
+        message = result.message() | {"scene": views_of(result), "number": self._number, "marks": marks}
         self._result = result
         return message | {"state": state.values(), "curve": _digest(key, state)}
 

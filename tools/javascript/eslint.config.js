@@ -15,6 +15,6 @@ export default [
       "prefer-const": ["error", { destructuring: "all" }],
     },
   },
-  { files: ["**/screen/{page,panels}/**/*.js"], languageOptions: { sourceType: "module" } },
-  { ignores: ["**/screen/vendor/*"] },
+  { ignores: ["**/vendor/**"] },
+  { files: ["**/screen/**/*.js", "**/flight/*.js"], languageOptions: { sourceType: "module" } },
 ];

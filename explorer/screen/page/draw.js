@@ -73,10 +73,11 @@ export const drawPictures = (view) => {
   find("figcaption b", tile).replaceChildren(role, " ", sign(answer.true));
   find("figcaption .name", tile).textContent = answer.name;
   find("figcaption .key", tile).textContent = role === "Pinned" ? `rank ${answer.rank} · Esc` : "";
-  const checked = mark?.own === result.state.own && role === "Answer" ? mark : null;
+  const checked = mark?.own === result.state.own ? mark : null;
+  const marks = role === "Answer" ? [...result.marks, checked].filter(Boolean) : [];
   const place = find("figcaption .mark", tile);
-  place.replaceChildren(...(checked ? [sign(checked.sign), ` ${checked.text}`] : []));
-  place.title = checked?.why ?? "";
+  place.replaceChildren(...marks.flatMap((one) => [sign(one.sign), ` ${one.text}`]));
+  place.title = marks.map((one) => one.why ?? "").join(" ");
   showPicture(tile, answer, focus, page.parts, `rotate(${-90 * answer.quarter}deg)`, `Tile ${answer.name}`);
 };
 

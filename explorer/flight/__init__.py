@@ -1,0 +1,18 @@
+"""The flight's screen: photos over their map, with the answers of all stages; and a flight that goes on.
+
+The rest of the page finds it by the entry point `lpn.panels`, and imports nothing of it.
+"""
+
+from explorer.flight.part import FIELDS, FlightPart, mark
+from explorer.screen.panel import Panel
+
+PANEL = Panel(
+    "flight",
+    "Flight",
+    FlightPart,
+    key="w",
+    place="full",
+    fields=FIELDS,
+    offered=lambda workspace: workspace.has_flight,
+    mark=mark,
+)

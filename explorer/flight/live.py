@@ -1,0 +1,270 @@
+"""A flight that goes on, in the flight panel: what was located so far, its tabs, and the server of its page."""
+
+from __future__ import annotations
+
+import logging
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from explorer.browse.feeds import Feeds
+from explorer.compute.watchers import Watchers
+from explorer.compute.worker import Worker
+from explorer.flight import page
+from explorer.flight.part import FIELDS
+from explorer.flight.pictures import FlightPicturesFeed
+from explorer.flight.service import FlightSnapshot
+from explorer.parameters import UnusableError
+from explorer.screen import route
+from explorer.screen.channel import Channel
+from explorer.screen.fields import ScreenState
+from explorer.screen.loop import ScreenMessage
+from explorer.screen.panels import PANELS
+from explorer.server.auth import Authenticator
+from explorer.server.gateway import Screen
+from explorer.server.page_server import close_server, open_server
+from explorer.server.picture_route import PictureRoute
+from lpn.core import images
+from lpn.flights import Flight
+from lpn.live.outputs import LiveFix
+from lpn.locate.belief import FlightVerdicts
+from lpn.locate.located import LocatedFlight, LocatedFrame
+from lpn.maps import Map
+
+log = logging.getLogger(__name__)
+
+# When there are this many frames, the older half is forgotten: the page gets all frames again at each change.
+MOST = 400
+# Longer side and quality of the photos that are kept, and the sentences that are.
+_PHOTO, _QUALITY, _SENTENCES = 1280, 82, 20
+_WAITING = "No frame has come yet"
+# What a tab of a live flight may set, beside the photo.
+_FIELDS = {row.name: row for row in FIELDS if row.name != "flight_paint"}
+
+
+@dataclass(frozen=True, eq=False)
+class LiveSight:
+    """The flight so far.
+
+    Attributes:
+        seen: its frames; None before the first.
+        addresses: folders of their pictures, see `FlightPicturesFeed`.
+        status: age of the last answer and dropped frames in words; before the first answer, what is waited for.
+    """
+
+    seen: FlightSnapshot | None
+    addresses: Mapping[str, Any]
+    status: str = ""
+
+
+class LiveRecord:
+    """Takes the fixes of a run and its sentences; thread-safe. Photos are kept as small files in a folder of its own.
+
+    Args:
+        name: of the flight.
+        basemap: that it flies over.
+
+    Attributes:
+        feeds: serve the pictures.
+        watchers: are told of each frame and sentence.
+    """
+
+    def __init__(self, name: str, basemap: Map) -> None:
+        self._name, self._basemap = name, basemap
+        self._folder = TemporaryDirectory(prefix="lpn-live-")
+        self._lock = threading.Lock()
+        self._frames: list[LocatedFrame] = []
+        self._count = 0
+        self._sentences: list[str] = []
+        self.feeds, self.watchers = Feeds(), Watchers()
+        self._status = _WAITING
+        self._pictures = self._serve()
+        # None after a change.
+        self._sight: LiveSight | None = None
+
+    def send(self, fix: LiveFix) -> None:
+        """Add a frame."""
+        file = Path(self._folder.name) / f"{self._count}.jpg"
+        if fix.pixels is not None:
+            file.write_bytes(images.jpeg(images.shrink(fix.pixels, _PHOTO), _QUALITY))
+        self._count += 1
+        frame = replace(fix.located.frame, file=file)
+        located = replace(fix.located, frame=frame, stages=dict(fix.located.stages))
+        with self._lock:
+            self._frames.append(located)
+            if len(self._frames) > MOST:
+                for old in self._frames[: MOST // 2]:
+                    old.frame.file.unlink(missing_ok=True)
+                del self._frames[: MOST // 2]
+                # Frames have other numbers now, and a browser keeps pictures by their addresses.
+                self._pictures = self._serve()
+        dropped = f", {fix.dropped} frames dropped" if fix.dropped else ""
+        self._change(f"Answered in {fix.age:.2f} s{dropped}")
+
+    def count_windows(self, done: int, total: int) -> None:
+        """Take the number of the map's windows that are described, before the first frame is located."""
+        self._change(f"{done:,} of {total:,} windows of the map are described")
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence; the last twenty are kept."""
+        with self._lock:
+            self._sentences = [*self._sentences, sentence][-_SENTENCES:]
+        self._change(self._status)
+
+    def forget(self) -> None:
+        """Remove the photos."""
+        self._folder.cleanup()
+
+    @property
+    def sight(self) -> LiveSight:
+        """The flight so far; it is derived when a tab asks, and not for each frame."""
+        with self._lock:
+            if self._sight is None:
+                flight = self._flight()
+                seen = FlightSnapshot(flight, FlightVerdicts.of(flight)) if flight.frames else None
+                self._sight = LiveSight(seen, self._pictures.addresses, self._status)
+            return self._sight
+
+    def _change(self, status: str) -> None:
+        with self._lock:
+            self._status, self._sight = status, None
+        self.watchers.tell()
+
+    def _serve(self) -> FlightPicturesFeed:
+        """Return the pictures of the frames so far, whose list grows until another one takes its place."""
+        self._frames = list(self._frames)
+        frames = self._frames
+        return FlightPicturesFeed(self.feeds, lambda: self._flight(frames))
+
+    def _flight(self, frames: list[LocatedFrame] | None = None) -> LocatedFlight:
+        frames = list(self._frames if frames is None else frames)
+        flight = Flight(self._name, tuple(located.frame for located in frames))
+        return LocatedFlight(flight, self._basemap, frames, None, list(self._sentences), None)
+
+
+class LiveTabs:
+    """Makes the tabs' sessions, see `Channel`."""
+
+    def __init__(self, record: LiveRecord) -> None:
+        self._record = record
+
+    def session(self, send: Callable[[ScreenMessage], None]) -> LiveSession:
+        """Return the session of a tab."""
+        return LiveSession(self._record, send)
+
+
+class LiveSession:
+    """One tab: the flight panel alone, which follows the newest frame until a person chooses another."""
+
+    def __init__(self, record: LiveRecord, send: Callable[[ScreenMessage], None]) -> None:
+        self._record, self._send = record, send
+        self._state = ScreenState(place="live", panel="flight", of_panels={"flight_over": "swipe"})
+        # The photo's file that a person chose; None follows the newest.
+        self._chosen: str | None = None
+        self._seen: FlightSnapshot | None = None
+        self.client: Any = None
+        self._worker = Worker(self._work, lambda error: log.error("The live page was not drawn: %s", error))
+
+    def receive(self, message: object) -> None:
+        """Open the page, choose a photo, or set a field; anything else changes nothing."""
+        match message:
+            case {"do": "open"}:
+                panel = PANELS["flight"]
+                told = {"name": panel.name, "title": "Live flight", "key": "", "place": "full"}
+                nothing: dict[str, Any] = {"tasks": [], "scorings": [], "names": [], "places": {}, "models": ["LPN"]}
+                page_ = {"data": "live", "parts": 1, "word": "part", "tiles": 0, "photo": "photo", "turns": False}
+                self._send({"page": nothing | page_ | {"place": "Map", "live": True, "panels": [told], "commands": []}})
+                self._record.watchers.watch(self._worker.wake)
+            case {"do": "step", "args": {"by": int(by)}}:
+                self._choose(self._state.query + by)
+            case {"set": {"query": int(frame)}}:
+                self._choose(frame)
+            case {"set": {"theme": "light" | "dark" as theme}}:
+                self._state = replace(self._state, theme=theme)
+            case {"set": dict(values)}:
+                self._set(values)
+            case _:
+                return
+        self._worker.wake()
+
+    def receive_bytes(self, part: bytes) -> None:
+        """Take no file."""
+
+    def attach(self, client: Any) -> None:
+        """Draw no scene."""
+
+    def leave(self) -> None:
+        """Stop working for a tab that left."""
+        self._record.watchers.unwatch(self._worker.wake)
+        self._worker.stop()
+
+    def _set(self, values: Mapping[Any, object]) -> None:
+        for name, row in _FIELDS.items():
+            if name in values:
+                try:
+                    # These fields depend on no workspace.
+                    value = row.kind.read(values[name], self._state, None)  # type: ignore[arg-type]
+                except UnusableError as error:
+                    self._send({"error": f"{name}: {error}"})
+                else:
+                    self._state = self._state.with_value(name, value)
+
+    def _choose(self, frame: int) -> None:
+        frames = [] if self._seen is None else self._seen.flight.frames
+        newest = not 0 <= frame < len(frames) - 1
+        self._chosen = None if newest else frames[frame].frame.file.name
+
+    def _work(self) -> None:
+        sight = self._record.sight
+        if (seen := sight.seen) is not None:
+            names = [located.frame.file.name for located in seen.flight.frames]
+            frame = names.index(self._chosen) if self._chosen in names else len(names) - 1
+            self._state = replace(self._state, query=frame)
+        self._send({"state": self._state.values() | {"address": "", "query_name": ""}})
+        if seen is not None:
+            if seen is not self._seen:
+                self._seen = seen
+                self._tell("flight", page.data(seen, sight.addresses) | {"parts": [], "kept": "", "live": True})
+            agreement = seen.flight.frames[frame].stages.get("registration")
+            fits = None if agreement is None else agreement.agreement
+            self._tell("photo", page.chosen(seen, frame, sight.addresses, fits))
+            spot = self._state.value("flight_spot")
+            self._tell("spot", page.spot(seen, (spot[0], spot[1])) if spot else None)
+        self._tell("progress", sight.status)
+
+    def _tell(self, kind: str, value: object) -> None:
+        self._send({"panel": {"name": "flight", "message": {kind: value}}, "kind": kind})
+
+
+class LiveApp:
+    """A running server of the page of a flight that goes on.
+
+    Args:
+        record: of the flight.
+        authenticator: the access rules.
+
+    Raises:
+        InputError: when the address or port cannot be listened on.
+        MissingPackageError: when viser's page cannot be protected.
+    """
+
+    def __init__(self, record: LiveRecord, host: str, port: int, authenticator: Authenticator) -> None:
+        self._authenticator = authenticator
+        self._pictures = PictureRoute(record.feeds.find)
+        self._channel = Channel(LiveTabs(record))
+        screen = Screen(route.respond, route.scene_of, self._channel.serve)
+        self.server, _ = open_server(host, port, authenticator, self._pictures, screen=screen)
+
+    @property
+    def link(self) -> str:
+        """The address that the user opens."""
+        return self._authenticator.link(self.server.get_port())
+
+    def close(self) -> None:
+        """Stop the server."""
+        self._channel.close()
+        self._pictures.close()
+        close_server(self.server)

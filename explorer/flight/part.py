@@ -1,0 +1,223 @@
+"""The flight panel's part of one tab: what it sends, and what its script asks for."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from explorer.compute.background_jobs import BackgroundJob
+from explorer.compute.own_photos import OwnPhotoProgress
+from explorer.compute.worker import Worker
+from explorer.flight import page
+from explorer.flight.own import own_photo
+from explorer.flight.service import FlightServices, FlightSnapshot
+from explorer.parameters import UnusableError, parse_number
+from explorer.screen.fields import OneOf, PanelField, ScreenState
+from explorer.screen.panel import PanelPart, Tab
+from explorer.screen.result import ScreenResult
+from explorer.workspace import Workspace
+from lpn.core.errors import InputError, LPNError
+from lpn.locate.grades import window_of
+from lpn.locate.options import TOP
+
+_FARTHEST = 1e6
+# Seconds between two looks at a registration that goes on in the background.
+_INTERVAL = 1.0
+_TRACKS = ("tag", "retrieval", "sequence", "registration", "corrected")
+
+
+@dataclass(frozen=True)
+class Metres:
+    """So many numbers of metres, or none."""
+
+    count: int
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> tuple[float, ...]:  # noqa: ARG002
+        given = value.split(",") if isinstance(value, str) and value else value
+        if given in ([], "", None):
+            return ()
+        if not isinstance(given, list) or len(given) != self.count:
+            raise UnusableError(f"expected {self.count} numbers of metres.")
+        return tuple(round(parse_number(str(one), -_FARTHEST, _FARTHEST), 2) for one in given)
+
+    def write(self, value: tuple[float, ...], state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return ",".join(f"{one:g}" for one in value)
+
+
+@dataclass(frozen=True)
+class Tracks:
+    """Names of tracks; empty for those that count most, "none" for none."""
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        if not isinstance(value, str) or not set(value.split(".")) <= {*_TRACKS, "", "none"}:
+            raise UnusableError(f"expected tracks such as {'.'.join(_TRACKS[:2])}.")
+        return value
+
+    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return value
+
+
+@dataclass(frozen=True)
+class Painted:
+    """Whose scores are painted over the map: those of "all" parts, of one by its number from 0, or "off"."""
+
+    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        parts = [str(part) for part in range(workspace.contract.n_parts)]
+        if not isinstance(value, str) or value not in ("off", "all", *parts):
+            raise UnusableError("expected off, all, or the number of a part, from 0.")
+        return value
+
+    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
+        return value
+
+
+PAINT: PanelField[str] = PanelField("flight_paint", Painted(), "off", "flight_paint")
+SPOT: PanelField[tuple[float, ...]] = PanelField("flight_spot", Metres(2), (), "flight_spot")
+_LISTS = ("refused", "audit", "unchecked", "worst", "notes", "spot")
+FIELDS: tuple[PanelField[Any], ...] = (
+    PAINT,
+    SPOT,
+    PanelField("flight_over", OneOf(("off", "swipe", "blink", "correct")), "off", "flight_over"),
+    PanelField("flight_plot", OneOf(("error", "radius", "height")), "error", "flight_plot"),
+    PanelField("flight_list", OneOf(_LISTS), "refused", "flight_list"),
+    PanelField("flight_tracks", Tracks(), "", "flight_tracks"),
+    # The middle of the map's view, and the metres from side to side.
+    PanelField("flight_view", Metres(3), (), "flight_view"),
+)
+
+
+class FlightPart(PanelPart):
+    """Sends the flight when it has changed, and the photo that the tab shows, on a thread of its own."""
+
+    def __init__(self, tab: Tab) -> None:
+        super().__init__(tab)
+        self._of = FlightServices.of(tab.services)
+        self._sent: dict[str, object] = {}
+        self._saves = 0
+        self._worker = Worker(self._work, self._fail)
+        self._own = OwnPhotoProgress(tab.services.workspace.own_photos, self._worker.wake)
+        self._of.shared.watchers.watch(self._worker.wake)
+        self.actions = {"correct": self._correct, "forget": self._forget, "positions": self._positions}
+
+    def show(self) -> None:
+        """Send what has changed."""
+        self._worker.wake()
+
+    def close(self) -> None:
+        """End what goes on for the panel."""
+        self._of.shared.watchers.unwatch(self._worker.wake)
+        self._worker.stop()
+        self._own.close()
+
+    def _fail(self, error: Exception) -> None:
+        if isinstance(error, LPNError):
+            self.tab.say(str(error))
+
+    def _work(self) -> float | None:
+        state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
+        job = workspace.registration
+        running = job is not None and not job.wait(0)  # asked before the flight, which the job replaces at its end
+        seen, addresses = self._of.shared.snapshot(), self._of.pictures.addresses
+        if self._sent.get("flight") is not seen:
+            self._sent["flight"] = seen
+            place = self._of.shared.corrections_place
+            message = page.data(seen, addresses) | {"parts": workspace.part_names, "kept": place}
+            self.tab.append("flight", {"flight": message})
+        own = None if result is None or result.state.own != state.own else result.own
+        registered = self._own.follow(own, [] if result is None or own is None else _windows(result))
+        if own is not None:
+            self._send("photo", own_photo(seen, own, registered, addresses))
+        elif not state.own and state.query < len(seen.flight.frames):
+            agreement = self._of.shared.agreement(state.query)
+            self._send("photo", page.chosen(seen, state.query, addresses, agreement, self._saves))
+        if result is not None and (result.state.query, result.state.own) == (state.query, state.own):
+            self._send("answer", page.answer_window(seen, result.first.index))
+            ranking = result.analysis.ranking
+            self._send("scores", page.painting(seen, ranking, state[PAINT], workspace.part_names))
+        self._send("spot", page.spot(seen, (state[SPOT][0], state[SPOT][1])) if state[SPOT] else None)
+        self._send("progress", _progress(job, len(seen.flight.frames)) if running or job is not None else "")
+        return _INTERVAL if running else None
+
+    def _send(self, kind: str, value: object) -> None:
+        if kind not in self._sent or self._sent[kind] != value:
+            self._sent[kind] = value
+            self.tab.append(kind, {kind: value})
+
+    def _seen(self, arguments: Mapping[str, Any]) -> tuple[FlightSnapshot, int] | None:
+        """Return the flight, and the frame that a message names; None for no frame of it."""
+        seen, frame = self._of.shared.snapshot(), arguments.get("frame")
+        named = isinstance(frame, int) and not isinstance(frame, bool) and 0 <= frame < len(seen.flight.frames)
+        return (seen, frame) if named else None  # type: ignore[return-value]
+
+    def _correct(self, arguments: Mapping[str, Any]) -> None:
+        """Keep the corners of a photo, in metres of the map's frame, as a person has placed them."""
+        corners = arguments.get("corners")
+        numbers = (
+            [value for corner in corners if isinstance(corner, list) for value in corner]
+            if isinstance(corners, list)
+            else []
+        )
+        if len(numbers) != 8 or not all(
+            isinstance(one, (int, float)) and math.isfinite(one) and abs(one) <= _FARTHEST for one in numbers
+        ):
+            self.tab.say(
+                "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
+            )
+            return
+        self._keep(arguments, np.array(numbers, np.float64).reshape(4, 2))
+
+    def _forget(self, arguments: Mapping[str, Any]) -> None:
+        self._keep(arguments, None)
+
+    def _keep(self, arguments: Mapping[str, Any], corners: Any) -> None:
+        if (found := self._seen(arguments)) is None:
+            return
+        try:
+            self._of.shared.correct(found[1], corners)
+        except LPNError as error:
+            self.tab.say(f"Not saved. {error}")
+            return
+        self._saves += 1
+        self._worker.wake()
+
+    def _positions(self, arguments: Mapping[str, Any]) -> None:
+        """Make a file of one position a photo, which the page then saves."""
+        suffix = arguments.get("suffix")
+        if suffix not in (".csv", ".geojson"):
+            raise InputError("expected .csv or .geojson.")
+        feeds, flight = self.tab.services.feeds, self._of.shared.snapshot().flight
+        content = self._of.shared.positions(suffix)
+        address = feeds.address + feeds.publish_bytes(self, "positions", lambda: content) + "0"
+        name = re.sub(r"[^\w-]+", "-", flight.flight.name)
+        self.tab.append("file", {"file": {"address": address, "name": f"{name}-positions{suffix}"}})
+
+
+def _windows(result: ScreenResult) -> list[Any]:
+    """Return the most similar windows of the map, about which an own photo is searched on a large one."""
+    analysis = result.analysis
+    windows = (window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
+    return [window for window in windows if window is not None]
+
+
+def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:
+    """Return how far a registration of so many frames is, or why it failed; "" once it has ended well."""
+    if job is None or job.wait(0):
+        return f"Registration failed: {job.error}" if job is not None and job.error is not None else ""
+    return f"Registering {job.done} of {job.total or frames} photos"
+
+
+def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
+    """Return the verdict of registration on a flight's photo in few words, with its sign; None without one."""
+    flight = workspace.flight
+    if flight is None or query >= len(flight.frames):
+        return None
+    verdict = workspace.verdicts_of(flight).beliefs[query]
+    return {
+        "sign": verdict.sign,
+        "text": f"details: {'placed' if verdict.sign else 'in doubt' if verdict.contradicted else 'not placed'}",
+    }

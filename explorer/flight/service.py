@@ -1,0 +1,216 @@
+"""A flight with its verdicts, and a person's corrections of its frames, derived once for all tabs."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from explorer.compute.cache import SingleFlightCache
+from explorer.compute.watchers import Watchers
+from explorer.flight.pictures import FlightPicturesFeed
+from explorer.services import WorkspaceServices
+from lpn.core import images
+from lpn.core.arrays import Float64Array
+from lpn.core.demo import own_file, own_file_place
+from lpn.core.errors import DataError, InputError, LPNError, PictureError
+from lpn.locate import corrections
+from lpn.locate.agreement import MapAgreement, map_agreement
+from lpn.locate.belief import Belief, Disagreement, FlightVerdicts, best_track
+from lpn.locate.corrections import Correction
+from lpn.locate.coverage import Outline, outline
+from lpn.locate.located import LocatedFlight
+from lpn.locate.summary import placed_errors
+from lpn.locate.surveyed import SurveyedErrors
+from lpn.locate.tags import enter_corrections
+from lpn.locate.tracks import track_bytes
+
+# Longer side in pixels of a photo that is compared with the map, and comparisons of corrected photos in the cache.
+_COMPARED, _COMPARISONS = 960, 100
+
+
+class HasFlight(Protocol):
+    """A workspace, or what has as much of a flight."""
+
+    root: Path
+    flight: LocatedFlight | None
+
+    def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
+        """Return the verdicts on a state of the flight."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class FlightSnapshot:
+    """A flight as it is located so far.
+
+    Attributes:
+        verdicts: on its frames.
+        corrections: a person's, by the frame's name.
+        corrections_error: why they cannot be used, in one sentence; empty if they can.
+        outlines: the ground that each frame shows; None where it is unknown.
+    """
+
+    flight: LocatedFlight
+    verdicts: FlightVerdicts
+    corrections: dict[str, Correction] = field(default_factory=dict)
+    corrections_error: str = ""
+
+    @property
+    def beliefs(self) -> Sequence[Belief]:
+        """The verdict on each frame."""
+        return self.verdicts.beliefs
+
+    @property
+    def contradictions(self) -> Sequence[Disagreement]:
+        """The answers that lie too far apart."""
+        return self.verdicts.contradictions
+
+    @cached_property
+    def outlines(self) -> list[Outline | None]:
+        """The ground that each frame shows; None where it is unknown."""
+        return [outline(located) for located in self.flight.frames]
+
+    @cached_property
+    def errors(self) -> SurveyedErrors | None:
+        """The errors of the placed photos against their GPS tags; None if no placed photo has one."""
+        return placed_errors(self.flight, self.beliefs)
+
+    def corrected(self, frame: int) -> tuple[float, float] | None:
+        """Return where a person says that the middle of a frame's picture lies, in metres of the map's frame."""
+        correction = self.corrections.get(self.flight.frames[frame].frame.name)
+        if correction is None:
+            return None
+        x, y = self.flight.basemap.frame.xy(*correction.middle[:, None])[0].tolist()
+        return x, y
+
+    def homography(self, frame: int) -> Float64Array | None:
+        """Return the matrix (3, 3) that lays a photo over the map: of a correction, else of an accepted registration."""
+        located = self.flight.frames[frame]
+        if (correction := self.corrections.get(located.frame.name)) is not None:
+            return correction.homography(self.flight.basemap.frame, located.frame.width, located.frame.height)
+        answer = located.stages.get("registration")
+        if answer is None or not answer.accepted or answer.homography is None:
+            return None
+        return np.array(answer.homography).reshape(3, 3)
+
+
+class SharedFlight:
+    """The flight of a workspace; thread-safe.
+
+    Attributes:
+        watchers: are told of each correction.
+    """
+
+    def __init__(self, workspace: HasFlight) -> None:
+        self._workspace, self._lock = workspace, threading.RLock()
+        self.watchers = Watchers()
+        self._snapshot: FlightSnapshot | None = None
+        self._agreements: SingleFlightCache[tuple[int, Correction], MapAgreement | None] = SingleFlightCache(
+            _COMPARISONS
+        )
+
+    @property
+    def _file(self) -> Path:
+        return own_file(self._workspace.root, corrections.NAME)
+
+    @property
+    def corrections_place(self) -> str:
+        """Where the corrections are, in words and without the server's folders."""
+        return own_file_place(self._workspace.root, corrections.NAME, "flight")
+
+    def snapshot(self) -> FlightSnapshot:
+        """Return the frames located so far; it is the same object until the flight or a correction changes."""
+        flight = self._workspace.flight
+        assert flight is not None
+        with self._lock:
+            if self._snapshot is None or self._snapshot.flight is not flight:
+                self._snapshot = FlightSnapshot(flight, self._workspace.verdicts_of(flight), *self._read())
+            return self._snapshot
+
+    def correct(self, frame: int, corners: Float64Array | None) -> None:
+        """Keep a frame's correction on disk, for all tabs; None removes it.
+
+        Of two tabs of this server, the later one wins; what another program has written meanwhile is refused.
+
+        Args:
+            corners: of the picture in metres of the map's frame, (4, 2).
+
+        Raises:
+            LPNError: when the corners are not those of a picture, another program has corrected the frame meanwhile, or the
+                file cannot be written; then nothing has changed.
+        """
+        with self._lock:  # otherwise an older state of the file could be assigned last
+            seen = self.snapshot()
+            name, basemap = seen.flight.frames[frame].frame.name, seen.flight.basemap
+            correction = None if corners is None else Correction.of(corners, basemap.frame)
+            try:
+                kept = corrections.set_correction(self._file, name, correction, seen.corrections)
+            except InputError:
+                self._snapshot = None  # the next one has what the other program wrote
+                self.watchers.tell()
+                raise
+            self._snapshot = replace(seen, corrections=kept, corrections_error="")
+        self.watchers.tell()
+
+    def agreement(self, frame: int) -> MapAgreement | None:
+        """Return how well places of a photo agree with the map where it is laid; a photo laid by hand is compared at once.
+
+        None where the photo is not laid, or could not be compared.
+        """
+        seen = self.snapshot()
+        located = seen.flight.frames[frame]
+        correction, answer = seen.corrections.get(located.frame.name), located.stages.get("registration")
+        if correction is None:
+            return None if answer is None else answer.agreement
+        return self._agreements.get((frame, correction), lambda: self._compare(seen, frame))
+
+    def _compare(self, seen: FlightSnapshot, frame: int) -> MapAgreement | None:
+        located, matrix = seen.flight.frames[frame].frame, seen.homography(frame)
+        assert matrix is not None
+        with suppress(DataError, PictureError):  # it can be laid all the same
+            photo = located.undistorted(images.shrink(images.load_picture(located.file), _COMPARED))
+            return map_agreement(seen.flight.basemap, photo, matrix, (located.width, located.height))
+        return None
+
+    def positions(self, suffix: str) -> bytes:
+        """Return one position a photo, of its correction or of the stage that counts, as a file with a suffix."""
+        seen = self.snapshot()
+        frames = [replace(located, by_hand=None) for located in seen.flight.frames]
+        enter_corrections(seen.flight.basemap, frames, seen.corrections)
+        return track_bytes(suffix, seen.flight.flight.name, best_track(replace(seen.flight, frames=frames)))
+
+    def _read(self) -> tuple[dict[str, Correction], str]:
+        try:
+            return corrections.read_corrections(self._file), ""
+        except LPNError as error:  # the panel is useful without them
+            return {}, str(error)
+
+
+@dataclass(frozen=True, eq=False)
+class FlightServices:
+    """A workspace's flight and its pictures, for all tabs."""
+
+    shared: SharedFlight
+    pictures: FlightPicturesFeed
+
+    @classmethod
+    def of(cls, services: WorkspaceServices) -> FlightServices:
+        """Return those of a workspace with a flight, made once."""
+        return _MADE.get(services, lambda: cls._make(services))
+
+    @classmethod
+    def _make(cls, services: WorkspaceServices) -> FlightServices:
+        flight = services.workspace.flight
+        assert flight is not None
+        pictures = FlightPicturesFeed(services.feeds, lambda: services.workspace.flight or flight)
+        return cls(SharedFlight(services.workspace), pictures)
+
+
+_MADE: SingleFlightCache[WorkspaceServices, FlightServices] = SingleFlightCache(16)
