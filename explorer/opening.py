@@ -20,7 +20,7 @@ from lpn.core.requirements import missing_package
 from lpn.core.resources import yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.descriptors.transforms import Change
-from lpn.descriptors.weather import Weather, WeatherName
+from lpn.descriptors.weather import CLEAR, Weather, WeatherName
 from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
@@ -115,9 +115,7 @@ def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str
     if not tasks:
         raise InputError("All queries are satellite tiles, which have no weather; leave --beside-weather out.")
     changed_tasks = [replace(changed(task, Change(weather=weather)), model_name=label) for task in tasks]
-    opened = _workspace(OpenedSource(changed_tasks, model))
-    opened.weather = weather
-    return opened
+    return _workspace(OpenedSource(changed_tasks, model), weather=weather)
 
 
 def _check_weathers(weathers: Sequence[WeatherName]) -> None:
@@ -289,10 +287,9 @@ def open_flight_over(
     locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
     source = FlightSource(_over(map_path, flight_path, model))
     opened = _open_flown(source, name, overlap, shipped)
-    workspace, located, network = _flight_workspace(opened), opened.located, opened.network
+    workspace, located, network = _flight_workspace(opened, map_error), opened.located, opened.network
     assert located is not None
     assert network is not None
-    workspace.own_photos = OwnPhotoJobs(located.basemap, map_error)
     if shipped is None:  # the flight window shows them, too
         _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
@@ -319,8 +316,8 @@ def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model)
     return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
-def _flight_workspace(opened: OpenedFlight) -> Workspace:
-    workspace = _workspace(opened)
+def _flight_workspace(opened: OpenedFlight, map_error: float | None = None) -> Workspace:
+    workspace = _workspace(opened, map_error)
     workspace.scorings = Scorings(
         "Frames are cut to the ground of the map's windows, so a flight needs no calibration."
     )
@@ -349,10 +346,11 @@ def _open_flown(
         return source.locate(overlap, shipped=shipped, loaded=loaded).named(name)
 
 
-def _workspace(source: OpenedSource) -> Workspace:
+def _workspace(source: OpenedSource, map_error: float | None = None, weather: Weather = CLEAR) -> Workspace:
     """Return a workspace of tasks on the same data, whose galleries begin to be ranked."""
     first, model = source.task, source.model
-    workspace = Workspace(
+    flown = source if isinstance(source, OpenedFlight) else None
+    return Workspace(
         first.model_name,
         first.data_name,
         [_begin_ranking(task) for task in source.tasks],
@@ -360,11 +358,11 @@ def _workspace(source: OpenedSource) -> Workspace:
         dict(first.map_sizes) if model is None else {view: model.map_size(view) for view in model.views},
         model,
         first.root,
+        None if flown is None else flown.located,
+        None if flown is None else flown.map,
+        None if flown is None else OwnPhotoJobs(flown.map, map_error),
+        weather,
     )
-    if isinstance(source, OpenedFlight):
-        workspace.flight, workspace.basemap = source.located, source.map
-        workspace.own_photos = OwnPhotoJobs(source.map)
-    return workspace
 
 
 def _print_notes(source: OpenedSource) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.server.picture_route import EncodedPicture
 from explorer.workspace import Workspace
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from base64 import b64decode
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -25,16 +24,14 @@ from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
 from lpn.core.arrays import BoolArray, UInt8Array
-from lpn.core.errors import DataError, InputError, LPNError, PictureError
+from lpn.core.errors import InputError, LPNError, PictureError
 from lpn.core.resources import yield_cores
 from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
-from lpn.datasets.ground_use import Letters, ground_uses
-from lpn.descriptors.weather import CLEAR
+from lpn.descriptors.weather import CLEAR, Weather
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.explain.lead_places import TileGround
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
 from lpn.locate.belief import FlightVerdicts
@@ -45,7 +42,7 @@ from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
 from lpn.tasks.query_outcomes import Outcomes
-from lpn.tasks.task import SCORINGS, Scoring, Task, scored_key
+from lpn.tasks.task import Scoring, Task, scored_key
 
 log = logging.getLogger(__name__)
 
@@ -74,6 +71,10 @@ class Workspace:
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
         root: the data set's folder.
+        flight: whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
+        basemap: the map that windows are cut from; None without one.
+        own_photos: registers own pictures on the map; None without one.
+        weather: of all queries.
     """
 
     def __init__(
@@ -85,8 +86,13 @@ class Workspace:
         map_sizes: dict[View, tuple[int, int]],
         model: Model | None,
         root: Path,
+        flight: LocatedFlight | None = None,
+        basemap: Map | None = None,
+        own_photos: OwnPhotoJobs | None = None,
+        weather: Weather = CLEAR,
     ) -> None:
-        self.root = root
+        self.root, self.weather = root, weather
+        self.flight, self.basemap, self.own_photos = flight, basemap, own_photos
         self.model_name, self.data_name = model_name, data_name
         # By the keys of their tasks: as the tasks were opened, and, once they are calibrated, under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
@@ -104,10 +110,8 @@ class Workspace:
             f"saved descriptors, n = {contract.n_parts}, no network" if model is None else model.describe()
         )
         self.first_query = 0
-        # Other models on the same data to compare with; a state says which one is compared.
+        # Other models on the same data; a state says which one is shown.
         self.beside: list[LazyWorkspace] = []
-        # The weather of all queries, in place of that of a state.
-        self.weather = CLEAR
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
@@ -115,8 +119,6 @@ class Workspace:
         self.opened: Callable[[], Mapping[str, Workspace]] = dict
         # The file that keeps stories; None for that beside the data.
         self.stories: Path | None = None
-        # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
-        self.flight: LocatedFlight | None = None
         self.registration: BackgroundJob[None] | None = None
         # They are told when the registration has ended, which changes what is graded.
         self.watchers = Watchers()
@@ -131,22 +133,9 @@ class Workspace:
         self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
-        # The map that windows are cut from; None without one.
-        self.basemap: Map | None = None
-        # Registers own pictures on the map; None without one.
-        self.own_photos: OwnPhotoJobs | None = None
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
-        self.ground_uses: Callable[[], Mapping[str, Letters]] = lru_cache(maxsize=1)(self._read_ground_uses)
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
-
-    def ground_of(self, task: Task, index: int) -> TileGround | None:
-        """Return the uses of the ground in a tile; None where nobody knows them."""
-        picture = task.gallery[index]
-        if not picture.path.is_relative_to(self.root):
-            return None
-        letters = self.ground_uses().get(picture.path.relative_to(self.root).as_posix())
-        return None if letters is None else TileGround(letters, picture.zoom)
 
     def choose_first_query(self, query: str | None) -> None:
         """Choose by name the query that a new browser shows first.
@@ -167,10 +156,6 @@ class Workspace:
         """
         return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
 
-    def known_tile(self, task: Task, index: int) -> DescribedPicture | None:
-        """Return a described gallery picture if it is in the cache, else None."""
-        return self._tiles.peek(_tile_key(task, index))
-
     def scored_model(self, model: Model, task: Task) -> Model:
         """Return the model that describes pictures as a task's descriptors are: calibrated where the task is."""
         as_opened = self.tasks[task.name].calibration is task.calibration
@@ -184,11 +169,6 @@ class Workspace:
     def ranking(self, name: str, scoring: str) -> RankingJob:
         """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
         return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
-
-    def scored_rankings(self, task: Task) -> list[RankingJob]:
-        """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""
-        keys = [task.key, *(scored_key(task.name, scoring) for scoring in SCORINGS)]
-        return [self.rankings[key] for key in dict.fromkeys(keys) if key in self.rankings]
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
         """Return a task under its scoring if all others rank it so, else as it was opened: models are compared alike."""
@@ -212,13 +192,8 @@ class Workspace:
             return known
         return replace(known[0], known=self.graded(self.rankings[task.key])), known[1]
 
-    @property
-    def verdicts(self) -> FlightVerdicts | None:
-        """The verdicts on the flight's photos, computed once for each state of its registration; None without a flight."""
-        return None if self.flight is None else self.verdicts_of(self.flight)
-
     def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
-        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile, see `verdicts`."""
+        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile; computed once."""
         return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
@@ -282,13 +257,9 @@ class Workspace:
         self.registration = BackgroundJob(work, self)
         return self.registration
 
-    def thumbnail(self, picture: Picture) -> str:
-        """Return a 64-pixel JPEG of a picture as a data URI; plain grey for a picture that cannot be read."""
-        return self._thumbnail(picture)
-
     def thumbnail_file(self, picture: Picture) -> bytes:
-        """Return the file of `thumbnail`."""
-        return b64decode(self._thumbnail(picture).partition(",")[2])
+        """Return a 64-pixel JPEG of a picture; plain grey for a picture that cannot be read."""
+        return self._thumbnail(picture)
 
     def picture_file(self, picture: Picture, view: View, zoomed: bool) -> bytes:
         """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
@@ -334,22 +305,10 @@ class Workspace:
                 self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
 
-    @property
-    def has_parts(self) -> bool:
-        """The model describes a picture by several parts, and not by one vector."""
-        return self.contract.n_parts > 1
-
     def _part_names(self) -> list[str]:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
         names = [self.contract.names(view) for view in self.contract.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
-
-    def _read_ground_uses(self) -> Mapping[str, Letters]:
-        try:
-            return ground_uses(self.root)
-        except DataError as error:  # answers are useful without it
-            log.warning("%s", error)
-            return {}
 
     def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
         job = self.rankings[name]
@@ -366,12 +325,12 @@ class Workspace:
         assert job.result is not None
         return answer_context.answer_distances(*job.task.sides(), job.result.ranking, job.task.known)
 
-    def _make_thumbnail(self, picture: Picture) -> str:
+    def _make_thumbnail(self, picture: Picture) -> bytes:
         try:
             square = overlays.square(picture.load(), _THUMBNAIL)
         except PictureError:  # a flight may have frames that cannot be read
             square = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
-        return overlays.data_uri(square)
+        return images.jpeg(square, 80)
 
 
 def _tile_key(task: Task, index: int) -> tuple[str, bool, int]:

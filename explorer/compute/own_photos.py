@@ -182,10 +182,6 @@ class OwnPhotoProgress:
                     threading.Thread(target=self._wait, args=(job,), name="explorer-own-photo", daemon=True).start()
             return self._job
 
-    def attach(self, on_change: Callable[[], None]) -> None:
-        """Call another function from now on."""
-        self._on_change = on_change
-
     def forget(self) -> None:
         """Leave all jobs, whose pictures and answers nobody holds then."""
         with self._lock:
@@ -214,29 +210,6 @@ class OwnPhotoProgress:
                 self._on_change()
             if ended:
                 return
-
-
-class OwnPhotoComparisons:
-    """The registrations of one page's own pictures on the maps of all places that it has shown; they go on behind another one."""
-
-    def __init__(self) -> None:
-        self._of_places: dict[int, OwnPhotoProgress] = {}
-
-    def of(self, jobs: OwnPhotoJobs | None, on_change: Callable[[], None]) -> OwnPhotoProgress:
-        """Return those on the map of a place, see `OwnPhotoProgress`."""
-        progress = self._of_places.setdefault(id(jobs), OwnPhotoProgress(jobs, on_change))
-        progress.attach(on_change)
-        return progress
-
-    def forget(self) -> None:
-        """Leave all jobs: the page holds no own picture any more."""
-        for progress in list(self._of_places.values()):
-            progress.forget()
-
-    def close(self) -> None:
-        """Leave all jobs for good."""
-        for progress in list(self._of_places.values()):
-            progress.close()
 
 
 def likely_windows(task: Task, order: Sequence[int]) -> list[Window]:

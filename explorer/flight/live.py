@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.watchers import Watchers
 from explorer.compute.worker import Worker
+from explorer.feeds import Feeds
 from explorer.flight import page
 from explorer.flight.part import FIELDS
 from explorer.flight.pictures import FlightPicturesFeed

@@ -15,8 +15,8 @@ import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from explorer.feeds import shown_json
 from explorer.screen.loop import ScreenMessage
-from explorer.web.render import shown_json
 
 log = logging.getLogger(__name__)
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
+from explorer.feeds import Feeds
 from explorer.screen.loop import ScreenMessage
 from lpn.core.errors import LPNError
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from explorer import uploads
-from explorer.browse.feeds import Feeds
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.own_photos import OwnPhotoJobs, likely_windows, mark
 from explorer.compute.worker import Worker
+from explorer.feeds import Feeds
 from explorer.screen.loop import ScreenMessage
 from explorer.server.picture_route import EncodedPicture
 from lpn.core import images

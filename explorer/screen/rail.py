@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.ranking_job import RankingJob
+from explorer.feeds import Feeds
 from explorer.screen.fields import ScreenState
 from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array

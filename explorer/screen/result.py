@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.screen.fields import ScreenState
 from explorer.workspace import Workspace
 from lpn.core import images

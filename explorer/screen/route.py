@@ -16,9 +16,9 @@ from typing import Final
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
+from explorer.screen import terms
 from explorer.screen.panels import folder
 from explorer.server.auth import HttpRequest
-from explorer.web import terms
 
 _SCREEN = Path(__file__).parent
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".md": "application/json"}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.failure_lab import state
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState

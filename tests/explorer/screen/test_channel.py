@@ -22,7 +22,7 @@ from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import HeldBytes
 from explorer.server.auth import Authenticator
-from explorer.web.terms import term
+from explorer.screen.terms import term
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.errors import DataError

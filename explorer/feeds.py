@@ -7,13 +7,13 @@ import re
 import secrets
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 from weakref import WeakSet
 
 from explorer.server.picture_route import PREFIX, EncodedPicture
-from explorer.web.render import shown_json
 from explorer.workspace import Workspace
+from lpn.core.templates import shown
 from lpn.tasks.task import Task
 
 # Entries of a list in one piece.
@@ -149,3 +149,13 @@ _NOTHING = EncodedPicture(b"[]", "application/json")
 def as_json(value: Any) -> EncodedPicture:
     """Return a value as JSON, without control characters in its texts."""
     return EncodedPicture(json.dumps(shown_json(value), separators=(",", ":")).encode("ascii"), "application/json")
+
+
+def shown_json(value: object) -> object:
+    """Return a value of JSON whose texts hold no control characters."""
+    match value:
+        case Mapping():
+            return {key: shown_json(entry) for key, entry in value.items()}
+        case list() | tuple():
+            return [shown_json(entry) for entry in value]
+    return shown(str(value) if isinstance(value, str) else value)
