@@ -1,9 +1,8 @@
-"""Parameters of a query string: how one choice of a state is written there, and read back; its texts are untrusted."""
+"""Values of an address: how they are written there, and read back; its texts are untrusted."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 
 _NUMBER = re.compile(r"-?\d{1,9}(\.\d{1,12})?(e-\d{1,2})?")
 # Key of the workspace that addresses without `show` mean.
@@ -14,29 +13,6 @@ LONGEST_TEXT = 200
 
 class UnusableError(Exception):
     """An invalid value in an address; the message says what was expected."""
-
-
-def ranges(numbers: Sequence[int]) -> str:
-    """Format integers as "3-5,8"."""
-    runs: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ",".join(str(low) if low == high else f"{low}-{high}" for low, high in runs)
-
-
-def cells(text: str, count: int) -> tuple[int, ...]:
-    """Parse "3-5,8" as integers below `count`, sorted; UnusableError for anything else."""
-    numbers: set[int] = set()
-    for piece in text.split(","):
-        match = re.fullmatch(r"(\d{1,7})(?:-(\d{1,7}))?", piece)
-        low, high = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
-        if not low <= high < count:
-            raise UnusableError(f"expected cells 0 to {count - 1}, such as 3-5,8.")
-        numbers.update(range(low, high + 1))
-    return tuple(sorted(numbers))
 
 
 def format_number(value: float) -> str:

@@ -76,7 +76,7 @@ class ScreenSession:
         self._access = Access(screens.services)
         self._state: ScreenState | None = None
         self._result: ScreenResult | None = None
-        self._number = 0
+        self._number, self._left = 0, False
         self._loop = Loop(self._answer, send, lambda: self._access.opened(self.state).requests, self._after)
         # What goes on behind an answer.
         self._rail = Rail()
@@ -95,6 +95,7 @@ class ScreenSession:
             "random": self._random,
             "upload": self._upload,
             "forget": self._forget,
+            "calibrate": self._calibrate,
             "hover": self.scene.hover,
             "pick": self.scene.pick,
             "scene": self.scene.fit,
@@ -201,6 +202,7 @@ class ScreenSession:
 
     def leave(self) -> None:
         """Stop all that goes on for this tab: it has left."""
+        self._left = True
         for one in (self._loop, self._curve, self._occlusion, self.scene, self._panels, self._ranks):
             one.stop()
         self._downloads.close()
@@ -302,6 +304,20 @@ class ScreenSession:
         self._send(self._own.message(self.services.feeds))
         self._set({"own": ""})
 
+    def _calibrate(self, _: Mapping[str, Any]) -> None:
+        """Prepare the further scorings of the state's model, which may describe all pictures, and show the calibrated one."""
+        job = self.workspace.scorings.prepare(self)
+        while job is not None and not job.wait(_POLL) and not self._left:
+            done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
+            self._send({"busy": f"Calibrating{done}"})
+        if job is not None:
+            job.leave(self)
+        if job is None or job.error is not None:
+            self.say(self.workspace.scorings.why_not if job is None else str(job.error))
+        elif not self._left:
+            self._send({"page": self._page(self.state)})
+            self._set({"scoring": "calibrated"})
+
     # Panels' commands, and the open panel.
 
     def _try(self, act: Callable[[], None]) -> None:
@@ -383,6 +399,7 @@ class ScreenSession:
             "places": dict(self._screens.places),
             "tasks": list(base.tasks),
             "scorings": scorings,
+            "calibrates": workspace.scorings.prepares,
             "parts": workspace.contract.n_parts,
             "word": workspace.contract.part_noun,
             "names": workspace.part_names,

@@ -330,6 +330,7 @@ const commandsNow = () => {
     ...(state.weights.length ? [{ label: "Equal weights", act: () => set({ weights: [] }) }] : []),
     ...page.models.map((label, number) => ({ label: `Model: ${label}`, act: () => set({ model: String(number) }) })).filter((_, number) => String(number) !== state.model),
     ...others("task", page.tasks, (one) => `Task: ${one}`),
+    ...(page.calibrates ? [{ label: "Ranking: calibrate", act: () => act("calibrate") }] : []),
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
     ...(scenes.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : page.place, key: "X", keys: ["x"], act: () => set({ view: state.view === "city" ? "apart" : "city" }) }] : []),
