@@ -53,7 +53,7 @@ def draw(
     image = Image.new("RGB", (WIDTH, distance_top + _ROW + 96), DARK.background)
     pen = ImageDraw.Draw(image)
     # Pillow's typeface has no minus sign.
-    sentence = verdicts.describe_evidence(evidence, names, *views).replace("−", "-")
+    sentence = verdicts.describe_evidence(evidence, names, *views, contract.part_noun).replace("−", "-")
     pen.text((_MARGIN, 32), fitted(pen, sentence, 22, WIDTH - 2 * _MARGIN), DARK.text, font(22), anchor="lm")
     maps = evidence.cell_maps()
     if losses is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Generic, Literal, TypeVar
@@ -68,6 +68,19 @@ class QueryRequest:
     correspondences: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class _Photo:
+    """A query to describe: its pixels before the change, the zoom within that, and what identifies the changed picture."""
+
+    own: OwnPicture | None
+    index: int | None
+    name: str
+    source: UInt8Array
+    change: Change
+    zoom: float
+    key: Hashable
+
+
 class _LastValue(Generic[T]):
     """A cache of one value: that of the last key."""
 
@@ -98,38 +111,42 @@ class QueryAnalyser:
         self._model, self._describe_tile, self._load = model, describe_tile, load
         self._source: _LastValue[UInt8Array] = _LastValue()
         self._query: tuple[Hashable, DescribedPicture] | None = None
+        self._ahead: dict[QueryRequest, tuple[_Photo, DescribedPicture]] = {}
         self._zoom: _LastValue[float] = _LastValue()
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
-    def analyse(self, task: Task, request: QueryRequest, k: int) -> Answer:
-        """Answer one request; the compared tile is described at once.
+    def describe_ahead(self, task: Task, requests: Sequence[QueryRequest]) -> None:
+        """Describe the queries of some requests in one batch, from which `analyse` takes each; errors as there."""
+        if self._model is None or not requests:
+            return
+        photos = [self._photo(task, request) for request in requests]
+        pictures, changes = [photo.source for photo in photos], [photo.change for photo in photos]
+        described = retrieval.describe_pictures(self._model.for_task(*task.views), pictures, task.query_view, changes)
+        self._ahead = dict(zip(requests, zip(photos, described, strict=True), strict=True))
+
+    def analyse(self, task: Task, request: QueryRequest, k: int, tile: bool = True) -> Answer:
+        """Answer one request.
 
         Args:
             k: number of matches.
+            tile: whether the compared tile is described at once; the evidence of a request needs it.
 
         Raises:
             InputError: when there is no such query, or no tile to rank.
             LPNError: when a picture cannot be read or described.
         """
         started = time.perf_counter()
-        own = request.query if isinstance(request.query, OwnPicture) else None
-        index = None if isinstance(request.query, OwnPicture) else request.query
-        if index is not None and not 0 <= index < len(task.queries):
-            raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
-        picture = task.queries[index or 0]
-        source_key = own or (picture.path, picture.box)
-        source = self._source.get(
-            source_key, lambda: own.picture if own else images.crop(self._load(picture), picture.box, picture.name)
-        )
-        zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
-        query_key = source_key, task.key, index, request.change
-        change = request.change.for_picture(picture, zoom)
+        ahead = self._ahead.pop(request, None)
+        photo = self._photo(task, request) if ahead is None else ahead[0]
+        own, index, query_key = photo.own, photo.index, photo.key
+        if ahead is not None:
+            self._query = query_key, ahead[1]
         if self._query is None or self._query[0] != query_key:
             if self._model is not None:
                 model = self._model.for_task(*task.views)
-                described = retrieval.describe_picture(model, source, task.query_view, change)
+                described = retrieval.describe_picture(model, photo.source, task.query_view, photo.change)
             elif index is not None:
-                described = DescribedPicture(source, task.query_descriptors[index], None, None)
+                described = DescribedPicture(photo.source, task.query_descriptors[index], None, None)
             else:
                 raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
             self._query = query_key, described
@@ -143,25 +160,44 @@ class QueryAnalyser:
         if not matches:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
         chosen = _chosen(ranking, request.compare)
-        tile = self._describe_tile(task, chosen.index)
+        compared = self._describe_tile(task, chosen.index) if tile or request.evidence else None
         return Answer(
             task=task,
-            name=own.name if own else picture.name,
+            name=photo.name,
             index=index,
             query=query,
             ranking=ranking,
             matches=matches,
             chosen=chosen,
             describe_tile=self._describe_tile,
-            tile=tile,
+            tile=compared,
             positive=ranking.positive(),
             errors_m=_errors_m(task, index, own),
-            source=source,
-            zoom=zoom,
-            pair_evidence=pair_evidence(query, tile, weights, request.correspondences, ranking.csls_of(chosen.index))
-            if request.evidence
+            source=photo.source,
+            zoom=photo.zoom,
+            pair_evidence=pair_evidence(
+                query, compared, weights, request.correspondences, ranking.csls_of(chosen.index)
+            )
+            if request.evidence and compared is not None
             else None,
             seconds=time.perf_counter() - started,
+        )
+
+    def _photo(self, task: Task, request: QueryRequest) -> _Photo:
+        """Read the query of a request, and say how it is changed."""
+        query = request.query
+        own, index = (query, None) if isinstance(query, OwnPicture) else (None, query)
+        if index is not None and not 0 <= index < len(task.queries):
+            raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
+        picture = task.queries[index or 0]
+        key = own or (picture.path, picture.box)
+        source = self._source.get(
+            key, lambda: own.picture if own else images.crop(self._load(picture), picture.box, picture.name)
+        )
+        zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
+        change = request.change.for_picture(picture, zoom)
+        return _Photo(
+            own, index, own.name if own else picture.name, source, change, zoom, (key, task.key, index, request.change)
         )
 
     def _own_zoom(self, task: Task, own: OwnPicture) -> float:
