@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -137,6 +138,10 @@ def test_commands_save_reports_of_what_is_shown(app: App, tab: Tab, workspace: W
     missed = [workspace.tasks["drone-to-satellite"].query_names[query] for query in ranking.failed.nonzero()[0]]
     assert page.count('<section class="case') == len(missed)
     assert all(f"{one}, drone" in page for one in missed)
+    if find_spec("matplotlib"):
+        del tab.last["download"]
+        tab.act("report.figure")
+        assert tab.until(lambda last: "download" in last)["download"]["name"] == "0005.pdf"
     tab.send({"set": {"find": "nowhere"}})
     tab.act("report.worst")
     assert "No photo of the list is missed" in tab.until(lambda last: "error" in last)["error"]
