@@ -24,7 +24,7 @@ _QUALITY = 82
 # Seconds that a step may take until its page is at rest, and between two looks at it.
 _PATIENCE, _PAUSE = 180.0, 0.5
 # The page has the answer of what was asked for.
-_READY = "document.body.dataset.sequence && !/wait|turning|down/.test(document.body.className)"
+_READY = "Boolean(document.body.dataset.sequence) && !/wait|turning|down/.test(document.body.className)"
 
 
 def record(url: str, story: Story, size: tuple[int, int]) -> list[Image.Image]:
@@ -55,10 +55,9 @@ def _picture(page: Page, story: Story, index: int) -> Image.Image:
     """Return the picture of a step that is told, at rest."""
     until, before = time.monotonic() + _PATIENCE, b""
     while time.monotonic() < until:
-        page.wait_for_function(_READY, timeout=_PATIENCE * 1000)
         page.wait_for_timeout(_PAUSE * 1000)
         shot = page.screenshot()
-        if shot == before:
+        if shot == before and page.evaluate(_READY):
             return Image.open(io.BytesIO(shot)).convert("RGB")
         before = shot
     raise LPNError(f"Step {index + 1} of {printable(story.name)!r} did not come to rest within {_PATIENCE:g} s.")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -12,7 +13,7 @@ import pytest
 
 from explorer.app import App
 from explorer.screen.panels.stories import story as files
-from explorer.screen.panels.stories.story import MOST_STEPS, Step, Story
+from explorer.screen.panels.stories.story import Step, Story
 from explorer.workspace import Workspace
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.errors import DataError, InputError, OutputError
@@ -83,13 +84,13 @@ def test_the_panel_changes_the_steps_of_a_story_as_the_file_has_it(tab: Tab, fil
     shown = panel(tab, lambda message: message["story"] == "Mine")
     assert [(step["shows"], step["caption"]) for step in shown["steps"]] == [(one.shows, one.caption) for one in steps]
     assert all(step["picture"] for step in shown["steps"])
-    tab.act("stories.move", story="Mine", at=2, shows=steps[2].shows, by=-1)
+    tab.act("stories.step", story="Mine", at=2, shows=steps[2].shows, to=1, caption="c")
     panel(tab, lambda message: [step["caption"] for step in message["steps"]] == ["a", "c", "b"])
-    tab.act("stories.edit", story="Mine", at=0, shows=steps[0].shows, caption="A", notes="N")
+    tab.act("stories.step", story="Mine", at=0, shows=steps[0].shows, to=0, caption="A", notes="N")
     panel(tab, lambda message: message["steps"][0]["caption"] == "A")
-    tab.act("stories.remove", story="Mine", at=2, shows=steps[2].shows)
+    tab.act("stories.step", story="Mine", at=2, shows=steps[2].shows)
     assert "changed meanwhile" in tab.until(lambda last: "error" in last)["error"], "the third step is another one"
-    tab.act("stories.remove", story="Mine", at=1, shows=steps[2].shows)
+    tab.act("stories.step", story="Mine", at=1, shows=steps[2].shows)
     panel(tab, lambda message: len(message["steps"]) == 2)
     tab.act("stories.rename", story="Mine", name="Other")
     tab.until(lambda last: "There is a story 'Other' already" in last["error"])
@@ -137,6 +138,10 @@ def test_commands_save_reports_of_what_is_shown(app: App, tab: Tab, workspace: W
     missed = [workspace.tasks["drone-to-satellite"].query_names[query] for query in ranking.failed.nonzero()[0]]
     assert page.count('<section class="case') == len(missed)
     assert all(f"{one}, drone" in page for one in missed)
+    if find_spec("matplotlib"):
+        del tab.last["download"]
+        tab.act("report.figure")
+        assert tab.until(lambda last: "download" in last)["download"]["name"] == "0005.pdf"
     tab.send({"set": {"find": "nowhere"}})
     tab.act("report.worst")
     assert "No photo of the list is missed" in tab.until(lambda last: "error" in last)["error"]
@@ -167,7 +172,7 @@ def test_a_damaged_file_is_one_sentence_and_is_not_overwritten(tmp_path: Path, c
 
 def test_what_a_story_cannot_hold_leaves_the_file_as_it_is(tmp_path: Path) -> None:
     file = tmp_path / "stories.json"
-    full = Story("Full", ONE.steps * MOST_STEPS)
+    full = Story("Full", ONE.steps * 60)
     files.change(file, full, lambda one: one)
     before = file.read_bytes()
     assert files.read_stories(file) == [full], "it is read back"

@@ -45,21 +45,16 @@ def save_story(tab: Tab, story: Story) -> None:
 def _state(base: Workspace, shows: str, number: int) -> tuple[Workspace, ScreenState]:
     """Return the state of a step, and the workspace of its place and model."""
     given = fields.parsed(shows)
-    place = given.get("show", base.key)
-    workspace = base if place == base.key else base.opened().get(place)
+    workspace = ({base.key: base} | dict(base.opened())).get(given.get("show", base.key))
     if workspace is None:
-        raise InputError(f"Step {number} shows a place that is not open yet; open that step, then export the story.")
+        raise InputError(f"Step {number} shows a place that is not open yet; open that step, then save the story.")
     state, problems = fields.from_values(given, workspace)
     if problems:
         raise InputError(f"Step {number} cannot be shown: {problems[0]} Remove the step, or keep it again.")
-    if state.model != "0":
-        beside = workspace.beside[int(state.model) - 1].workspace
-        if beside is None:
-            raise InputError(
-                f"Step {number} shows a model that is not open yet; open that step, then export the story."
-            )
-        workspace = beside
-    return workspace, state
+    of_model = workspace.beside[int(state.model) - 1].workspace if state.model != "0" else workspace
+    if of_model is None:
+        raise InputError(f"Step {number} shows a model that is not open yet; open that step, then save the story.")
+    return of_model, state
 
 
 def _remarks(workspace: Workspace, state: ScreenState) -> list[str]:

@@ -13,7 +13,8 @@ from explorer.screen.fields import Line, PanelField
 from explorer.screen.panel import Action, PanelPart, Tab
 from explorer.screen.panels.stories import story as files
 from explorer.screen.panels.stories.export import save_story
-from explorer.screen.panels.stories.story import Step, Stories, Story
+from explorer.screen.panels.stories.story import Step, Story
+from lpn.core.demo import own_file_place
 from lpn.core.errors import InputError
 
 # The story that is shown, and to which S adds a step.
@@ -32,8 +33,7 @@ def keep(tab: Tab) -> None:
     stories = files.stories_of(workspace)
     name = tab.state[STORY] if tab.state[STORY] in stories.own else _free(stories.by_name)
     step = Step(_address(tab), _caption(tab)[:400])
-    begun = stories.by_name.get(name, Story(name))
-    kept = files.change(files.own_stories(workspace), begun, lambda now: replace(now, steps=(*now.steps, step)))
+    kept = files.change(files.own_stories(workspace), Story(name), lambda now: replace(now, steps=(*now.steps, step)))
     assert kept is not None
     tab.set({STORY.name: name})
     tab.note(f"Step {len(kept.steps)} of {name} is kept.")
@@ -67,9 +67,7 @@ class StoriesPart(PanelPart):
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
         self.actions = {
-            "edit": self._changing(_edited),
-            "move": self._changing(_moved),
-            "remove": self._changing(_removed),
+            "step": self._changing(_stepped),
             "rename": self._changing(lambda story, given: replace(story, name=_text(given, "name").strip())),
             "delete": self._changing(lambda story, given: None),  # noqa: ARG005
             "export": lambda given: save_story(tab, self._story(given)),
@@ -79,7 +77,8 @@ class StoriesPart(PanelPart):
 
     def show(self) -> None:
         """Send the stories, and the steps of the chosen one."""
-        workspace, stories = self.tab.services.workspace, self._stories()
+        workspace = self.tab.services.workspace
+        stories = files.stories_of(workspace)
         chosen = self.tab.state[STORY] or next(iter(stories.by_name), "")
         story = stories.by_name.get(chosen, Story(chosen or "-"))
         steps = [
@@ -92,18 +91,17 @@ class StoriesPart(PanelPart):
             "story": chosen if chosen in stories.by_name else "",
             "own": chosen in stories.own,
             "steps": steps,
-            "place": files.place(workspace),
+            "place": workspace.stories.name
+            if workspace.stories
+            else own_file_place(workspace.root, files.NAME, "data"),
             "error": stories.error,
         }
         if message != self._sent:
             self._sent = message
             self.tab.send(message)
 
-    def _stories(self) -> Stories:
-        return files.stories_of(self.tab.services.workspace)
-
     def _story(self, given: Mapping[str, Any]) -> Story:
-        story = self._stories().by_name.get(_text(given, "story"))
+        story = files.stories_of(self.tab.services.workspace).by_name.get(_text(given, "story"))
         if story is None:
             raise InputError("There is no such story any more; choose another one.")
         return story
@@ -134,26 +132,12 @@ def _text(given: Mapping[str, Any], name: str) -> str:
     return value if isinstance(value, str) else ""
 
 
-def _at(story: Story, given: Mapping[str, Any]) -> int:
-    """Return the place of the step that the page means; InputError if the story has been changed elsewhere."""
-    at = given.get("at")
-    if isinstance(at, int) and 0 <= at < len(story.steps) and story.steps[at].shows == given.get("shows"):
-        return at
-    raise InputError("The story has changed meanwhile; look at its steps, and try again.")
-
-
-def _edited(story: Story, given: Mapping[str, Any]) -> Story:
-    at, steps = _at(story, given), list(story.steps)
-    steps[at] = Step(steps[at].shows, _text(given, "caption"), _text(given, "notes"))
+def _stepped(story: Story, given: Mapping[str, Any]) -> Story:
+    """Return the story with new words of a step at its new place, or without the step if it has none."""
+    at, to, steps = given.get("at"), given.get("to"), list(story.steps)
+    if not (isinstance(at, int) and 0 <= at < len(steps) and steps[at].shows == given.get("shows")):
+        raise InputError("The story has changed meanwhile; look at its steps, and try again.")
+    shows = steps.pop(at).shows
+    if isinstance(to, int):
+        steps.insert(max(to, 0), Step(shows, _text(given, "caption"), _text(given, "notes")))
     return replace(story, steps=tuple(steps))
-
-
-def _moved(story: Story, given: Mapping[str, Any]) -> Story:
-    at, steps = _at(story, given), list(story.steps)
-    steps.insert(max(at + (-1 if given.get("by") == -1 else 1), 0), steps.pop(at))
-    return replace(story, steps=tuple(steps))
-
-
-def _removed(story: Story, given: Mapping[str, Any]) -> Story:
-    at = _at(story, given)
-    return replace(story, steps=(*story.steps[:at], *story.steps[at + 1 :]))

@@ -23,12 +23,12 @@ export const open = (box, context) => {
   remove.onclick = () => confirm(`Delete ${shown.story}?`) && change("delete");
 
   const row = (step, at) => {
-    const of = { at, shows: step.shows };
     const said = `step ${at + 1}`;
     const text = (label, value, most) => make("textarea", { "aria-label": `${label} of ${said}`, placeholder: label, maxlength: most, rows: 1, text: value });
     const [caption, notes] = [text("Caption", step.caption, 400), text("Notes for the presenter", step.notes, 2000)];
     notes.className = "notes";
-    for (const one of [caption, notes]) one.onchange = () => change("edit", { ...of, caption: caption.value, notes: notes.value });
+    const put = (to = null) => change("step", { at, shows: step.shows, to, caption: caption.value, notes: notes.value });
+    for (const one of [caption, notes]) one.onchange = () => put(at);
     const button = (sign, label, press, disabled = false) => {
       const made = make("button", { text: sign, title: label, "aria-label": `${label}: ${said}`, disabled });
       made.onclick = press;
@@ -37,9 +37,9 @@ export const open = (box, context) => {
     const look = make("button", { class: "look", title: "Open", "aria-label": `Open ${said}`, style: step.picture ? { "background-image": `url("${step.picture}")` } : {} }, make("b", { text: at + 1 }));
     look.onclick = () => go(`${step.shows}&panel=stories&story=${encodeURIComponent(shown.story)}`);
     return make("li", {}, look, make("div", {}, caption, notes), make("span", {},
-      button("↑", "Move up", () => change("move", { ...of, by: -1 }), at === 0),
-      button("↓", "Move down", () => change("move", { ...of, by: 1 }), at === shown.steps.length - 1),
-      button("✕", "Remove", () => change("remove", of))));
+      button("↑", "Move up", () => put(at - 1), at === 0),
+      button("↓", "Move down", () => put(at + 1), at === shown.steps.length - 1),
+      button("✕", "Remove", () => put())));
   };
 
   return {

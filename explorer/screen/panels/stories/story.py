@@ -14,13 +14,12 @@ import msgspec
 from msgspec import Meta
 
 from explorer.workspace import Workspace
-from lpn.core.demo import DEMO, DEMO_MODEL, own_file, own_file_place
+from lpn.core.demo import DEMO, DEMO_MODEL, own_file
 from lpn.core.errors import DataError, InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.own_files import OwnFileFormat
 
 NAME = "stories.json"
-MOST_STEPS = 60
 
 
 class Step(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,7 +40,7 @@ class Story(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A named list of steps."""
 
     name: Annotated[str, Meta(min_length=1, max_length=80)]
-    steps: Annotated[tuple[Step, ...], Meta(max_length=MOST_STEPS)] = ()
+    steps: Annotated[tuple[Step, ...], Meta(max_length=60)] = ()
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,10 @@ def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> S
         at = names.index(story.name) if story.name in names else len(names)
         made = edit(stories[at] if at < len(names) else story)
         if made is not None:
-            _check(made)
+            try:
+                msgspec.convert(msgspec.to_builtins(made), Story)
+            except msgspec.ValidationError as error:
+                raise InputError(f"A story cannot hold that ({error}); shorten it, or begin another one.") from error
             if made.name in (*names[:at], *names[at + 1 :]):
                 raise InputError(f"There is a story {printable(made.name)!r} already; give another name.")
         changed.append(made)
@@ -108,23 +110,9 @@ def change(file: Path, story: Story, edit: Callable[[Story], Story | None]) -> S
     return changed[-1]
 
 
-def place(workspace: Workspace) -> str:
-    """Return where stories are saved, in words and without the server's folders."""
-    return workspace.stories.name if workspace.stories else own_file_place(workspace.root, NAME, "data")
-
-
 def own_stories(workspace: Workspace) -> Path:
     """Return the file of a person's stories; OutputError for the demo if the user has no home folder."""
     return workspace.stories or own_file(workspace.root, NAME)
-
-
-def _check(story: Story) -> None:
-    if len(story.steps) > MOST_STEPS:
-        raise InputError(f"A story has {MOST_STEPS} steps at most: begin another one.")
-    try:
-        msgspec.convert(msgspec.to_builtins(story), Story)
-    except msgspec.ValidationError as error:
-        raise InputError(f"A story cannot hold that ({error}); shorten it.") from error
 
 
 def _decode(content: bytes, file: Path) -> list[Story]:

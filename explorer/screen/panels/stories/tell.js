@@ -39,10 +39,13 @@ export const tell = ({ name, steps }, { go, set, view }) => {
     event.preventDefault();
     event.stopImmediatePropagation();
   };
+  // A pointer that rests where the page has moved below it lights nothing.
+  const moves = (event) => (event.movementX || event.movementY) && (root.dataset.told = "");
   // In full screen the browser takes Escape for itself.
   const left = () => document.fullscreenElement || end();
   const end = () => {
     removeEventListener("keydown", keys, true);
+    removeEventListener("pointermove", moves, true);
     document.removeEventListener("fullscreenchange", left);
     if (document.fullscreenElement) document.exitFullscreen();
     bar.remove();
@@ -53,9 +56,11 @@ export const tell = ({ name, steps }, { go, set, view }) => {
   };
 
   document.body.append(bar);
-  root.dataset.told = "";
+  root.dataset.told = "still";
+  scrollTo(0, 0);
   dispatchEvent(new Event("resize"));
   addEventListener("keydown", keys, true);
+  addEventListener("pointermove", moves, true);
   document.addEventListener("fullscreenchange", left);
   root.requestFullscreen?.().catch(() => {});
   next.focus({ preventScroll: true });
