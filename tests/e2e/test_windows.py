@@ -20,19 +20,13 @@ from playwright.sync_api import Page, expect
 
 import lpn
 from explorer.app import App
-from explorer.live_window.record import LiveRecord
-from explorer.live_window.server import LiveApp
 from explorer.opening import open_model, open_source
-from explorer.server.auth import make_authenticator
 from explorer.workspace import LazyWorkspace
 from lpn import datasets, explain, retrieval
 from lpn.cli.main import main
 from lpn.core import images
 from lpn.descriptors import cached_descriptors
 from lpn.descriptors.transforms import Change
-from lpn.live.outputs import LiveFix
-from lpn.live.run import live_answer
-from lpn.locate.located import LocatedFlight
 from lpn.retrieval import scoring
 from lpn.sources import SourceOptions
 from lpn.tasks.opening import new_calibration, scored_tasks
@@ -41,7 +35,6 @@ from tests.conftest import MakeOnce
 from tests.e2e.conftest import PATIENCE, ExplorerPage, classic, served_folder
 from tests.e2e.test_flight import PLACES, REFUSED, RunningFlight
 from tests.e2e.test_flight import flight_app as flight_app
-from tests.explorer.flight_window.conftest import flight as flight
 from tests.explorer.test_scorings import write_places
 from tools.fixtures.processes import free_port
 from tools.fixtures.published_results import save_result
@@ -327,23 +320,6 @@ def test_the_flight_window_shows_the_frame_of_the_answer(flight_app: RunningFlig
     send(page, "flight-frame", REFUSED)
     answer(page, shown.number, query=REFUSED)
     wait(page, f"lpn.flight.chosen === {REFUSED}")
-
-
-def test_the_live_window_follows_the_newest_frame(flight: LocatedFlight, page: Page) -> None:
-    record = LiveRecord("live", flight.basemap)
-    app = LiveApp(record, "127.0.0.1", free_port(), make_authenticator("127.0.0.1", None, False, ()))
-    try:
-        page.goto(app.link)
-        for count, located in enumerate(flight.frames[::2], 1):
-            photo = np.full((60, 80, 3), 200, np.uint8)
-            record.send(LiveFix(located, live_answer(located), 47.0, 8.0, 1e9, 0.25, 0, None, photo))
-            wait(
-                page, "(last) => window.lpn?.flight?.data?.names.length > last && lpn.flight.chosen === last", count - 1
-            )
-            assert page.evaluate("lpn.flight.data.names.at(-1)") == located.frame.name
-    finally:
-        app.close()
-        record.forget()
 
 
 def test_a_notebook_shows_the_page_in_a_cell(windows: Windows, page: Page, tmp_path: Path) -> None:
