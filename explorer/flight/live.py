@@ -114,6 +114,10 @@ class LiveRecord:
             self._sentences = [*self._sentences, sentence][-_SENTENCES:]
         self._change(self._status)
 
+    def session(self, send: Callable[[ScreenMessage], None]) -> LiveSession:
+        """Return the session of a new tab, see `Channel`."""
+        return LiveSession(self, send)
+
     def forget(self) -> None:
         """Remove the photos."""
         self._folder.cleanup()
@@ -143,17 +147,6 @@ class LiveRecord:
         frames = list(self._frames if frames is None else frames)
         flight = Flight(self._name, tuple(located.frame for located in frames))
         return LocatedFlight(flight, self._basemap, frames, None, list(self._sentences), None)
-
-
-class LiveTabs:
-    """Makes the tabs' sessions, see `Channel`."""
-
-    def __init__(self, record: LiveRecord) -> None:
-        self._record = record
-
-    def session(self, send: Callable[[ScreenMessage], None]) -> LiveSession:
-        """Return the session of a tab."""
-        return LiveSession(self._record, send)
 
 
 class LiveSession:
@@ -254,7 +247,7 @@ class LiveApp:
     def __init__(self, record: LiveRecord, host: str, port: int, authenticator: Authenticator) -> None:
         self._authenticator = authenticator
         self._pictures = PictureRoute(record.feeds.find)
-        self._channel = Channel(LiveTabs(record))
+        self._channel = Channel(record)
         screen = Screen(route.respond, route.scene_of, self._channel.serve)
         self.server, _ = open_server(host, port, authenticator, self._pictures, screen=screen)
 

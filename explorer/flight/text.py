@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from explorer.flight.service import FlightSnapshot
 from lpn.core.files import printable
-from lpn.core.numbers import SIGMA, distance, error_figure, upper_bound
+from lpn.core.numbers import SIGMA, error_figure, upper_bound
 from lpn.drawing.verdicts import compass
 from lpn.locate.agreement import MapAgreement
 from lpn.locate.belief import SIGMAS, Belief, Disagreement, on_what
@@ -144,9 +144,19 @@ def worst(seen: FlightSnapshot) -> list[tuple[int, str, list[str]]]:
         answer, error = located.stages[verdict.stage], located.error(verdict.stage)
         excess = max((one.metres / max(one.allowed, 0.1) for one in against), default=0.0)
         order = (verdict.stage in PLACED, excess, -1.0 if error is None else error, answer.radius or 0.0)
-        words = [] if error is None else [f"{error:.1f} m from {_truth(located)}"]
+        told = {
+            one.other: (
+                f"{one.figures[1]} m allowed"
+                if one.other == "tag"
+                else f"{one.figures[0]} m, {one.figures[1]} m allowed"
+            )
+            for one in against
+        }
+        allowed = f" ({told.pop('tag')})" if "tag" in told else ""
+        words = [] if error is None else [f"{error:.1f} m from {_truth(located)}{allowed}"]
         words += [LABELS[verdict.stage].lower(), "not verified" if answer.radius is None else radius(answer)]
-        words += [f"{one.figures[0]} m off its {one.other}, {one.figures[1]} m allowed" for one in against]
+        names = {"map": "away from its middle", "sequence": "from its place by sequence"}
+        words += [f"{names[other]} {figures}" for other, figures in told.items()]
         if verdict.stage == "registration" and is_unchecked(located):
             words.append("not checked away from its middle")
         placed.append((order, i, printable(located.frame.name), [("? " if against else "") + ", ".join(words)]))
@@ -287,12 +297,6 @@ def circle(flight: LocatedFlight) -> str:
     text = f"Circle: the radius, {SIGMA}; it holds {RIGHT_CALIBRATION[1]:.0f} of 100 true places if errors are as estimated."
     unconfirmed = flight.radii_confirmed.get("registration") is False
     return f"{text} The flight's tags do not confirm that." if unconfirmed else text
-
-
-def from_tag(located: LocatedFrame, stage: str) -> str:
-    """Return how far a stage's answer lies from the tag or the correction; "" where nobody knows."""
-    error = located.error(stage)
-    return "" if error is None else f"{distance(error)} from {_truth(located)}."
 
 
 def spot(flight: LocatedFlight, shown: Sequence[int], unknown: int, point: tuple[float, float]) -> str:

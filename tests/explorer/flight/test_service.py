@@ -5,60 +5,57 @@ import json
 import threading
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import numpy as np
 import pytest
 
-from explorer.flight_window import page
-from explorer.flight_window import service as service_module
-from explorer.flight_window.service import FlightService
+from explorer.flight import page
+from explorer.flight import service as service_module
+from explorer.flight.service import SharedFlight
 from lpn.core.errors import InputError
 from lpn.locate import corrections
 from lpn.locate.agreement import MapAgreement
-from lpn.locate.belief import FlightVerdicts
 from lpn.locate.corrections import NAME
 from lpn.locate.located import LocatedFlight
-from tests.explorer.flight_window.conftest import SIZE
+from tests.explorer.flight.conftest import SIZE, shared_flight
 
+ADDRESSES = {"tiles": [], "photo": "p/", "square": "s/", "ground": "g/"}
 CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
 
 
 @pytest.fixture
-def service(flight: LocatedFlight, tmp_path: Path) -> FlightService:
-    return FlightService(SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of))  # type: ignore[arg-type]
+def service(flight: LocatedFlight, tmp_path: Path) -> SharedFlight:
+    return shared_flight(flight, tmp_path)
 
 
-def test_the_view_is_derived_once_and_again_when_something_changes(service: FlightService) -> None:
-    first = service.view()
-    assert service.view() is first
+def test_the_view_is_derived_once_and_again_when_something_changes(service: SharedFlight) -> None:
+    first = service.snapshot()
+    assert service.snapshot() is first
     service.correct(2, CORNERS)
-    assert service.view() is not first
-    assert service.view().outlines is first.outlines
+    assert service.snapshot() is not first
 
 
-def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightService) -> None:
-    assert service.view().homography(2) is None
+def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: SharedFlight) -> None:
+    assert service.snapshot().homography(2) is None
     service.correct(2, CORNERS)
-    view = service.view()
+    view = service.snapshot()
     assert view.corrected(2) == pytest.approx((20.0, 15.0), abs=1e-3)
-    track = page.data(view, "x/")["tracks"]["corrected"]
-    assert "corrected by hand" in track["mark"]
+    track = page.data(view, ADDRESSES)["tracks"]["corrected"]
     assert (track["count"], track["x"][:2], track["error"][2]) == ("1 of 3", [None, None], pytest.approx(15.0))
     matrix = view.homography(2)
     assert matrix is not None
     middle = matrix @ (39.5, 29.5, 1.0)
     np.testing.assert_allclose(middle[:2] / middle[2], (20.0, 15.0), atol=1e-3)
-    assert "By hand" in page.card(view, 2, "x/")
+    assert any("By hand" in line for line in page.chosen(view, 2, ADDRESSES, None)["card"]["lines"])
     service.correct(2, None)
-    assert service.view().homography(2) is None
-    assert "corrected" not in page.data(service.view(), "x/")["tracks"]
+    assert service.snapshot().homography(2) is None
+    assert "corrected" not in page.data(service.snapshot(), ADDRESSES)["tracks"]
 
 
 def test_a_photo_that_a_person_lays_is_compared_with_the_map_there_and_once(
-    service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+    service: SharedFlight, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     kept, anew = MapAgreement([], 1.0), MapAgreement([], 9.0)
     laid: list[Any] = []
@@ -71,14 +68,14 @@ def test_a_photo_that_a_person_lays_is_compared_with_the_map_there_and_once(
     assert [service.agreement(0) for _ in range(2)] == [anew, anew]
     ((basemap, _, matrix, size),) = laid
     assert (basemap, size) == (flight.basemap, SIZE)
-    np.testing.assert_allclose(matrix, service.view().homography(0))
+    np.testing.assert_allclose(matrix, service.snapshot().homography(0))
     service.correct(0, None)
     assert service.agreement(0) is kept
 
 
 @pytest.mark.parametrize("content", [None, b"not a picture"])
 def test_a_laid_photo_that_cannot_be_read_is_not_compared(
-    service: FlightService,
+    service: SharedFlight,
     flight: LocatedFlight,
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -92,7 +89,7 @@ def test_a_laid_photo_that_cannot_be_read_is_not_compared(
     assert service.agreement(0) is None
 
 
-def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:
+def test_positions_are_one_a_photo_and_hold_the_corrections(service: SharedFlight) -> None:
     def column(name: str) -> list[str]:
         rows = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
         return [row[name] for row in rows]
@@ -106,7 +103,7 @@ def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightServi
 
 
 def test_a_position_has_its_radius_with_and_without_the_error_of_the_map_s_place(
-    service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+    service: SharedFlight, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stages = flight.frames[0].stages
     answer = msgspec.structs.replace(stages["registration"], radius=5.0, place_error=4.0)
@@ -116,7 +113,7 @@ def test_a_position_has_its_radius_with_and_without_the_error_of_the_map_s_place
     assert (second["radius_on_map_m"], second["radius_on_earth_m"]) == ("1.0", "")
 
 
-def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_corrections_at_once_are_all_in_the_view(service: SharedFlight, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, may_end = threading.Event(), threading.Event()
     write = corrections.set_correction
 
@@ -135,24 +132,23 @@ def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeyp
     assert begun.wait(60)
     service.correct(1, CORNERS)
     first.join(60)
-    assert sorted(service.view().corrections) == ["photo0.png", "photo1.png"]
+    assert sorted(service.snapshot().corrections) == ["photo0.png", "photo1.png"]
 
 
 def test_two_servers_that_correct_one_photo_lose_neither_correction(flight: LocatedFlight, tmp_path: Path) -> None:
-    workspace = SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of)
-    first, second = FlightService(workspace), FlightService(workspace)  # type: ignore[arg-type]
-    assert not first.view().corrections
-    assert not second.view().corrections
+    first, second = shared_flight(flight, tmp_path), shared_flight(flight, tmp_path)
+    assert not first.snapshot().corrections
+    assert not second.snapshot().corrections
     first.correct(0, CORNERS)
     second.correct(1, CORNERS)
     stored = (tmp_path / NAME).read_bytes()
     shown: list[bool] = []  # by the other browsers of the first server: the second one's correction
-    first.watchers.watch(lambda: shown.append("photo1.png" in first.view().corrections))
+    first.watchers.watch(lambda: shown.append("photo1.png" in first.snapshot().corrections))
     with pytest.raises(InputError, match="Somebody else has corrected this photo meanwhile; save again to replace"):
         first.correct(1, CORNERS + 5)
     assert (tmp_path / NAME).read_bytes() == stored
     assert shown == [True]
-    assert first.view().corrected(1) == pytest.approx((20.0, 15.0), abs=1e-3)
+    assert first.snapshot().corrected(1) == pytest.approx((20.0, 15.0), abs=1e-3)
     first.correct(1, CORNERS + 5)
     with pytest.raises(InputError, match="Somebody else"):
         second.correct(1, None)
@@ -160,15 +156,16 @@ def test_two_servers_that_correct_one_photo_lose_neither_correction(flight: Loca
     assert corrections.read_corrections(tmp_path / NAME).keys() == {"photo0.png"}
 
 
-def test_a_refused_correction_changes_nothing(service: FlightService, tmp_path: Path) -> None:
-    before = service.view()
+def test_a_refused_correction_changes_nothing(service: SharedFlight, tmp_path: Path) -> None:
+    before = service.snapshot()
     with pytest.raises(InputError, match="tie points"):
         service.correct(0, CORNERS[::-1])
-    assert service.view() is before
+    assert service.snapshot() is before
     assert not (tmp_path / NAME).exists()
 
 
-def test_a_damaged_file_of_corrections_is_left_out_with_a_note(service: FlightService, tmp_path: Path) -> None:
+def test_a_damaged_file_of_corrections_is_left_out_with_a_note(service: SharedFlight, tmp_path: Path) -> None:
     (tmp_path / NAME).write_text("nonsense")
-    assert service.view().corrections == {}
-    assert "Corrections are left out: The first line" in page.lists(service.view())["notes"]
+    assert service.snapshot().corrections == {}
+    notes = page.data(service.snapshot(), ADDRESSES)["lists"]["notes"]["sentence"]
+    assert "Corrections are left out: The first line" in notes

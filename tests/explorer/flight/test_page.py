@@ -1,0 +1,325 @@
+"""What the flight panel's script draws, and the sentences beside it."""
+
+from __future__ import annotations
+
+import base64
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import msgspec
+import numpy as np
+import pytest
+
+from explorer.flight import page, part, text
+from explorer.flight.own import own_photo
+from explorer.flight.service import FlightSnapshot
+from explorer.parameters import UnusableError
+from lpn.core.arrays import UInt8Array
+from lpn.library.analyser import OwnPicture
+from lpn.locate.agreement import MapAgreement
+from lpn.locate.belief import FlightVerdicts
+from lpn.locate.camera_pose import CameraPose
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.locate.matched_details import MatchedDetails
+from lpn.locate.own_photo import OwnPhoto
+from lpn.maps import open_map
+from tests.explorer.flight.conftest import SIZE, registered
+from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+
+ADDRESSES = {"tiles": ["t/"], "photo": "p/", "square": "s/", "ground": "g/"}
+
+
+def seen_of(flight: LocatedFlight) -> FlightSnapshot:
+    return FlightSnapshot(flight, FlightVerdicts.of(flight))
+
+
+def with_answer(flight: LocatedFlight, frame: int, stage: str = "registration", **changes: Any) -> LocatedFlight:
+    """Return a flight whose answer of a stage for a frame is changed."""
+    frames = list(flight.frames)
+    stages = frames[frame].stages
+    frames[frame] = replace(frames[frame], stages=stages | {stage: msgspec.structs.replace(stages[stage], **changes)})
+    return replace(flight, frames=frames)
+
+
+def compared(flight: LocatedFlight, frame: int, *metres: float) -> LocatedFlight:
+    """Return a flight with a frame whose places away from the middle lie some metres from where the map has them."""
+    places = [(0.5, 0.5), (0.1, 0.2), (0.5, 0.9)]
+    rows = [(*place, 0.0, north) for place, north in zip(places, metres, strict=False)]
+    return with_answer(flight, frame, agreement=MapAgreement(rows, 9.0))
+
+
+@pytest.fixture
+def seen(flight: LocatedFlight) -> FlightSnapshot:
+    return seen_of(flight)
+
+
+def test_the_script_gets_every_track_and_what_is_unknown_as_null(seen: FlightSnapshot) -> None:
+    data = json.loads(json.dumps(page.data(seen, ADDRESSES), allow_nan=False))
+    assert list(data["tracks"]) == ["tag", "retrieval", "sequence", "registration"]
+    track = data["tracks"]["registration"]
+    assert (track["x"], track["state"], track["error"]) == ([-20.0, 45.0, None], [0, 0, 2], [1.0, 45.0, None])
+    assert track["count"] == "2 of 3, 1 in doubt"
+    assert track["reason"][0] is None
+    assert "Registration and tag lie 45.0 m apart; their radii allow 15.3 m." in track["reason"][1]
+    assert track["reason"][2] == "Registration: refused. Only <i>4</i> matches agree."
+    assert data["tracks"]["tag"]["count"] == "3 of 3"
+    assert data["tracks"]["retrieval"]["state"] == [1, 1, 1]
+    assert data["times"] == [0.0, 2.0, 4.0]
+    # The first frame is registered, the second contradicts its tag, and only neighbours tell the third.
+    assert data["signs"] == [True, None, None]
+    assert data["states"] == ["right", "contradicted", "unknown"]
+    assert [one[4] for one in data["outlines"]] == [True, True, False]
+    assert data["outlines"][0][0] == pytest.approx([-40.0, 16.0])
+    assert (data["main"], data["sheets"]) == ("registration", [])
+    assert data["counts"] == "3 photos: 3 placed (2 by registration, 1 by sequence), 1 in doubt."
+
+
+def test_frames_that_wait_for_their_registration_are_neither_accepted_nor_refused(flight: LocatedFlight) -> None:
+    stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "registration"}
+    waiting = replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])
+    assert page.data(seen_of(waiting), ADDRESSES)["tracks"]["registration"]["state"] == [0, 0, -1]
+
+
+def test_several_sheets_have_a_colour_each(flight: LocatedFlight, tmp_path: Path) -> None:
+    for i in range(2):
+        write_geotiff(tmp_path / f"sheet{i}.tif", smooth(40, 200, i), matrix=(0.5, 0, EAST + 150 * i, 0, -0.5, NORTH))
+    sheets = page.data(seen_of(replace(flight, basemap=open_map(tmp_path))), ADDRESSES)["sheets"]
+    assert sorted(sheet["name"] for sheet in sheets) == ["sheet0.tif", "sheet1.tif"]
+    assert len({sheet["colour"] for sheet in sheets}) == 2
+
+
+def test_a_card_has_verdict_place_and_grounds(seen: FlightSnapshot, flight: LocatedFlight) -> None:
+    cards = [page.chosen(seen, frame, ADDRESSES, None)["card"] for frame in range(3)]
+    assert [(card["sign"], card["state"], card["stage"]) for card in cards] == [
+        (True, "right", "registration"),
+        (None, "contradicted", "registration"),
+        (None, "unknown", "sequence"),
+    ]
+    assert cards[0]["headline"] == "Placed by its details, ± 1.0 m on this map"
+    assert cards[0]["facts"] == ["1 of 3", "30 m high", "top points to 0.0°"]
+    assert cards[0]["what"] == "Below the drone"
+    assert cards[0]["at"].startswith("latitude 47.")
+    assert cards[0]["link"].startswith("https://www.openstreetmap.org/?mlat=47.")
+    assert any("1.0 m from its GPS tag" in line for line in cards[0]["lines"])
+    assert any("45.0 m apart" in line for line in cards[1]["lines"])
+    assert cards[2]["lines"].count("✗ Registration: refused. Only <i>4</i> matches agree.") == 1
+    assert not any("of this photo's ground" in line for card in cards for line in card["lines"])
+    edge = with_answer(flight, 0, x=flight.basemap.bounds[2] + 5.0, homography=None)
+    lines = page.chosen(seen_of(edge), 0, ADDRESSES, None)["card"]["lines"]
+    assert any(line.startswith("The map shows only ") for line in lines)
+
+
+def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits(flight: LocatedFlight) -> None:
+    def said(*metres: float, **changes: Any) -> str:
+        one = seen_of(with_answer(compared(flight, 0, *metres), 0, **changes))
+        answer = one.flight.frames[0].stages["registration"]
+        assert answer.agreement is not None
+        return text.agreement(one, 0, answer.agreement)
+
+    assert said(0.4, 5.2, 1.0) == (
+        "✓ Checked at 3 places away from its middle: 1.0 m off in the median, 5.2 m at the upper left. Allowed: 3.0 m."
+    )
+    assert "1.0 m at the bottom." in said(0.4, 0.2, 1.0)
+    assert "2.4 m near the middle." in said(2.4, 0.2, 1.0)
+    assert said(0.4, 5.2, 1.0, radius=1.01).endswith("Allowed: 3.1 m."), "a bound is rounded up"
+    assert said(0.4, 5.2).startswith("Not checked: away from its middle, only 2 places")
+    assert said(4.0, 8.2, 3.2) == "", "the verdict says it"
+
+
+def test_a_photo_that_does_not_fit_beside_its_middle_is_in_doubt_wherever_it_is_told(flight: LocatedFlight) -> None:
+    one = seen_of(compared(flight, 0, 4.0, 8.2, 3.2))
+    assert one.beliefs[0].sign is None
+    told = "Checked at 3 places away from its middle: 4.0 m off in the median, at least 8.2 m at the upper left."
+    data = page.data(one, ADDRESSES)
+    card = page.chosen(one, 0, ADDRESSES, one.flight.frames[0].stages["registration"].agreement)["card"]
+    assert sum(told in line for line in card["lines"]) == 1
+    assert told in data["tracks"]["registration"]["reason"][0]
+    assert sum(told in line for _, _, lines in data["lists"]["audit"]["entries"] for line in lines) == 1
+    assert "2 in doubt" in data["counts"]
+    assert "1 of 1 photos do not fit the map" in data["accuracy"][0][2]
+    unchecked = page.data(seen_of(compared(flight, 0, 0.4)), ADDRESSES)["lists"]
+    assert unchecked["unchecked"]["title"] == "Not checked 1"
+    assert [frame for frame, _, _ in unchecked["unchecked"]["entries"]] == [0]
+    assert text.headline(one.beliefs[0], one.flight.frames[0]).endswith("it does not fit the map")
+    half = seen_of(compared(flight, 0, 0.4))
+    assert text.headline(half.beliefs[0], half.flight.frames[0]).endswith(", at least its middle")
+
+
+def test_lists_have_refused_frames_contradictions_and_notes(flight: LocatedFlight) -> None:
+    stages = {name: answer for name, answer in flight.frames[2].stages.items() if name != "sequence"}
+    guessed = replace(flight, frames=[*flight.frames[:2], replace(flight.frames[2], stages=stages)])
+    lists = page.data(seen_of(guessed), ADDRESSES)["lists"]
+    assert lists["refused"]["title"] == "Not placed 1"
+    assert [(frame, lines[0][:22]) for frame, _, lines in lists["refused"]["entries"]] == [
+        (2, "Registration: refused.")
+    ]
+    assert lists["audit"]["title"] == "Audit 1"
+    assert "up to 45." in lists["audit"]["sentence"]
+    assert lists["notes"]["sentence"].split("\n") == ["Said.", "A note."]
+    placed = page.data(seen_of(flight), ADDRESSES)["lists"]["refused"]
+    assert (placed["title"], placed["sentence"], placed["total"]) == ("Not placed 0", "Every photo is placed.", 1)
+
+
+def worst(flight: LocatedFlight) -> list[tuple[int, str]]:
+    return [(frame, lines[0]) for frame, _, lines in text.worst(seen_of(flight))]
+
+
+def test_the_worst_photo_is_first(flight: LocatedFlight) -> None:
+    assert (
+        worst(flight)
+        == [
+            (1, "? 45.0 m from its GPS tag (15.3 m allowed), registration, ± 1.0 m on this map"),
+            (2, "20.6 m from its GPS tag, sequence, ± 10.0 m on this map"),
+            (0, "1.0 m from its GPS tag, registration, ± 1.0 m on this map"),
+        ]
+        or worst(flight)[0][0] == 1
+    )
+    # The tag of photo1 is 45 m off where 15.3 m are allowed, 2.9 times as many; away from their middles 3.0 m are allowed.
+    of_map = compared(flight, 0, 10.0, 10.0, 10.0)
+    assert [frame for frame, _ in worst(of_map)[:2]] == [0, 1], "3.3 times"
+    assert "away from its middle 10.0 m, 3.0 m allowed" in worst(of_map)[0][1]
+    both = compared(of_map, 1, 12.0, 12.0, 12.0)
+    assert [frame for frame, _ in worst(both)[:2]] == [1, 0], "4 times, by the map"
+    # What contradicts another answer neither orders a photo nor is its limit.
+    far = with_answer(compared(flight, 0, 4.0, 4.0, 4.0), 0, "sequence", x=90.0, y=90.0, radius=1.0)
+    assert [frame for frame, _ in worst(far)[:2]] == [1, 0]
+    untagged = replace(flight, frames=[flight.frames[0], replace(flight.frames[1], tag=None), flight.frames[2]])
+    assert "from its place by sequence 45.3 m, 38.5 m allowed" in dict(worst(untagged))[1]
+
+
+def test_accuracy_has_three_rows_with_their_sources(flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch) -> None:
+    def rows(**changes: Any) -> dict[str, tuple[str, str]]:
+        return {name: (figure, source) for name, figure, source in text.accuracy(seen_of(replace(flight, **changes)))}
+
+    known = rows(map_error=0.8)
+    assert list(known) == ["On this map", "On earth", "GPS tags"]
+    assert known["On this map"][0] == "± 1.0 m"
+    assert "Details give ± 0.6 m, and the map is taken as ± 0.8 m" in known["On this map"][1]
+    assert "Not confirmed: 50 % of the tags lie within 3 radii, where 99 % should" in known["On this map"][1]
+    assert known["GPS tags"][0] == "5.0 m"
+    assert known["GPS tags"][1].startswith("Median of 3 photos, at most 45.0 m")
+    surveyed = rows(map_error=0.02, place_error=0.02)
+    assert surveyed["On earth"] == ("± 0.02 m", "The map was surveyed; lpn map --error tells its error.")
+    assert rows(frames=[replace(frame, stages={}) for frame in flight.frames]) == {}
+    note = "The map is made of 30 photos. Place and scale are those of the GPS tags, which lie 13.2 m from the photos."
+    monkeypatch.setattr(type(flight.basemap), "notes", [note])
+    assert rows()["On earth"] == ("", note.partition(". ")[2])
+
+
+def test_the_drone_has_a_place_and_a_tilt(flight: LocatedFlight) -> None:
+    covariance = np.diag([1.0, 1.0, 4.0, 1.0, 4.0, 4.0]).ravel().tolist()
+    pose = CameraPose(1.0, 2.0, 40.0, 40.0, 180.0, -93.0, 4.0, 70.0, "told", True, 40, covariance)
+
+    def drone(**changes: Any) -> str:
+        return text.drone(flight, with_answer(flight, 0, pose=pose, **changes).frames[0])
+
+    said = drone(camera=False)
+    assert "(±\N{NO-BREAK SPACE}1.0 m on this map), 21.1 m from its GPS tag, 40 m above the ground" in said
+    # 3 degrees to the back, which is north, and 4 to the side.
+    assert "looked 5.0° (±\N{NO-BREAK SPACE}2.0°) away from straight down, to the north-east" in said
+    # The pose is 1 m off on the map, whose own error is 2.4 m.
+    assert "(±\N{NO-BREAK SPACE}2.6 m on earth)" in drone(camera=False, map_error=2.4, place_error=2.0)
+    assert drone(x=1.0, y=2.0).startswith("Drone: there, 40 m above the ground")
+    assert drone().endswith("Its place rests on the tilt in the photo's file.")
+    assert text.drone(flight, flight.frames[0]) == ""
+
+
+def test_scores_are_painted_whole_or_by_a_part_where_windows_are_ranked(seen: FlightSnapshot) -> None:
+    values = np.linspace(0.2, 0.8, 15).astype(np.float32)
+    order = np.arange(15)
+    ranking: Any = SimpleNamespace(scores=values, cosines=np.column_stack([values, values[::-1]]), order=order)
+    names = ["centre", "outer"]
+    assert page.painting(seen, ranking, "off", names) is None
+    whole, outer = (page.painting(seen, ranking, painted, names) for painted in ("all", "1"))
+    assert whole is not None
+    assert outer is not None
+    assert (whole["label"], outer["label"]) == ("0.20 to 0.80, score", "0.20 to 0.80, cosine of outer")
+    # Windows lie 30 m apart: five columns and three rows of cells.
+    assert whole["bounds"] == [-75.0, -45.0, 75.0, 45.0]
+    cells = [_decoded(one["picture"]) for one in (whole, outer)]
+    assert cells[0].shape == (3, 5, 4)
+    assert (cells[0] == cells[1][::-1, ::-1]).all()
+    ranking.order = order[:5]
+    painted = page.painting(seen, ranking, "all", names)
+    assert painted is not None
+    assert painted["bounds"] == [-75.0, 15.0, 75.0, 45.0]
+    assert page.answer_window(seen, 7) == [0.0, 0.0, 60.0]
+
+
+def _decoded(uri: str) -> UInt8Array:
+    data = base64.b64decode(uri.partition(",")[2])
+    return np.asarray(cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED), np.uint8)
+
+
+def test_a_spot_lists_the_frames_that_show_it(seen: FlightSnapshot) -> None:
+    spot = page.spot(seen, (-20.0, 0.0))
+    assert 0 in spot["frames"]
+    assert 1 not in spot["frames"]
+    assert spot["list"]["sentence"].startswith(f"{len(spot['frames'])} of 3 photos show latitude 47.")
+    assert spot["list"]["entries"][0][2] == ["by its registration"]
+
+
+def test_pins_go_from_where_the_photo_has_a_detail_to_where_the_map_has_it(flight: LocatedFlight) -> None:
+    rows = [(0.25, 0.5, 0.0, 0.5), (0.75, 0.5, 0.3, -0.1)]
+    details = MatchedDetails(rows, 0.4, 0.9)
+    one = seen_of(with_answer(flight, 0, details=details))
+    pins = page.chosen(one, 0, ADDRESSES, None)["pins"]
+    np.testing.assert_allclose([pin[2:] for pin in pins], [row[2:] for row in rows], atol=0.011)
+    laid = one.homography(0)
+    assert laid is not None
+    on_map = details.on_map(laid, *SIZE)
+    np.testing.assert_allclose([[x + east, y + north] for x, y, east, north in pins], on_map, atol=0.011)
+    moved = np.array([[1.0, 0, 5], [0, 1, 0], [0, 0, 1]]) @ laid
+    # A photo that is moved by hand has its details elsewhere, and the map has them where it had them.
+    np.testing.assert_allclose(np.array(page.pins(moved, one.flight.frames[0]))[:, 2], [-5.0, -4.7], atol=0.011)
+    assert page.chosen(seen_of(flight), 0, ADDRESSES, None)["pins"] == []
+
+
+def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: LocatedFlight) -> None:
+    latitude, longitude = flight.basemap.frame.degrees([(30.0, 0.0)])[0].tolist()
+    picture = OwnPicture("mine.jpg", np.full((60, 80, 3), 90, np.uint8), (latitude, longitude))
+
+    def shown(answer: StageRecord | None, **job: Any) -> dict[str, Any]:
+        located = LocatedFrame(flight.frames[0].frame, None, {} if answer is None else {"registration": answer})
+        value = None if answer is None else OwnPhoto(located, whole_map=False)
+        given: Any = SimpleNamespace(value=value, error=None, done=1, total=8, **job)
+        return own_photo(seen, picture, given, ADDRESSES)
+
+    waits = shown(None)
+    assert (waits["frame"], waits["own"]["place"], waits["photo"]) == (-1, None, "")
+    assert waits["own"]["tag"] == pytest.approx([30.0, 0.0], abs=0.1)
+    assert "1 of 8 tries" in waits["card"]["headline"]
+    placed = shown(registered(-20.0, 1.0))
+    assert placed["own"]["place"] == [-20.0, 1.0]
+    assert placed["own"]["radius"] == 1.0
+    assert placed["own"]["outline"][4] is True
+    assert placed["photo"].startswith("data:image/jpeg")
+    assert placed["card"]["headline"].startswith("Placed by its details, ± 1.0 m")
+    assert placed["card"]["name"] == "mine.jpg"
+    refused = shown(StageRecord("refused", "Too few matches."))
+    assert (refused["own"]["place"], refused["homography"], refused["ground"]) == (None, None, "")
+    assert refused["card"]["sign"] is False
+    assert any("Too few matches." in line for line in refused["card"]["lines"])
+    assert any("only the most similar windows were searched" in line for line in refused["card"]["lines"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "good", "value", "bad"),
+    [
+        (part.Metres(2), "1.5,-2", (1.5, -2.0), ["1", "1,x", "1,2e9", [1, 2, 3], 5]),
+        (part.Metres(2), "", (), []),
+        (part.Tracks(), "tag.sequence", "tag.sequence", ["tag.other", 3]),
+        (part.Painted(), "1", "1", ["2", "-1", "heat", None]),
+    ],
+)
+def test_a_choice_is_one_of_the_panel(kind: Any, good: str, value: object, bad: list[object]) -> None:
+    workspace: Any = SimpleNamespace(contract=SimpleNamespace(n_parts=2))
+    assert kind.read(good, None, workspace) == value
+    assert kind.read(kind.write(value, None, workspace), None, workspace) == value
+    for one in bad:
+        with pytest.raises(UnusableError):
+            kind.read(one, None, workspace)
