@@ -5,10 +5,10 @@ from __future__ import annotations
 from queue import Queue
 from typing import Any
 
-from explorer.services import WorkspaceServices
 from explorer.screen.fields import needs_answer
 from explorer.screen.result import ScreenResult
 from explorer.screen.session import Screens, ScreenSession
+from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 from tools.fixtures.waiting import TIMEOUT
 

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from explorer.feeds import Feeds
 from explorer.failure_lab import state
 from explorer.failure_lab.service import FailureLab, Findings
 from explorer.failure_lab.state import LabState
 from explorer.flight_window.service import FlightService
+
+from explorer.feeds import Feeds
 from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace

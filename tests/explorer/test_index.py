@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.failure_lab.service import FailureLab
 
 import lpn
 from explorer.app import App
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model, open_source
 from explorer.screen import fields
 from explorer.screen.result import ScreenResult

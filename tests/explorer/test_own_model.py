@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.failure_lab.service import FailureLab
 
 import lpn
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model, open_source
 from explorer.workspace import Workspace
 from lpn.core.errors import StoreError

@@ -8,12 +8,12 @@ from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from explorer.compute.ranking_progress import RankingProgress
+from explorer.failure_lab.service import FailureLab
 
 import lpn
 from explorer.compute import scorings
 from explorer.compute.ranking_job import RankingJob
-from explorer.compute.ranking_progress import RankingProgress
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.screen import fields
 from explorer.workspace import LazyWorkspace, Workspace

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from explorer.failure_lab.service import FailureLab
 
 import explorer.app
 import explorer.cli
 import explorer.opening
 import lpn
 from explorer.cli import Explore
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.workspace import Workspace
 from lpn.cli.failures import FailuresCommand

@@ -21,8 +21,8 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import HeldBytes
-from explorer.server.auth import Authenticator
 from explorer.screen.terms import term
+from explorer.server.auth import Authenticator
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.errors import DataError

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.background_jobs import ReportProgress
+from explorer.feeds import Feeds
 from explorer.screen.downloads import Downloads
 from explorer.workspace import Workspace
 from lpn.core.errors import DataError

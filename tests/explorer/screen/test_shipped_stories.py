@@ -10,31 +10,32 @@ import pytest
 from explorer.opening import open_model
 from explorer.screen import fields
 from explorer.screen.panels.stories.story import NAME, Story, read_stories
-from explorer.screen.result import STRIP, as_session_state
-from explorer.workspace import StateAnalyser, StateAnalysis
+from explorer.screen.result import STRIP
+from explorer.workspace import WorkspaceAnalyser
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.numbers import signed
 from lpn.core.texts import ordinal
+from lpn.library.answer import Answer
 from lpn.retrieval import Match
 from lpn.tasks.task import scored_key
 
 STORIES = {story.name: story for story in read_stories(DEMO / NAME)}
 
 
-def negative(shown: StateAnalysis) -> Match:
+def negative(shown: Answer) -> Match:
     return next(match for match in shown.matches if not match.true)
 
 
-def positive(shown: StateAnalysis) -> Match:
+def positive(shown: Answer) -> Match:
     assert shown.positive is not None
     return shown.positive
 
 
-def margin(shown: StateAnalysis) -> float:
+def margin(shown: Answer) -> float:
     return negative(shown).distance2 - positive(shown).distance2
 
 
-def off_m(shown: StateAnalysis, match: Match) -> str:
+def off_m(shown: Answer, match: Match) -> str:
     assert shown.errors_m is not None
     return f"{shown.errors_m[match.index]:,.0f} m"
 
@@ -43,14 +44,14 @@ def adds(wrong: Match, part: int) -> str:
     return f"adds only {wrong.contributions[part]:.3f} to the wrong picture's difference of {wrong.distance2:.3f}"
 
 
-def costs_most(shown: StateAnalysis, part: int) -> float:
+def costs_most(shown: Answer, part: int) -> float:
     """Return what a part costs the true tile against the answer, and check that no other costs it more."""
     cost = positive(shown).contributions - shown.matches[0].contributions
     assert cost.argmax() == part
     return -float(cost[part])
 
 
-def prefer(shown: StateAnalysis, answer: tuple[int, ...], other: tuple[int, ...]) -> list[str]:
+def prefer(shown: Answer, answer: tuple[int, ...], other: tuple[int, ...]) -> list[str]:
     """Check which rings, from 1, prefer the answer to the tile that the verdict compares it with."""
     gains = shown.verdict.gains
     assert gains is not None
@@ -59,13 +60,13 @@ def prefer(shown: StateAnalysis, answer: tuple[int, ...], other: tuple[int, ...]
     return []
 
 
-def decides(shown: StateAnalysis, ring: int) -> list[str]:
+def decides(shown: Answer, ring: int) -> list[str]:
     assert shown.verdict.headline.startswith(f"Ring {ring} decides")
     return prefer(shown, (3, 4), (1, 2))
 
 
 # For each step: the first or compared tile, whether the true tile is first, and what the caption must say by the analysis.
-FACTS: dict[str, list[tuple[str, bool, Callable[[StateAnalysis], list[str]]]]] = {
+FACTS: dict[str, list[tuple[str, bool, Callable[[Answer], list[str]]]]] = {
     "A first look": [
         ("0394", True, lambda a: [f"with {len(a.task.gallery)} satellite tiles"]),
         ("0394", True, lambda _: ["magenta speaks for", "green against"]),
@@ -110,7 +111,7 @@ SCORINGS = {"A first look": "calibrated", "A twin": "plain", "Found": "csls", "N
 @pytest.mark.slow
 def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     workspace = open_model(DEMO, DEMO_MODEL)
-    analyser = StateAnalyser(workspace)
+    analyser = WorkspaceAnalyser(workspace)
     assert {name: len(story.steps) for name, story in STORIES.items()} == {
         name: len(one) for name, one in FACTS.items()
     }
@@ -119,7 +120,7 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
             state, problems = fields.from_address(step.shows, workspace)
             assert not problems
             assert (state.scoring, fields.parsed(step.shows)["scoring"]) == (SCORINGS[name],) * 2
-            shown = analyser.analyse(as_session_state(state, workspace), STRIP)
+            shown = analyser.analyse(workspace.ranking(state.task, state.scoring).task, state.question(), STRIP)
             assert shown.task.scoring == SCORINGS[name]
             assert shown.task.gallery[shown.chosen.index].name == compared, step.caption
             assert (positive(shown).rank == 1) is found, step.caption
@@ -140,7 +141,7 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     assert answers.count("0450") == 7
     assert "All eight pictures of this place fail, seven of them with this twin" in STORIES["Not found"].steps[0].notes
     state, _ = fields.from_address(STORIES["Not found"].steps[-1].shows, workspace)
-    shown = analyser.analyse(as_session_state(state, workspace), STRIP)
+    shown = analyser.analyse(workspace.ranking(state.task, state.scoring).task, state.question(), STRIP)
     places = shown.task.geometry
     assert places is not None
     apart = abs(places.ground[shown.chosen.index] - places.ground[positive(shown).index])
@@ -149,7 +150,7 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     turned = STORIES["A first look"].steps[3]
     state, _ = fields.from_address(turned.shows, workspace)
     angles = [state.with_value("angle", float(angle)) for angle in range(-180, 180, 15)]
-    ranks = [positive(analyser.analyse(as_session_state(one, workspace), STRIP)).rank for one in angles]
+    ranks = [positive(analyser.analyse(workspace.ranking(one.task, one.scoring).task, one.question(), STRIP)).rank for one in angles]
     assert set(ranks) == {1}, "it is found at every angle of the curve"
 
 
