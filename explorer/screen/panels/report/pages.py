@@ -38,13 +38,13 @@ def save_answer(tab: Tab) -> None:
 
 
 def save_worst(tab: Tab) -> None:
-    """Have the browser save a report of the worst queries that the list's search finds."""
+    """Have the browser save a report of the worst missed queries; what is typed into the list of commands finds none."""
     workspace, ranking = tab.workspace, tab.ranking
     if ranking.result is None:
         raise InputError("The photos are still being ranked; ask for their report when that is done.")
-    queries = listed_queries(replace(tab.state, filter="missed"), workspace, ranking)[:_WORST].tolist()
+    queries = listed_queries(replace(tab.state, filter="missed", find=""), workspace, ranking)[:_WORST].tolist()
     if not queries:
-        raise InputError("No photo of the list is missed; search for others, or for none.")
+        raise InputError("No photo is missed, so there is nothing to report; save an answer instead.")
     model = tab.background.queued(workspace.model, background=True)
     options = report.Options(selection="the worst failures", doubtful=_doubtful(workspace, ranking.task))
 

@@ -42,18 +42,23 @@ export const open = (box, context) => {
       button("✕", "Remove", () => put())));
   };
 
+  const draw = () => {
+    const names = [...shown.names, shown.new];
+    story.replaceChildren(...names.map((one) => make("option", { value: one, text: one === shown.new ? "New story" : one, selected: one === (shown.story || shown.new) })));
+    [tellIt.disabled, save.disabled, name.hidden, remove.hidden] = [!shown.steps.length, !shown.steps.length, !shown.own, !shown.own];
+    name.value = shown.story;
+    hint.textContent = shown.error || (shown.steps.length ? "" : "S keeps what is shown as the first step.");
+    const focused = /** @type {any} */ (document.activeElement)?.getAttribute("aria-label");
+    steps.replaceChildren(...shown.steps.map(row));
+    if (focused) find(`[aria-label="${CSS.escape(focused)}"]`, steps)?.focus();
+    foot.replaceChildren(remove, make("span", { text: `S keeps a step in ${shown.place}.` }));
+  };
   return {
     receive(message) {
       shown = message;
-      const names = [...shown.names, shown.new];
-      story.replaceChildren(...names.map((one) => make("option", { value: one, text: one === shown.new ? "New story" : one, selected: one === (shown.story || shown.new) })));
-      [tellIt.disabled, save.disabled, name.hidden, remove.hidden] = [!shown.steps.length, !shown.steps.length, !shown.own, !shown.own];
-      name.value = shown.story;
-      hint.textContent = shown.error || (shown.steps.length ? "" : "S keeps what is shown as the first step.");
-      const focused = /** @type {any} */ (document.activeElement)?.getAttribute("aria-label");
-      steps.replaceChildren(...shown.steps.map(row));
-      if (focused) find(`[aria-label="${CSS.escape(focused)}"]`, steps)?.focus();
-      foot.replaceChildren(remove, make("span", { text: `S keeps a step in ${shown.place}.` }));
+      // A button that is being pressed stays until it is clicked.
+      if (find(":active", steps)) addEventListener("pointerup", () => setTimeout(draw), { once: true });
+      else draw();
     },
     draw() {},
     close() {},

@@ -10,7 +10,7 @@ const STEPS = { ArrowRight: 1, ArrowDown: 1, PageDown: 1, " ": 1, Enter: 1, Arro
  * @param {{go: (search: string) => void, set: (values: any) => void, view: any}} context
  */
 export const tell = ({ name, steps }, { go, set, view }) => {
-  const { address, own } = view.state;
+  const { place, address, own } = view.state;
   const root = document.documentElement;
   let at = 0;
   const button = (sign, label, press) => {
@@ -51,7 +51,7 @@ export const tell = ({ name, steps }, { go, set, view }) => {
     bar.remove();
     delete root.dataset.told;
     dispatchEvent(new Event("resize"));
-    go(address);
+    go(`show=${encodeURIComponent(place)}&${address}`);
     if (own) set({ own });
   };
 
