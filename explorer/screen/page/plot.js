@@ -37,6 +37,8 @@ export const plot = async (box, chart) => {
   const [ink, soft, line] = ["--ink", "--soft", "--line"].map(variable);
   const text = chart.text ?? String;
   const axis = { stroke: soft, font: FONT, labelFont: FONT, labelSize: 18, grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1, size: 4 } };
+  // Of a logarithmic scale, the powers of ten have lines.
+  const lined = (log) => (log ? { filter: (_, splits) => splits.map((one) => (Number.isInteger(Math.log10(one)) ? one : null)) } : {});
   const stand = (drawn) => {
     if (chart.mark === undefined || chart.mark < drawn.scales.x.min || chart.mark > drawn.scales.x.max) return;
     const [at, { top, height }] = [drawn.valToPos(chart.mark, "x", true), drawn.bbox];
@@ -49,10 +51,10 @@ export const plot = async (box, chart) => {
       height: chart.height ?? 170,
       cursor: { drag: { x: false, y: false }, points: { size: 7 } },
       legend: { live: true },
-      scales: { x: { time: false, distr: chart.logX ? 3 : 1 }, y: { distr: chart.logY ? 3 : 1, dir: chart.down ? -1 : 1, ...(chart.range ? { range: chart.range } : {}) } },
+      scales: { x: { time: false, distr: chart.logX ? 3 : 1, ...(chart.logX ? { range: [chart.x[0], chart.x[chart.x.length - 1]] } : {}) }, y: { distr: chart.logY ? 3 : 1, dir: chart.down ? -1 : 1, ...(chart.range ? { range: chart.range } : {}) } },
       axes: [
-        { ...axis, label: chart.axes[0], size: 28, values: (_, values) => values.map((one) => (one === null ? "" : text(one))), ...(chart.ticks ? { splits: () => chart.ticks } : {}), ...(chart.turned ? { rotate: -60, size: 82 } : {}) },
-        { ...axis, label: chart.axes[1], size: 44 },
+        { ...axis, grid: { ...axis.grid, ...lined(chart.logX) }, ...(chart.axes[0] ? { label: chart.axes[0] } : {}), size: 28, values: (_, values) => values.map((one) => (one === null ? "" : text(one))), ...(chart.ticks ? { splits: () => chart.ticks, filter: (_, splits) => splits, grid: axis.grid } : {}), ...(chart.turned ? { rotate: -60, size: 82 } : {}) },
+        { ...axis, grid: { ...axis.grid, ...lined(chart.logY) }, label: chart.axes[1], size: 44 },
       ],
       series: [
         { label: chart.name, value: (_, one) => (one === null ? "" : text(one)) },

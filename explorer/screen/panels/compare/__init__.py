@@ -46,4 +46,4 @@ class _Compare(PanelPart):
             self._show_pair(pair)
 
 
-PANEL = Panel("compare", "Truth against answer, and a second model", _Compare, "c", "beside", (OTHER, TRIED))
+PANEL = Panel("compare", "Truth against answer, two models", _Compare, "c", "beside", (OTHER, TRIED))

@@ -9,7 +9,7 @@ const ordinal = (rank) => `${rank}${Math.floor(rank / 10) % 10 === 1 ? "th" : (P
 
 export const open = (box, { set, act, view }) => {
   const [pair, models] = [make("section", { class: "pair" }), make("section", { class: "models" })];
-  const page = make("div", { class: "compare" }, pair, models);
+  const page = make("div", { class: "compare fade" }, pair, models);
   box.append(page);
   const told = { pair: null, models: null };
   const lines = (texts) => texts.filter(Boolean).map((text) => make("p", { text }));
@@ -31,11 +31,11 @@ export const open = (box, { set, act, view }) => {
       pair.append(...lines([change]));
     }
     if (weights.length) {
-      const actions = make("div", { class: "actions" }, make("button", { text: "Use these weights" }));
+      const actions = make("div", { class: "actions" }, make("button", { class: "button", text: "Use these weights" }));
       find("button", actions).onclick = () => set({ weights });
       if (trying) actions.append(make("span", { text: "Ranking all photos" }));
       else if (!effect.length) {
-        const trial = make("button", { text: "Try on all photos" });
+        const trial = make("button", { class: "button", text: "Try on all photos" });
         trial.onclick = () => set({ compare_tried: "yes" });
         actions.append(trial);
       }
@@ -55,14 +55,14 @@ export const open = (box, { set, act, view }) => {
     if (!all) return;
     models.replaceChildren(make("h3", { text: "A second model" }));
     if (all.labels.length > 2) {
-      const choice = make("select", { "aria-label": "Second model" }, ...all.labels.map((text, value) => make("option", { text, value, disabled: value === all.own })));
+      const choice = make("select", { class: "field", "aria-label": "Second model" }, ...all.labels.map((text, value) => make("option", { text, value, disabled: value === all.own })));
       choice.value = all.other;
       choice.onchange = () => set({ compare_model: choice.value });
       models.append(choice);
     }
     models.append(...lines([all.text, all.unlike]));
     if (all.again) {
-      const again = make("button", { class: "again", text: "Try again" });
+      const again = make("button", { class: "button", text: "Try again" });
       again.onclick = () => act("again");
       models.append(again);
     }
@@ -72,12 +72,12 @@ export const open = (box, { set, act, view }) => {
     const [count, mine, theirs] = all.alone;
     const [one, other] = all.columns.map((of) => of.model);
     models.append(...lines([`Of ${count.toLocaleString("en")} photos, ${one} alone finds ${mine.toLocaleString("en")}, and ${other} alone ${theirs.toLocaleString("en")}.`]),
-      ...photos(`${other} is better`, all.better), ...photos(`${other} is worse`, all.worse));
+      ...photos(`${other} ranks better: truth by ${one} → by ${other}`, all.better), ...photos(`${other} ranks worse`, all.worse));
   };
   const column = ({ model, parts, recall, sign: found, rank, headline, tiles }) => {
     const most = Math.max(...tiles.map((tile) => Number(tile.distance)), 1e-9);
     const verdict = found === null ? "" : make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : `✗ Missed${rank && `, truth ${rank}`}` });
-    return make("div", { class: "column" }, make("h4", { text: model.replace(/\.onnx$/, "") }), make("p", { text: `${parts}${recall && `, R@1 ${recall}`}` }), make("p", {}, verdict), make("p", { text: headline }),
+    return make("div", { class: "column" }, make("h4", { text: model }), make("p", { text: `${parts}${recall && `, R@1 ${recall}`}` }), make("p", {}, verdict), make("p", { text: headline }),
       ...tiles.map((tile) => {
         const image = make("u", { class: "image", style: tile.src ? { "background-image": `url("${tile.src}")` } : {} });
         const button = make("button", { class: "one", title: `Compare ${tile.name}`, "aria-label": `${tile.rank}: ${tile.name}, distance ${tile.distance}` },

@@ -67,7 +67,7 @@ class SecondModel:
         base, number = self._tab.services.workspace, self._number(result.state)
         if not base.beside:
             return ModelsMessage(None)
-        labels = [base.model_name, *(one.label for one in base.beside)]
+        labels = [label.removesuffix(".onnx") for label in (base.model_name, *(one.label for one in base.beside))]
         shown = {"labels": labels, "own": int(result.state.model), "other": number, "text": "", "again": False}
         lazy = base.beside[number - 1] if number else None
         if lazy is not None and not lazy.asked:
@@ -133,7 +133,7 @@ class SecondModel:
         ]
         n = workspace.contract.n_parts
         return {
-            "model": workspace.model_name,
+            "model": workspace.model_name.removesuffix(".onnx"),
             "parts": f"{n} {workspace.contract.part_noun}s" if n > 1 else "one part",
             "recall": "" if recall is None else f"{recall:.1f} %",
             "sign": verdict.sign,

@@ -17,6 +17,8 @@ from lpn.explain import lead_cells
 from lpn.explain.counterfactual import Effect
 from lpn.retrieval import Match, scoring
 
+# The lead is that of rounded distances, and differs from the cells' sum by less than this.
+_ROUNDED = 0.002
 # The screen's weights have two digits: each factor goes a little further along the change, until rounded ones do.
 _FURTHER = (1.0, 1.01, 1.03, 1.1, 1.25, 1.5, 2.0)
 
@@ -114,7 +116,9 @@ class TilePair:
         cells = lead_cells(analysis.query.trace, analysis.ranking.weights, *tiles)
         lead = shown_difference(compared.other.distance2, compared.followed.distance2)
         at, nowhere = rounded_to_sum([float(cells.sum()), lead - float(cells.sum())], total=lead)
-        rest = f" {signed(nowhere)} has no place, such as CSLS." if abs(nowhere) >= 0.002 else ""
+        if abs(nowhere) < _ROUNDED:
+            at = lead
+        rest = f" {signed(nowhere)} has no place, such as CSLS." if at != lead else ""
         said = f"Magenta places speak for the {'truth' if compared.followed.true else 'answer'}, green for the other tile: "
         return {"photo": self.result.painted(cells), "places": f"{said}{signed(at)} together.{rest}"}
 

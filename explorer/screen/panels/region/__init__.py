@@ -11,6 +11,7 @@ from explorer.screen.fields import PanelField, ScreenState
 from explorer.screen.panel import Panel, PanelPart
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
+from lpn.core.errors import InputError
 from lpn.core.texts import ordinal
 from lpn.library.analyser import start_search
 
@@ -65,10 +66,11 @@ def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
     if not region:
         return shown
     whole = analysis.ranking
-    search = start_search(
-        result.task, None if result.state.own else result.state.query, analysis.query, region, whole.weights
-    )
-    ranking = search(whole.weights)
+    try:
+        query = None if result.state.own else result.state.query
+        ranking = start_search(result.task, query, analysis.query, region, whole.weights)(whole.weights)
+    except InputError as error:  # all of it lies outside the parts that count
+        return shown | {"said": [str(error)]}
     truth, matches = ranking.positive(), ranking.top(_TILES)
     if truth is not None and truth.rank > _TILES:
         matches = [*matches[:-1], truth]
@@ -86,9 +88,8 @@ def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
         for match in matches
     ]
     said = [f"The tiles by {len(region):,} of {rows * columns:,} cells alone."]
-    if truth is not None:
-        was = whole.find(truth.index).rank
-        said.append(f"The truth is {ordinal(truth.rank)}, and by the whole photo {ordinal(was)}.")
+    if truth is not None and (before := whole.positive()) is not None:
+        said.append(f"The truth is {ordinal(truth.rank)}, and by the whole photo {ordinal(before.rank)}.")
     said.append("A region lacks what other cells add, so these distances are larger than the whole photo's.")
     return shown | {"tiles": tiles, "said": said}
 

@@ -10,8 +10,8 @@ export const open = (box, { set, view }) => {
   const figure = makePicture();
   const grid = make("canvas", { class: "cells", tabindex: 0, role: "application", "aria-label": "Cells of the photo: arrows move, Space paints or erases" });
   figure.querySelector(".pan").append(grid);
-  const [why, said, tiles] = [make("p"), make("div", { class: "said", "aria-live": "polite" }), make("div", { class: "tiles" })];
-  const clear = make("button", { class: "clear", text: "Clear" });
+  const [why, said, tiles] = [make("p"), make("div", { class: "said fade", "aria-live": "polite" }), make("div", { class: "tiles fade" })];
+  const clear = make("button", { class: "clear button", text: "Clear" });
   const page = make("div", { class: "region" }, why, figure, clear, said, tiles);
   box.append(page);
   let told = null;

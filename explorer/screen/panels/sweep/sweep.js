@@ -6,7 +6,7 @@ import { plot } from "../../page/plot.js";
 const AXES = { rotation: "degrees counter-clockwise", shift: "pixels to the right", "shift-down": "pixels down", zoom: "zoom", weather: "" };
 
 export const open = (box, { set, view }) => {
-  const [choices, state, charts, said] = ["choices", "state", "charts", "said"].map((name) => make("div", { class: name }));
+  const [choices, state, charts, said] = ["chips", "state soft", "charts", "said"].map((name) => make("div", { class: name }));
   const [rank, distance, shares] = ["rank", "distance", "shares"].map((name) => make("div", { class: `chart ${name}` }));
   charts.append(rank, distance, shares);
   const page = make("div", { class: "sweep" }, choices, state, charts, said);
@@ -18,7 +18,7 @@ export const open = (box, { set, view }) => {
   const draw = () => {
     if (!told) return;
     choices.replaceChildren(...Object.entries(told.choices).map(([over, label]) => {
-      const button = make("button", { text: label, "aria-pressed": String(over === told.over) });
+      const button = make("button", { class: "chip", text: label, "aria-pressed": String(over === told.over) });
       button.onclick = () => set({ sweep_over: over });
       return button;
     }));
@@ -32,6 +32,7 @@ export const open = (box, { set, view }) => {
       x: told.x, axes: [AXES[told.over], ""], name: told.over === "weather" ? "weather" : told.choices[told.over].toLowerCase(), text, dots: true, mark: told.now, logX: told.over === "zoom",
       ...(told.over === "rotation" ? { pick: (at) => set({ angle: told.x[at] }), ticks: [-180, -90, 0, 90, 180] } : {}),
       ...(weathers ? { ticks: told.x, turned: true } : {}),
+      ...(told.over === "zoom" ? { ticks: [0.5, 0.7, 1, 1.4, 2] } : {}),
     };
     const many = Math.max(...told.rank) > 1;
     const [ink, soft] = [variable("--ink"), variable("--soft")];

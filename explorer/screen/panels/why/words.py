@@ -172,6 +172,9 @@ def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:
         elif (
             result.first.true and not result.question.change and (known := workspace.outcomes(result.task)) is not None
         ):
+            rival = analysis.verdict.rival
+            if rival is not None and rival.rank > 2:
+                said.append(f"It leads the nearest wrong tile by {analysis.verdict.lead:.3f}.")
             said.append(answer_context.describe_lead(known[0], analysis.verdict.lead))
         if result.question.change:
             said.append("That counts photos as they were taken; this one is turned.")
