@@ -3,6 +3,7 @@ import js from "@eslint/js";
 import globals from "globals";
 
 export default [
+  { ignores: ["**/screen/vendor/"] },
   js.configs.recommended,
   {
     files: ["**/*.js"],
@@ -15,5 +16,5 @@ export default [
       "prefer-const": ["error", { destructuring: "all" }],
     },
   },
-  { files: ["**/screen/page/*.js"], languageOptions: { sourceType: "module" } },
+  { files: ["**/screen/page/*.js", "**/screen/panels/**/*.js"], languageOptions: { sourceType: "module" } },
 ];

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -100,11 +101,10 @@ def decode(text: str, task: Task) -> Int64Array:
     if not text:
         return np.arange(queries)
     size, packed = (queries + 7) // 8, b""
-    try:
-        packed = zlib.decompressobj().decompress(base64.urlsafe_b64decode(text[4:].encode("ascii")), size + 1)
-    except (ValueError, zlib.error):
-        pass
-    if len(packed) != size or text[:4] != _digits(task):
+    unpacking = zlib.decompressobj()
+    with suppress(ValueError, zlib.error):
+        packed = unpacking.decompress(base64.urlsafe_b64decode(text[4:].encode("ascii")), size + 1)
+    if len(packed) != size or not unpacking.eof or text[:4] != _digits(task):
         raise UnusableError("expected the queries of a lasso on this task.")
     return np.flatnonzero(np.unpackbits(np.frombuffer(packed, np.uint8))[:queries])
 

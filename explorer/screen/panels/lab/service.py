@@ -118,10 +118,10 @@ class MapPoints:
 
 def map_kinds(task: Task) -> dict[MapKind, str]:
     """Return the maps that a task has, by what they are called: UMAP needs its extra, and has a limit."""
-    kinds: dict[MapKind, str] = {} if task.geometry is None else {"ground": "On the ground"}
-    kinds["pca"] = "Descriptors, PCA"
+    kinds: dict[MapKind, str] = {} if task.geometry is None else {"ground": "Ground"}
+    kinds["pca"] = "PCA"
     few = len(task.queries) + len(task.gallery) <= embedding_map.MOST_FOR_UMAP
-    return kinds | ({"umap": "Descriptors, UMAP"} if few and find_spec("umap") is not None else {})
+    return kinds | ({"umap": "UMAP"} if few and find_spec("umap") is not None else {})
 
 
 class Lab:
