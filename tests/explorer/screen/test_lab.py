@@ -18,8 +18,8 @@ from explorer.parameters import UnusableError
 from explorer.screen import fields
 from explorer.screen.fields import ScreenState
 from explorer.screen.panels.lab import charts, points, table
-from explorer.screen.panels.lab.selection import PICKED, WHERE, Selection, decode, encode
-from explorer.screen.panels.lab.service import Findings, chosen_places, lab_of
+from explorer.screen.panels.lab.selection import PICKED, WHERE, LabSelection, decode, encode
+from explorer.screen.panels.lab.service import LabFindings, chosen_places, lab_of
 from explorer.workspace import Workspace
 from lpn.analysis import breakdown
 from lpn.core.errors import InputError
@@ -52,7 +52,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_pa
 
 
 @pytest.fixture(scope="module")
-def findings(workspace: Workspace) -> Findings:
+def findings(workspace: Workspace) -> LabFindings:
     lab = lab_of(workspace)
     job = lab.build(TASK, workspace)
     assert job.wait(120)
@@ -93,7 +93,7 @@ def fetched(app: App, address: str) -> bytes:
     return content
 
 
-def test_picked_queries_are_a_text_of_their_task(findings: Findings, workspace: Workspace) -> None:
+def test_picked_queries_are_a_text_of_their_task(findings: LabFindings, workspace: Workspace) -> None:
     task, other = findings.task, workspace.tasks["satellite-to-drone"]
     for rows in ([], [0], [2, 3, 12], list(range(13))):
         assert decode(encode(np.array(rows, np.int64), task), task).tolist() == rows
@@ -107,37 +107,39 @@ def test_picked_queries_are_a_text_of_their_task(findings: Findings, workspace: 
     assert again[PICKED] == code
     assert not problems
     # Another task drops nothing of the address, but shows all its queries.
-    elsewhere = Selection.of(replace(findings, task=other), replace(state), "")
+    elsewhere = LabSelection.of(replace(findings, task=other), replace(state), "")
     assert len(elsewhere.picked) == len(findings.table)
 
 
-def test_outcome_filter_and_picked_queries_select_together(findings: Findings, workspace: Workspace) -> None:
+def test_outcome_filter_and_picked_queries_select_together(findings: LabFindings, workspace: Workspace) -> None:
     failed = np.flatnonzero(findings.graded.failed)
     picked = encode(failed[:2], findings.task)
     state = state_of(workspace, lab_show="missed", lab_picked=picked, lab_sort="-rank")
-    assert Selection.of(findings, state, "").rows().tolist() == failed[:2].tolist()
-    everything = Selection.of(findings, state_of(workspace, lab_sort="-rank"), "")
+    assert LabSelection.of(findings, state, "").rows().tolist() == failed[:2].tolist()
+    everything = LabSelection.of(findings, state_of(workspace, lab_sort="-rank"), "")
     ranks = findings.outcomes.rank[everything.ordered()]
     assert (np.diff(ranks) <= 0).all()
-    near = Selection.of(findings, state_of(workspace, lab_show="near"), "").rows()
+    near = LabSelection.of(findings, state_of(workspace, lab_show="near"), "").rows()
     assert near.tolist() == [row for row in failed if findings.outcomes.rank[row] < 5]
 
 
-def test_a_filter_that_cannot_be_read_keeps_the_last_one_and_says_why(findings: Findings, workspace: Workspace) -> None:
+def test_a_filter_that_cannot_be_read_keeps_the_last_one_and_says_why(
+    findings: LabFindings, workspace: Workspace
+) -> None:
     wrong = state_of(workspace, lab_where="rank >")
-    selection = Selection.of(findings, wrong, "wind > 120")
+    selection = LabSelection.of(findings, wrong, "wind > 120")
     with pytest.raises(InputError) as error:
         findings.table.filter(findings.table.rows(), "rank >")
     assert selection.error == str(error.value)
     assert (findings.table.columns["wind"].values[selection.rows()] > 120).all()
-    assert Selection.of(findings, wrong, "no such > 1").where == ""
+    assert LabSelection.of(findings, wrong, "no such > 1").where == ""
 
 
 def test_each_line_of_a_chart_selects_its_queries_and_a_second_click_returns(
-    findings: Findings, workspace: Workspace
+    findings: LabFindings, workspace: Workspace
 ) -> None:
     state = state_of(workspace, lab_where="wind > 90")
-    selection = Selection.of(findings, state, "")
+    selection = LabSelection.of(findings, state, "")
     message = charts.message(selection, selection.rows())
     titles = [card["title"] for card in message["cards"]]
     assert {"Missed by weather", "Missed by wind"} < set(titles)
@@ -145,7 +147,7 @@ def test_each_line_of_a_chart_selects_its_queries_and_a_second_click_returns(
         for place, line in enumerate(card["lines"]):
             assert not line["chosen"]
             clicked = fields.changed(state, line["click"], workspace)[0]
-            chosen = Selection.of(findings, clicked, "")
+            chosen = LabSelection.of(findings, clicked, "")
             assert not chosen.error
             rows = chosen.rows()
             again = charts.message(chosen, rows)["cards"]
@@ -164,8 +166,8 @@ def test_each_line_of_a_chart_selects_its_queries_and_a_second_click_returns(
                 assert findings.graded.failed[rows].all()
 
 
-def test_bars_of_margins_and_recall_count_the_selected_queries(findings: Findings, workspace: Workspace) -> None:
-    selection = Selection.of(findings, state_of(workspace), "")
+def test_bars_of_margins_and_recall_count_the_selected_queries(findings: LabFindings, workspace: Workspace) -> None:
+    selection = LabSelection.of(findings, state_of(workspace), "")
     message = charts.message(selection, selection.rows())
     graded = findings.graded
     assert sum(message["margins"]["found"]) == graded.hits.sum()
@@ -175,11 +177,11 @@ def test_bars_of_margins_and_recall_count_the_selected_queries(findings: Finding
         assert percent == pytest.approx(100 * ((graded.rank >= 0) & (graded.rank < k)).mean())
 
 
-def test_a_query_whose_judge_is_in_doubt_counts_nowhere(findings: Findings, workspace: Workspace) -> None:
+def test_a_query_whose_judge_is_in_doubt_counts_nowhere(findings: LabFindings, workspace: Workspace) -> None:
     failed = np.flatnonzero(findings.graded.failed)
     doubtful = np.isin(np.arange(13), failed[:1])
     doubted = replace(findings, doubtful=doubtful)
-    selection = Selection.of(doubted, state_of(workspace), "")
+    selection = LabSelection.of(doubted, state_of(workspace), "")
     head = table.message(selection, selection.rows())
     assert head["counts"]["missed"] == len(failed) - 1
     assert head["graded"] == 12
@@ -188,7 +190,7 @@ def test_a_query_whose_judge_is_in_doubt_counts_nowhere(findings: Findings, work
     assert points.colours(doubted, "").codes[failed[0]] == points.UNKNOWN
 
 
-def test_the_map_has_all_places_and_a_lasso_picks_those_inside(workspace: Workspace, findings: Findings) -> None:
+def test_the_map_has_all_places_and_a_lasso_picks_those_inside(workspace: Workspace, findings: LabFindings) -> None:
     job = lab_of(workspace).points("ground", TASK, workspace)
     assert job.wait(120)
     found = job.value
@@ -209,7 +211,7 @@ def test_the_map_has_all_places_and_a_lasso_picks_those_inside(workspace: Worksp
     assert np.flatnonzero(marked[:, 0] & 2).tolist() == np.flatnonzero(findings.graded.failed).tolist()
 
 
-def test_a_tab_walks_the_rows_of_its_table(tab: Tab, app: App, findings: Findings) -> None:
+def test_a_tab_walks_the_rows_of_its_table(tab: Tab, app: App, findings: LabFindings) -> None:
     tab.open("?panel=lab&rows=missed&sort=-rank")
     head = told(tab, "table", sort="rank", descending=True)
     rows = [query for query, _ in json.loads(fetched(app, f"{head['address']}{head['feed']}0"))]
@@ -235,7 +237,7 @@ def test_a_lasso_and_marked_rows_are_picked(tab: Tab) -> None:
     assert told(tab, "table", picked=0)["total"] == 13
 
 
-def test_a_second_model_adds_its_ranks(tab: Tab, findings: Findings, workspace: Workspace) -> None:
+def test_a_second_model_adds_its_ranks(tab: Tab, findings: LabFindings, workspace: Workspace) -> None:
     tab.open("?panel=lab&ranks-of=1")
     told(tab, "query")
     tab.until(lambda last: last["panel"]["message"].get("table", {}).get("models"))

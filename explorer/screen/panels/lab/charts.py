@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from explorer.screen.panels.lab.selection import PICKED, Selection, encode
-from explorer.screen.panels.lab.service import Findings
+from explorer.screen.panels.lab.selection import PICKED, LabSelection, encode
+from explorer.screen.panels.lab.service import LabFindings
 from lpn.analysis import breakdown
 from lpn.analysis.answer_context import describe_failures
 from lpn.analysis.near_duplicates import MAX_TILES, NearDuplicate, near_duplicates, shows_places
@@ -25,7 +25,7 @@ _NO_PROPERTY = ("latitude", "longitude", REASON)
 _AND = " and "
 
 
-def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
+def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
     """Return all charts of the selected queries; a choice made in a card does not narrow this card."""
     findings = selection.findings
     stages = () if findings.flight is None else [column.name for column in stage_columns(findings.flight)]
@@ -38,7 +38,7 @@ def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
     }
 
 
-def _margins(findings: Findings, rows: Int64Array) -> dict[str, list[float]]:
+def _margins(findings: LabFindings, rows: Int64Array) -> dict[str, list[float]]:
     """Return the middles of bars of margins, and how many found and missed queries each has."""
     margins, graded = findings.outcomes.margin, findings.graded
     limit = float(np.nanmax(np.abs(margins))) if np.isfinite(margins).any() else 1.0
@@ -51,7 +51,7 @@ def _margins(findings: Findings, rows: Int64Array) -> dict[str, list[float]]:
     }
 
 
-def _recall(findings: Findings, rows: Int64Array) -> dict[str, Any]:
+def _recall(findings: LabFindings, rows: Int64Array) -> dict[str, Any]:
     """Return in how many percent of the graded queries the truth is among the first k tiles, also by the second model."""
     known = rows[findings.graded.known[rows]]
     if not len(known):
@@ -85,7 +85,7 @@ class _Card:
 
     def __init__(
         self,
-        selection: Selection,
+        selection: LabSelection,
         title: str,
         conditions: Iterable[str] = (),
         codes: Sequence[str] = (),
@@ -135,7 +135,7 @@ def _quoted(text: str) -> str:
     return f'"{text}"'
 
 
-def _cards(selection: Selection) -> Iterator[dict[str, Any]]:
+def _cards(selection: LabSelection) -> Iterator[dict[str, Any]]:
     findings = selection.findings
     if len(findings.part_names) > 1:
         yield _parts(selection)
@@ -152,7 +152,7 @@ def _cards(selection: Selection) -> Iterator[dict[str, Any]]:
             yield _rates(selection, column, rates)
 
 
-def _parts(selection: Selection) -> dict[str, Any]:
+def _parts(selection: LabSelection) -> dict[str, Any]:
     findings = selection.findings
     failed, deciding = findings.graded.failed, findings.outcomes.deciding_part
     conditions = [f"rank > 1 and part = {_quoted(name)}" for name in findings.part_names]
@@ -164,7 +164,7 @@ def _parts(selection: Selection) -> dict[str, Any]:
     return card.finished()
 
 
-def _pairs(selection: Selection) -> dict[str, Any]:
+def _pairs(selection: LabSelection) -> dict[str, Any]:
     findings, task = selection.findings, selection.findings.task
     whole, names, conditions = {}, {}, {}
     for one in breakdown.confusions(findings.graded, task.query_labels, task.gallery_labels):
@@ -182,7 +182,7 @@ def _pairs(selection: Selection) -> dict[str, Any]:
     return card.finished()
 
 
-def _hubs(selection: Selection) -> dict[str, Any]:
+def _hubs(selection: LabSelection) -> dict[str, Any]:
     findings, task = selection.findings, selection.findings.task
     whole = {one.tile: one.queries for one in breakdown.hubs(findings.graded, task.query_labels)}
     conditions = {tile: f"rank > 1 and answer = {_quoted(task.gallery[tile].name)}" for tile in whole}
@@ -197,7 +197,7 @@ def _hubs(selection: Selection) -> dict[str, Any]:
     return card.finished()
 
 
-def _alike(selection: Selection) -> dict[str, Any]:
+def _alike(selection: LabSelection) -> dict[str, Any]:
     task, about = selection.findings.task, "tiles of two places that look alike to the model"
     card = _Card(selection, "Near-duplicates", about=about, term="near-duplicate")
     for pair in _near_duplicates(task):
@@ -218,7 +218,7 @@ def _apart(task: Task, pair: NearDuplicate) -> str:
     return f", {metres:,.0f} m apart" if np.isfinite(metres) else ""
 
 
-def _rates(selection: Selection, column: Column, rates: Sequence[breakdown.Rate]) -> dict[str, Any]:
+def _rates(selection: LabSelection, column: Column, rates: Sequence[breakdown.Rate]) -> dict[str, Any]:
     """Return the shares of missed queries in the bins of a column, among the selected ones that this card leaves.
 
     The bins are those of all queries. If all or none of the selected ones are missed, all queries are counted.

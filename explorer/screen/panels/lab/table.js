@@ -46,7 +46,9 @@ export class QueryTable {
       });
       this.grid.on("tableBuilt", () => {
         this.holder = find(".tabulator-tableholder", this.inner);
-        this.holder.setAttribute("aria-label", "Queries: arrow keys walk, Space marks a row");
+        find(".tabulator", this.inner.parentElement).setAttribute("aria-label", "Queries: arrow keys walk, Space marks a row");
+        this.holder.setAttribute("role", "rowgroup"); // it has the focus, so that it needs a role
+        find(".tabulator-table", this.holder).setAttribute("role", "presentation");
         this.holder.addEventListener("scroll", () => this.fill());
         this.queries = [];
         this.choose(this.at);
