@@ -1,8 +1,12 @@
-"""The files of the page at `/`: one template, style sheets, and ES modules, as they lie in `page`, `vendor`, and the panels."""
+"""The files of the page at `/`: one template, style sheets, and ES modules, as they lie in `page`, `vendor`, and the panels.
+
+`screen/terms.json` has the meanings of the glossary's terms.
+"""
 
 from __future__ import annotations
 
 import gzip
+import json
 import re
 from functools import lru_cache
 from hashlib import sha256
@@ -14,9 +18,10 @@ from websockets.http11 import Response
 
 from explorer.screen.panels import folder
 from explorer.server.auth import HttpRequest
+from explorer.web import terms
 
 _SCREEN = Path(__file__).parent
-_KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript"}
+_KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".md": "application/json"}
 _FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js))", re.ASCII)
 # Folders below which viser's own page lies: the former page, and the scene of a tab.
 _SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
@@ -36,7 +41,9 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
         zipped: the browser reads gzip.
     """
     place = request.path.partition("?")[0]
-    if match := _FILE.fullmatch(place):
+    if place.endswith("/screen/terms.json"):
+        file: Path | None = terms.GLOSSARY
+    elif match := _FILE.fullmatch(place):
         of_panel = folder(match[2]) if match[2] else _SCREEN / match[1]
         file = None if of_panel is None else of_panel / match[3]
     elif place.endswith("/") and not place.endswith(_CLASSIC) and scene_of(place) is None:
@@ -59,5 +66,5 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
 @lru_cache(maxsize=64)
 def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
     """Return a file, perhaps compressed, and the tag of this state of it."""
-    content = file.read_bytes()
+    content = json.dumps(terms.meanings()).encode() if file == terms.GLOSSARY else file.read_bytes()
     return gzip.compress(content, mtime=0) if zipped else content, f'"{sha256(content).hexdigest()[:16]}"'

@@ -8,11 +8,8 @@ from pathlib import Path
 
 from markupsafe import Markup
 
-from lpn.drawing import words
-
 GLOSSARY = Path(__file__).with_name("glossary.md")
 _ROW = re.compile(r"^\| \*\*(?P<term>[^*]+)\*\* \| (?P<meaning>.+) \|$", re.MULTILINE)
-_TERM = Markup('<span class="term" tabindex="0" data-tip="{}">{}</span>')
 
 
 @cache
@@ -26,19 +23,19 @@ def term(name: str, text: str | None = None) -> Markup:
 
     Args:
         name: the term, as the glossary has it.
-        text: the words shown in its place; by default those of the vocabulary that is spoken.
+        text: the words shown in its place.
 
     Raises:
         KeyError: when the glossary lacks it.
     """
-    if text is None and words.plain() and name in words.WORDS:
-        text = words.say(name)
-    return _TERM.format(f"{name}: {meanings()[name]}", text or name)
+    if name not in meanings():
+        raise KeyError(name)
+    return Markup('<span class="term" tabindex="0" data-term="{}">{}</span>').format(name, text or name)
 
 
 def explained(text: str, meaning: str) -> Markup:
     """Return words whose meaning, which no glossary has, appears as that of a term does."""
-    return _TERM.format(meaning, text)
+    return Markup('<span class="term" tabindex="0" data-tip="{}">{}</span>').format(meaning, text)
 
 
 def _plain(markdown: str) -> str:

@@ -10,6 +10,7 @@ import { markFocus, photoTurn, rollPicture, showPicture } from "./pictures.js";
 import { RailList } from "./rail.js";
 import { showRows, showStrip, showSums, sign } from "./rows.js";
 import { SceneFrame } from "./scene.js";
+import "./terms.js";
 import { makeTurnable } from "./turn.js";
 
 const STEP = 15; // degrees of a key

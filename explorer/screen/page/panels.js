@@ -17,6 +17,7 @@ export class Panels {
     this.panel = null;
     /** @type {any[]} */
     this.waiting = [];
+    /** @type {any} */
     this.before = null;
     find(".close", box).onclick = () => this.close();
   }

@@ -18,6 +18,7 @@ from explorer.app import App
 from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.server.auth import Authenticator
+from explorer.web.terms import term
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.explain.occlusion import occlude
@@ -49,6 +50,15 @@ def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_
     assert get(app, "/screen/page/nothing.js")[0] == 404
     assert get(app, "/screen/page/../session.py")[0] == 404
     assert b"viser" in get(app, "/classic/")[2].lower()
+
+
+def test_the_page_gets_the_meanings_of_terms_and_panels_name_no_others(app: App) -> None:
+    status, headers, body = get(app, "/screen/terms.json")
+    assert (status, headers.get_content_type()) == (200, "application/json")
+    assert json.loads(body)["distance"].startswith("How far two descriptors lie apart")
+    assert term("margin", "Lead <1>") == '<span class="term" tabindex="0" data-term="margin">Lead &lt;1&gt;</span>'
+    with pytest.raises(KeyError):
+        term("no such term")
 
 
 def test_a_browser_gets_a_file_again_only_if_it_has_changed(app: App) -> None:

@@ -1,0 +1,58 @@
+// The meaning of a term of the glossary, beside it: under the mouse, at the focus, or after a tap. Escape hides it.
+
+import { find, make } from "./dom.js";
+
+const GAP = 6;
+
+/** A term that explains itself, for panels: `text` stands in place of its name. A panel's Python makes it by `term()`. */
+export const term = (name, text = name) => make("span", { class: "term", tabindex: 0, "data-term": name, text });
+/** Words that the glossary has not, with their meaning. */
+export const explained = (text, meaning) => make("span", { class: "term", tabindex: 0, "data-tip": meaning, text });
+
+/** @type {Promise<Record<string, string>> | null} */
+let loading = null;
+/** @returns {Promise<Record<string, string>>} the meanings of all terms by their names */
+export const meanings = () =>
+  (loading ??= fetch("screen/terms.json").then((answer) => answer.json()).catch(() => {
+    loading = null;
+    return {};
+  }));
+
+/** @type {any} */
+let shown = null;
+const hide = () => {
+  find("#tip")?.remove();
+  shown?.removeAttribute("aria-describedby");
+  shown = null;
+};
+const show = async (one) => {
+  if (one === shown) return;
+  hide();
+  shown = one;
+  const { term: name, tip: own } = one.dataset;
+  const text = own ?? `${name}: ${(await meanings())[name] ?? ""}`;
+  if (one !== shown) return;
+  // A modal dialog covers what lies outside it.
+  const tip = (one.closest("dialog") ?? document.body).appendChild(make("div", { id: "tip", role: "tooltip", text }));
+  one.setAttribute("aria-describedby", "tip");
+  const box = one.getBoundingClientRect();
+  const below = box.bottom + GAP + tip.offsetHeight < innerHeight;
+  tip.style.left = `${Math.max(GAP, Math.min(box.left, innerWidth - tip.offsetWidth - GAP))}px`;
+  tip.style.top = `${Math.max(GAP, below ? box.bottom + GAP : box.top - GAP - tip.offsetHeight)}px`;
+};
+
+const termAt = (event) => event.target.closest?.(".term");
+document.addEventListener("pointerover", (event) => {
+  if (event.pointerType !== "mouse") return;
+  const one = termAt(event) ?? find(".term:focus-visible");
+  if (one) show(one);
+  else hide();
+});
+for (const kind of ["focusin", "click"])
+  document.addEventListener(kind, (event) => {
+    const one = termAt(event);
+    if (one) show(one);
+    else hide();
+  });
+document.addEventListener("scroll", hide, true);
+document.addEventListener("keydown", (event) => event.key === "Escape" && hide(), true);
