@@ -17,7 +17,15 @@ from explorer.screen.fields import ScreenState
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.lab import charts, points, table
 from explorer.screen.panels.lab.selection import COLOUR, FIELDS, MAP, PICKED, SECOND, TAB, LabSelection, encode
-from explorer.screen.panels.lab.service import Lab, LabFindings, PlaneKind, PlanePoints, chosen_places, lab_of, map_kinds
+from explorer.screen.panels.lab.service import (
+    Lab,
+    LabFindings,
+    PlaneKind,
+    PlanePoints,
+    chosen_places,
+    lab_of,
+    map_kinds,
+)
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Int64Array

@@ -84,7 +84,7 @@ export class Charts {
 
   card({ title, about, term, lines }, card) {
     return make("section", { class: "card" },
-      make("h3", {}, term ? make("span", { text: title, "data-term": term }) : title, about ? make("small", { text: ` ${about}` }) : ""),
+      make("h3", {}, term ? make("span", { class: "term", tabindex: 0, text: title, "data-term": term }) : title, about ? make("small", { text: ` ${about}` }) : ""),
       ...lines.map((line, number) => make("button", { class: "bar-line", "data-card": card, "data-line": number, "aria-pressed": String(line.chosen), title: line.hint ?? "" }, ...this.line(line))));
   }
 

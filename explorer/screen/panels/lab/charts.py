@@ -187,7 +187,7 @@ def _hubs(selection: LabSelection) -> dict[str, Any]:
     whole = {one.tile: one.queries for one in breakdown.hubs(findings.graded, task.query_labels)}
     conditions = {tile: f"rank > 1 and answer = {_quoted(task.gallery[tile].name)}" for tile in whole}
     about = "tiles that answer queries of other places"
-    card = _Card(selection, "Hubs", conditions.values(), about=about, term="hub")
+    card = _Card(selection, "Hubs", conditions.values(), about=about)
     found = breakdown.hubs(findings.graded, task.query_labels, card.rows)
     card.head["title"] += _of(_MOST_PAIRS, len(found))
     for one in found[:_MOST_PAIRS]:
@@ -199,7 +199,7 @@ def _hubs(selection: LabSelection) -> dict[str, Any]:
 
 def _alike(selection: LabSelection) -> dict[str, Any]:
     task, about = selection.findings.task, "tiles of two places that look alike to the model"
-    card = _Card(selection, "Near-duplicates", about=about, term="near-duplicate")
+    card = _Card(selection, "Near-duplicates", about=about)
     for pair in _near_duplicates(task):
         names = " · ".join(task.gallery[tile].name for tile in pair.tiles)
         line = {"tiles": list(pair.tiles), "text": f"{names}{_apart(task, pair)}", "value": f"{pair.cosine:.3f}"}

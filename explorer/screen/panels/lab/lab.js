@@ -24,19 +24,20 @@ class Laboratory {
     this.note = { query: -1, tags: "", text: "" }; // as it is stored
     box.append(
       make("div", { class: "lab" },
-        make("div", { class: "line tabs" }, ...Object.entries(TABS).map(([name, text]) => chip(text, { "data-tab": name })), make("i", { class: "gap" }),
-          make("details", { class: "columns" }, make("summary", { text: "Columns" }), make("div")),
+        make("div", { class: "line" },
+          make("div", { class: "tabs" }, ...Object.entries(TABS).map(([name, text]) => make("button", { text, "data-tab": name }))), make("i", { class: "gap" }),
+          make("details", { class: "columns" }, make("summary", { class: "chip", text: "Columns" }), make("div")),
           chip("CSV", { class: "chip csv", title: "Save these rows with all columns" })),
         make("div", { class: "line shown" }, ...Object.keys(SHOWN).map((name) => chip("", { "data-show": name }))),
         make("div", { class: "line filter" },
-          make("input", { type: "search", "aria-label": "Filter", maxlength: 1000, spellcheck: "false", autocomplete: "off" }),
-          make("details", { class: "help" }, make("summary", { text: "?", title: "How to filter", "aria-label": "How to filter" }), make("div"))),
+          make("input", { class: "field", type: "search", "aria-label": "Filter", maxlength: 1000, spellcheck: "false", autocomplete: "off" }),
+          make("details", { class: "help" }, make("summary", { class: "chip", text: "?", title: "How to filter", "aria-label": "How to filter" }), make("div"))),
         make("div", { class: "error", role: "alert", hidden: true }),
-        make("div", { class: "line counts" }, make("span", { role: "status" }), make("i", { class: "gap" }), make("select", { "aria-label": "Ranks of a second model" })),
+        make("div", { class: "line counts" }, make("span", { role: "status" }), make("i", { class: "gap" }), make("select", { class: "field", "aria-label": "Ranks of a second model" })),
         make("div", { class: "line busy", role: "status", hidden: true }),
         make("div", { class: "body" }, ...Object.keys(TABS).map((name) => make("div", { class: name }))),
         make("form", { class: "note", hidden: true },
-          make("b"), make("input", { "aria-label": "Tags", placeholder: "Tags", maxlength: 1000 }), make("textarea", { "aria-label": "Note", placeholder: "Note", rows: 1, maxlength: 2000 }),
+          make("b"), make("input", { class: "field", "aria-label": "Tags", placeholder: "Tags", maxlength: 1000 }), make("textarea", { class: "field", "aria-label": "Note", placeholder: "Note", rows: 1, maxlength: 2000 }),
           make("button", { class: "chip", text: "Save" }), make("span", { role: "status" }))),
     );
     this.box = find(".lab", box);

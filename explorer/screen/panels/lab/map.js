@@ -23,7 +23,7 @@ export class PointMap {
     this.drawing = false;
     box.append(
       make("div", { class: "line" },
-        make("select", { class: "kind", "aria-label": "Map" }), make("select", { class: "by", "aria-label": "Colour by" }), make("i", { class: "gap" }),
+        make("select", { class: "field kind", "aria-label": "Map" }), make("select", { class: "field by", "aria-label": "Colour by" }), make("i", { class: "gap" }),
         make("button", { class: "chip lassoing", text: "Lasso", "aria-pressed": "false", title: "Draw a loop around queries; Shift and a drag do so, too" }),
         make("button", { class: "chip all", text: "⤢", title: "Show all", "aria-label": "Show all" })),
       make("div", { class: "plane", role: "application", "aria-label": "Map of the queries: arrow keys move it, plus and minus zoom" }),

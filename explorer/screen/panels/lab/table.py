@@ -81,7 +81,9 @@ def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
     table, graded, second = findings.table, findings.graded, findings.second
     margins = np.abs(findings.outcomes.margin)
     known = int(graded.known[rows].sum())
-    unlike = "" if second is None or len(set(second.scorings)) == 1 else " and ".join(second.scorings)
+    unlike = ""
+    if second is not None and len(set(second.scorings)) > 1:
+        unlike = "A is ranked {}, B {}: their ranks differ not by the models alone.".format(*second.scorings)
     name, descending = selection.sort
     return {
         "total": len(rows),
@@ -101,5 +103,5 @@ def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
         "picked": len(selection.picked) if len(selection.picked) < len(table) else 0,
         "claim": findings.task.contract.claim,
         "models": None if second is None else second.names,
-        "unlike": unlike and f"A and B are ranked by {unlike}: their ranks differ not by the models alone.",
+        "unlike": unlike,
     }
