@@ -3,7 +3,6 @@ import js from "@eslint/js";
 import globals from "globals";
 
 export default [
-  { ignores: ["**/screen/vendor/"] },
   js.configs.recommended,
   {
     files: ["**/*.js"],
@@ -16,5 +15,6 @@ export default [
       "prefer-const": ["error", { destructuring: "all" }],
     },
   },
-  { files: ["**/screen/page/*.js", "**/screen/panels/**/*.js"], languageOptions: { sourceType: "module" } },
+  { files: ["**/screen/{page,panels}/**/*.js"], languageOptions: { sourceType: "module" } },
+  { ignores: ["**/screen/vendor/*"] },
 ];
