@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from explorer.session_state import SessionState
 
 from explorer.parameters import UnusableError
 from explorer.screen import fields
@@ -14,7 +15,6 @@ from explorer.screen.panels.compare.models import changes
 from explorer.screen.panels.compare.pair import TilePair
 from explorer.screen.panels.region import MapCells, message
 from explorer.screen.panels.why import words
-from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
 from lpn.analysis.comparison import effect_on
 from lpn.core.numbers import shown_difference

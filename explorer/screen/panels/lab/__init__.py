@@ -16,8 +16,16 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.screen.fields import ScreenState
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.lab import charts, points, table
-from explorer.screen.panels.lab.selection import COLOUR, FIELDS, MAP, PICKED, SECOND, TAB, Selection, encode
-from explorer.screen.panels.lab.service import Findings, Lab, MapKind, MapPoints, chosen_places, lab_of, map_kinds
+from explorer.screen.panels.lab.selection import COLOUR, FIELDS, MAP, PICKED, SECOND, TAB, LabSelection, encode
+from explorer.screen.panels.lab.service import (
+    Lab,
+    LabFindings,
+    PlaneKind,
+    PlanePoints,
+    chosen_places,
+    lab_of,
+    map_kinds,
+)
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Int64Array
@@ -50,14 +58,15 @@ class LabPart(PanelPart):
         # The laboratories that this tab has waited for, and the filter in force.
         self._labs: set[Lab] = set()
         self._where = ""
-        self._shown: Selection | None = None
+        self._shown: LabSelection | None = None
         self._ordered: Int64Array = np.zeros(0, np.int64)
-        self._points: MapPoints | None = None
+        self._points: PlanePoints | None = None
         # The findings with a second model's ranks, and what they were made of.
-        self._compared: tuple[tuple[object, ...], Findings] | None = None
+        self._compared: tuple[tuple[object, ...], LabFindings] | None = None
         # The map that this tab has waited for.
-        self._map: tuple[Lab, tuple[MapKind, str]] | None = None
+        self._map: tuple[Lab, tuple[PlaneKind, str]] | None = None
         self._calibrating: BackgroundJob[None] | None = None
+        self._busy: dict[str, Any] = {}
         # Published feeds by name, each with what it was made of.
         self._published: dict[str, tuple[object, str]] = {}
 
@@ -104,8 +113,8 @@ class LabPart(PanelPart):
         if self._closed:  # drawing may have started a computation
             self._leave()
 
-    def _draw(self, state: ScreenState, findings: Findings, lab: Lab) -> None:
-        selection = Selection.of(findings, state, self._where)
+    def _draw(self, state: ScreenState, findings: LabFindings, lab: Lab) -> None:
+        selection = LabSelection.of(findings, state, self._where)
         self._where, self._shown = selection.where, selection
         rows, ordered = selection.rows(), selection.ordered()
         if not np.array_equal(ordered, self._ordered):
@@ -133,7 +142,7 @@ class LabPart(PanelPart):
         elif state[TAB] == "map":
             self._draw_map(state, selection, rows, lab)
 
-    def _draw_map(self, state: ScreenState, selection: Selection, rows: Int64Array, lab: Lab) -> None:
+    def _draw_map(self, state: ScreenState, selection: LabSelection, rows: Int64Array, lab: Lab) -> None:
         findings = selection.findings
         kinds = map_kinds(findings.task)
         kind = next((one for one in kinds if one == state[MAP]), next(iter(kinds)))
@@ -161,7 +170,7 @@ class LabPart(PanelPart):
             data["picture"] = self._bytes("ground", found, lambda: images.jpeg(picture[0], 85), "image/jpeg")
         self._send("map", data)
 
-    def _show_query(self, state: ScreenState, findings: Findings, lab: Lab) -> None:
+    def _show_query(self, state: ScreenState, findings: LabFindings, lab: Lab) -> None:
         """Send where the shown query stands in the table, and its note; an own photo has neither."""
         if state.own:
             self._send("query", {"at": -1, "query": -1, "note": None})
@@ -187,7 +196,7 @@ class LabPart(PanelPart):
         labels = [base.model_name, *(one.label for one in base.beside)]
         return {str(number): label for number, label in enumerate(labels) if str(number) != state.model}
 
-    def _second(self, state: ScreenState, findings: Findings) -> Findings | None:
+    def _second(self, state: ScreenState, findings: LabFindings) -> LabFindings | None:
         """Wait for the second model and its ranks, and return the findings with them; None without them."""
         number = state[SECOND]
         if number not in self._labels(state):
@@ -329,7 +338,10 @@ class LabPart(PanelPart):
         return job.error is None
 
     def _say(self, text: str, done: int = 0, total: int = 0, failed: bool = False) -> None:
-        self._send("busy", {"text": text, "done": done, "total": total, "failed": failed})
+        busy = {"text": text, "done": done, "total": total, "failed": failed}
+        if busy != self._busy:
+            self._busy = busy
+            self._send("busy", busy)
 
     def _send(self, kind: str, message: Mapping[str, Any]) -> None:
         self.tab.append(kind, {kind: message})

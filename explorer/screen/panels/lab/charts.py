@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from explorer.screen.panels.lab.selection import PICKED, Selection, encode
-from explorer.screen.panels.lab.service import Findings
+from explorer.screen.panels.lab.selection import PICKED, LabSelection, encode
+from explorer.screen.panels.lab.service import LabFindings
 from lpn.analysis import breakdown
 from lpn.analysis.answer_context import describe_failures
 from lpn.analysis.near_duplicates import MAX_TILES, NearDuplicate, near_duplicates, shows_places
@@ -25,7 +25,7 @@ _NO_PROPERTY = ("latitude", "longitude", REASON)
 _AND = " and "
 
 
-def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
+def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
     """Return all charts of the selected queries; a choice made in a card does not narrow this card."""
     findings = selection.findings
     stages = () if findings.flight is None else [column.name for column in stage_columns(findings.flight)]
@@ -38,7 +38,7 @@ def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
     }
 
 
-def _margins(findings: Findings, rows: Int64Array) -> dict[str, list[float]]:
+def _margins(findings: LabFindings, rows: Int64Array) -> dict[str, list[float]]:
     """Return the middles of bars of margins, and how many found and missed queries each has."""
     margins, graded = findings.outcomes.margin, findings.graded
     limit = float(np.nanmax(np.abs(margins))) if np.isfinite(margins).any() else 1.0
@@ -51,7 +51,7 @@ def _margins(findings: Findings, rows: Int64Array) -> dict[str, list[float]]:
     }
 
 
-def _recall(findings: Findings, rows: Int64Array) -> dict[str, Any]:
+def _recall(findings: LabFindings, rows: Int64Array) -> dict[str, Any]:
     """Return in how many percent of the graded queries the truth is among the first k tiles, also by the second model."""
     known = rows[findings.graded.known[rows]]
     if not len(known):
@@ -73,40 +73,54 @@ def _recall(findings: Findings, rows: Int64Array) -> dict[str, Any]:
 
 
 class _Card:
-    """A card while it is made: lines that stand for queries, and what a click on one sets."""
+    """A card while it is made: lines that stand for queries, and what a click on one sets.
 
-    def __init__(self, selection: Selection, title: str, about: str = "", term: str = "") -> None:
-        self._selection, self._lines = selection, list[tuple[dict[str, Any], str, Int64Array]]()
-        self._head = {"title": title, "about": about, "term": term}
+    Args:
+        conditions: of all lines that it may have; those in the filter do not narrow it.
+        codes: of picked queries that do not narrow it either.
+
+    Attributes:
+        rows: the selected queries of any outcome, without the card's own choices.
+    """
+
+    def __init__(
+        self,
+        selection: LabSelection,
+        title: str,
+        conditions: Iterable[str] = (),
+        codes: Sequence[str] = (),
+        about: str = "",
+        term: str = "",
+    ) -> None:
+        self._selection, self._lines = selection, list[dict[str, Any]]()
+        self.head: dict[str, Any] = {"title": title, "about": about, "term": term}
+        self._where = selection.where
+        for condition in conditions:
+            if condition in self._where:
+                self._where = _without(self._where, condition)
+        self.rows = selection.rows(self._where, any_outcome=True, any_picked=selection.state[PICKED] in codes)
 
     def add(self, line: dict[str, Any], condition: str, queries: Int64Array) -> None:
         """Add a line; its condition filters where it selects exactly these queries, else they are picked."""
-        table = self._selection.findings.table
+        selection = self._selection
+        table, before, picked = selection.findings.table, selection.where, selection.state[PICKED]
         try:
-            exact = np.array_equal(table.filter(table.rows(), condition), queries)
+            exact = bool(condition) and np.array_equal(table.filter(table.rows(), condition), queries)
         except InputError:
             exact = False
-        self._lines.append((line, condition if exact else "", queries))
-
-    @property
-    def where(self) -> str:
-        """The filter in force without the conditions of this card."""
-        text = self._selection.where
-        for _, condition, _ in self._lines:
-            text = _without(text, condition)
-        return text
+        if exact:
+            chosen = _without(before, condition) != before
+            both = filter(None, (self._where.strip(), condition))
+            click = {"lab_where": self._where if chosen else _AND.join(both)}
+        else:
+            code = encode(queries, selection.findings.task)
+            chosen = code == picked
+            click = {"lab_picked": "" if chosen else code}
+        self._lines.append(line | {"chosen": chosen, "click": click})
 
     def finished(self) -> dict[str, Any]:
         """Return the card as JSON."""
-        base, before, lines = self.where, self._selection.where, []
-        picked = self._selection.state[PICKED]
-        for line, condition, queries in self._lines:
-            code = "" if condition else encode(queries, self._selection.findings.task)
-            chosen = _without(before, condition) != before if condition else code == picked
-            where = before if not condition else base if chosen else _AND.join(filter(None, (base.strip(), condition)))
-            click = {"lab_where": where} if condition else {"lab_picked": "" if chosen else code}
-            lines.append(line | {"chosen": chosen, "click": click})
-        return self._head | {"lines": lines}
+        return self.head | {"lines": self._lines}
 
 
 def _without(text: str, condition: str) -> str:
@@ -121,7 +135,7 @@ def _quoted(text: str) -> str:
     return f'"{text}"'
 
 
-def _cards(selection: Selection) -> Iterator[dict[str, Any]]:
+def _cards(selection: LabSelection) -> Iterator[dict[str, Any]]:
     findings = selection.findings
     if len(findings.part_names) > 1:
         yield _parts(selection)
@@ -138,48 +152,54 @@ def _cards(selection: Selection) -> Iterator[dict[str, Any]]:
             yield _rates(selection, column, rates)
 
 
-def _parts(selection: Selection) -> dict[str, Any]:
+def _parts(selection: LabSelection) -> dict[str, Any]:
     findings = selection.findings
     failed, deciding = findings.graded.failed, findings.outcomes.deciding_part
-    counts = breakdown.blame(findings.graded, selection.rows(any_outcome=True)).tolist()
-    card = _Card(selection, "Part that lowers the margin most, of all misses", term="part")
-    for part, name in enumerate(findings.part_names):
-        line = {"part": part, "text": name, "count": counts[part], "share": counts[part] / max(*counts, 1)}
-        card.add(line, f"rank > 1 and part = {_quoted(name)}", np.flatnonzero(failed & (deciding == part)))
-    return card.finished() if sum(counts) else card._head | {"lines": []}
+    conditions = [f"rank > 1 and part = {_quoted(name)}" for name in findings.part_names]
+    card = _Card(selection, "Part that lowers the margin most, of all misses", conditions, term="part")
+    counts = breakdown.blame(findings.graded, card.rows).tolist()
+    for part, (name, count) in enumerate(zip(findings.part_names, counts, strict=True) if sum(counts) else ()):
+        line = {"part": part, "text": name, "count": count, "share": count / max(counts)}
+        card.add(line, conditions[part], np.flatnonzero(failed & (deciding == part)))
+    return card.finished()
 
 
-def _pairs(selection: Selection) -> dict[str, Any]:
+def _pairs(selection: LabSelection) -> dict[str, Any]:
     findings, task = selection.findings, selection.findings.task
-    rows = selection.rows(any_outcome=True)
-    found = breakdown.confusions(findings.graded, task.query_labels, task.gallery_labels, rows)
-    everything = breakdown.confusions(findings.graded, task.query_labels, task.gallery_labels)
-    whole = {(one.place, one.answered): one.queries for one in everything}
-    card = _Card(selection, f"Places taken for others{_of(_MOST_LINES, len(found))}")
+    whole, names, conditions = {}, {}, {}
+    for one in breakdown.confusions(findings.graded, task.query_labels, task.gallery_labels):
+        key, first = (one.place, one.answered), int(one.queries[0])
+        whole[key] = one.queries
+        names[key] = [findings.table.columns[name].text(first) for name in ("truth", "answer")]
+        conditions[key] = f"truth = {_quoted(names[key][0])} and answer = {_quoted(names[key][1])}"
+    card = _Card(selection, "Places taken for others", conditions.values())
+    found = breakdown.confusions(findings.graded, task.query_labels, task.gallery_labels, card.rows)
+    card.head["title"] += _of(_MOST_LINES, len(found))
     for one in found[:_MOST_LINES]:
-        first = int(one.queries[0])
-        names = [findings.table.columns[name].text(first) for name in ("truth", "answer")]
-        line = {"tiles": [int(findings.outcomes.true[first]), one.tile], "text": " → ".join(names), "count": one.count}
-        condition = f"rank > 1 and truth = {_quoted(names[0])} and answer = {_quoted(names[1])}"
-        card.add(line, condition, whole[one.place, one.answered])
+        key, tiles = (one.place, one.answered), [int(findings.outcomes.true[one.queries[0]]), one.tile]
+        line = {"tiles": tiles, "text": " → ".join(names[key]), "count": one.count}
+        card.add(line, conditions[key], whole[key])
     return card.finished()
 
 
-def _hubs(selection: Selection) -> dict[str, Any]:
+def _hubs(selection: LabSelection) -> dict[str, Any]:
     findings, task = selection.findings, selection.findings.task
-    found = breakdown.hubs(findings.graded, task.query_labels, selection.rows(any_outcome=True))
     whole = {one.tile: one.queries for one in breakdown.hubs(findings.graded, task.query_labels)}
-    card = _Card(selection, f"Hubs{_of(_MOST_PAIRS, len(found))}", "tiles that answer queries of other places", "hub")
+    conditions = {tile: f"rank > 1 and answer = {_quoted(task.gallery[tile].name)}" for tile in whole}
+    about = "tiles that answer queries of other places"
+    card = _Card(selection, "Hubs", conditions.values(), about=about)
+    found = breakdown.hubs(findings.graded, task.query_labels, card.rows)
+    card.head["title"] += _of(_MOST_PAIRS, len(found))
     for one in found[:_MOST_PAIRS]:
-        name = task.gallery[one.tile].name
-        line = {"tiles": [one.tile], "text": f"{name}, {one.places} places", "count": len(one.queries)}
-        card.add(line, f"rank > 1 and answer = {_quoted(name)}", whole[one.tile])
+        text = f"{task.gallery[one.tile].name}, {one.places} places"
+        line = {"tiles": [one.tile], "text": text, "count": len(one.queries)}
+        card.add(line, conditions[one.tile], whole[one.tile])
     return card.finished()
 
 
-def _alike(selection: Selection) -> dict[str, Any]:
-    task = selection.findings.task
-    card = _Card(selection, "Near-duplicates", "tiles of two places that look alike to the model", "near-duplicate")
+def _alike(selection: LabSelection) -> dict[str, Any]:
+    task, about = selection.findings.task, "tiles of two places that look alike to the model"
+    card = _Card(selection, "Near-duplicates", about=about)
     for pair in _near_duplicates(task):
         names = " · ".join(task.gallery[tile].name for tile in pair.tiles)
         line = {"tiles": list(pair.tiles), "text": f"{names}{_apart(task, pair)}", "value": f"{pair.cosine:.3f}"}
@@ -198,31 +218,34 @@ def _apart(task: Task, pair: NearDuplicate) -> str:
     return f", {metres:,.0f} m apart" if np.isfinite(metres) else ""
 
 
-def _rates(selection: Selection, column: Column, rates: Sequence[breakdown.Rate]) -> dict[str, Any]:
+def _rates(selection: LabSelection, column: Column, rates: Sequence[breakdown.Rate]) -> dict[str, Any]:
     """Return the shares of missed queries in the bins of a column, among the selected ones that this card leaves.
 
     The bins are those of all queries. If all or none of the selected ones are missed, all queries are counted.
     """
-    findings = selection.findings
-    graded, masks = findings.graded, [rate.holds(column) for rate in rates]
-    card = _Card(selection, f"Missed by {column.name}", column.about)
-    lines: list[dict[str, Any]] = [{"text": rate.name} for rate in rates[:_MOST_LINES]]
-    for line, rate, mask in zip(lines, rates, masks, strict=False):
-        card.add(line, _condition(column, rate), np.flatnonzero(mask))
-    ends = [encode(np.flatnonzero(mask), findings.task) for mask in masks]
-    rows = selection.rows(card.where, any_outcome=True, any_picked=selection.state[PICKED] in ends)
-    rows = rows[graded.known[rows]]
-    if not 0 < int(graded.failed[rows].sum()) < len(rows):
-        rows = np.flatnonzero(graded.known)
-    overall = int(graded.failed[rows].sum()) / max(len(rows), 1)
-    for line, mask in zip(lines, masks, strict=False):
-        queries = int(mask[rows].sum())
-        missed = int(graded.failed[rows][mask[rows]].sum())
+    findings, rates = selection.findings, rates[:_MOST_LINES]
+    failed, masks = findings.graded.failed, [rate.holds(column) for rate in rates]
+    conditions = [_condition(column, rate) for rate in rates]
+    codes = [encode(np.flatnonzero(mask), findings.task) for mask in masks]
+    card = _Card(selection, f"Missed by {column.name}", conditions, codes, column.about)
+    rows = card.rows[findings.graded.known[card.rows]]
+    if not 0 < int(failed[rows].sum()) < len(rows):
+        rows = np.flatnonzero(findings.graded.known)
+    overall = float(failed[rows].mean())
+    for rate, mask, condition in zip(rates, masks, conditions, strict=True):
+        queries, missed = int(mask[rows].sum()), int(failed[rows][mask[rows]].sum())
         low, high = breakdown.wilson(missed, queries) if queries else (0.0, 1.0)
-        hint = f"{missed} of {queries} missed; 95 % interval {100 * low:.0f} to {100 * high:.0f} %"
         share = missed / max(queries, 1)
-        value = f"{100 * share:.0f} %" if queries else "–"
-        line |= {"share": share, "low": low, "high": high, "overall": overall, "hint": hint, "value": value}
+        line = {
+            "text": rate.name,
+            "share": share,
+            "low": low,
+            "high": high,
+            "overall": overall,
+            "hint": f"{missed} of {queries} missed; 95 % interval {100 * low:.0f} to {100 * high:.0f} %",
+            "value": f"{100 * share:.0f} %" if queries else "–",
+        }
+        card.add(line, condition, np.flatnonzero(mask))
     return card.finished()
 
 

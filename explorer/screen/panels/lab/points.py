@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from explorer.screen.panels.lab.service import Findings, MapPoints
+from explorer.screen.panels.lab.service import LabFindings, PlanePoints
 from lpn.core.arrays import Float64Array, Int64Array, UInt8Array
 from lpn.core.tables import Column
 from lpn.datasets import geo
@@ -22,7 +22,7 @@ _MOST_LINES = 60
 
 
 @dataclass(frozen=True, eq=False)
-class Colours:
+class PointColours:
     """The colours of all queries by one column.
 
     Attributes:
@@ -38,17 +38,17 @@ class Colours:
     ends: tuple[str, str] | None = None
 
 
-def colours(findings: Findings, name: str) -> Colours:
+def colours(findings: LabFindings, name: str) -> PointColours:
     """Return the colours of the queries by a column of the table, or by their outcome for any other name."""
     column = findings.table.columns.get(name)
     if column is not None:
         return _of_numbers(column) if column.kind == "number" else _of_words(column)
     graded = findings.graded
     codes = np.where(graded.known, graded.failed, UNKNOWN).astype(np.uint8)
-    return Colours(codes, ["--right", "--wrong"], ["✓ found", "✗ missed"])
+    return PointColours(codes, ["--right", "--wrong"], ["✓ found", "✗ missed"])
 
 
-def _of_numbers(column: Column) -> Colours:
+def _of_numbers(column: Column) -> PointColours:
     values, known = column.values.astype(np.float64), column.known
     codes = np.full(len(values), UNKNOWN, np.uint8)
     low, high = (float(end) for end in np.percentile(values[known], _ENDS)) if known.any() else (0.0, 0.0)
@@ -57,10 +57,10 @@ def _of_numbers(column: Column) -> Colours:
     scale = overlays.heat_cells(np.linspace(0, 1, UNKNOWN)[None], 0, 1)[0, :, :3]
     palette = [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in scale.tolist()]
     unit = f" {column.unit}" if column.unit else ""
-    return Colours(codes, palette, [], (f"{low:,.4g}{unit}", f"{high:,.4g}{unit}"))
+    return PointColours(codes, palette, [], (f"{low:,.4g}{unit}", f"{high:,.4g}{unit}"))
 
 
-def _of_words(column: Column) -> Colours:
+def _of_words(column: Column) -> PointColours:
     words, which, counts = np.unique(column.values.astype(str), return_inverse=True, return_counts=True)
     order = [int(i) for i in np.argsort(-counts, kind="stable") if words[i]]
     code_of = np.full(len(words), OTHER, np.uint8)
@@ -71,10 +71,10 @@ def _of_words(column: Column) -> Colours:
     if len(order) > OTHER:
         palette.append(theme.css(theme.DIM))
         labels.append(f"{len(order) - OTHER} others")
-    return Colours(code_of[which.ravel()], palette, labels)
+    return PointColours(code_of[which.ravel()], palette, labels)
 
 
-def scale(points: MapPoints) -> tuple[Float64Array, float]:
+def scale(points: PlanePoints) -> tuple[Float64Array, float]:
     """Return the origin and the unit of `plane`: float32 holds the details of a map about its own middle."""
     both = np.concatenate([points.queries, points.tiles])
     known = both[np.isfinite(both).all(axis=1)]
@@ -85,20 +85,20 @@ def scale(points: MapPoints) -> tuple[Float64Array, float]:
     return (low + high) / 2, unit
 
 
-def plane(points: MapPoints) -> bytes:
+def plane(points: PlanePoints) -> bytes:
     """Return the places of queries, then of tiles, as float32 pairs, see `scale`."""
     origin, unit = scale(points)
     return bytes(((np.concatenate([points.queries, points.tiles]) - origin) / unit).astype("<f4").tobytes())
 
 
-def marks(findings: Findings, coloured: Colours, rows: Int64Array) -> bytes:
+def marks(findings: LabFindings, coloured: PointColours, rows: Int64Array) -> bytes:
     """Return two bytes for each query: 1 for a selected one plus 2 for a missed one, and the code of its colour."""
     failed = findings.graded.failed
     flags = np.isin(np.arange(len(failed)), rows) + 2 * failed
     return np.stack([flags.astype(np.uint8), coloured.codes], axis=1).tobytes()
 
 
-def legend(coloured: Colours, rows: Int64Array) -> dict[str, Any]:
+def legend(coloured: PointColours, rows: Int64Array) -> dict[str, Any]:
     """Return what stands below the map: the colours, and how many of the selected queries have each."""
     counts = np.bincount(coloured.codes[rows], minlength=UNKNOWN + 1)
     return {
@@ -110,7 +110,7 @@ def legend(coloured: Colours, rows: Int64Array) -> dict[str, Any]:
     }
 
 
-def ground(points: MapPoints) -> dict[str, Any] | None:
+def ground(points: PlanePoints) -> dict[str, Any] | None:
     """Return the borders of the ground's picture, and how metres become degrees; None for descriptors."""
     if points.ground is None:
         return None
@@ -125,7 +125,7 @@ def ground(points: MapPoints) -> dict[str, Any] | None:
     return {"corners": corners.tolist(), "degrees": degrees}
 
 
-def lines(findings: Findings, points: MapPoints, rows: Int64Array) -> list[list[int]]:
+def lines(findings: LabFindings, points: PlanePoints, rows: Int64Array) -> list[list[int]]:
     """Return [query, tile] of selected misses and their answers on the ground; none if there are many."""
     answers = findings.outcomes.answer
     misses = rows[findings.graded.failed[rows] & (answers[rows] >= 0)]

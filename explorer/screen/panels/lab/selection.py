@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +12,7 @@ import numpy as np
 
 from explorer.parameters import UnusableError, is_line
 from explorer.screen.fields import OneOf, PanelField, ScreenState
-from explorer.screen.panels.lab.service import Findings
+from explorer.screen.panels.lab.service import LabFindings
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
 from lpn.core.errors import InputError
@@ -100,11 +101,10 @@ def decode(text: str, task: Task) -> Int64Array:
     if not text:
         return np.arange(queries)
     size, packed = (queries + 7) // 8, b""
-    try:
-        packed = zlib.decompressobj().decompress(base64.urlsafe_b64decode(text[4:].encode("ascii")), size + 1)
-    except (ValueError, zlib.error):
-        pass
-    if len(packed) != size or text[:4] != _digits(task):
+    unpacking = zlib.decompressobj()
+    with suppress(ValueError, zlib.error):
+        packed = unpacking.decompress(base64.urlsafe_b64decode(text[4:].encode("ascii")), size + 1)
+    if len(packed) != size or not unpacking.eof or text[:4] != _digits(task):
         raise UnusableError("expected the queries of a lasso on this task.")
     return np.flatnonzero(np.unpackbits(np.frombuffer(packed, np.uint8))[:queries])
 
@@ -113,7 +113,7 @@ def _digits(task: Task) -> str:
     return f"{zlib.crc32(f'{task.name} {len(task.queries)}'.encode()):08x}"[:4]
 
 
-def outcome_masks(findings: Findings) -> dict[str, BoolArray]:
+def outcome_masks(findings: LabFindings) -> dict[str, BoolArray]:
     """Return which queries each choice of `SHOW` has, (Q,) each; those about two models only where there are two."""
     graded, second = findings.graded, findings.second
     near = graded.failed & (graded.rank > 0) & (graded.rank < _NEAR)
@@ -125,7 +125,7 @@ def outcome_masks(findings: Findings) -> dict[str, BoolArray]:
 
 
 @dataclass(frozen=True)
-class Selection:
+class LabSelection:
     """The queries that a state selects among findings.
 
     Attributes:
@@ -133,13 +133,13 @@ class Selection:
         error: why the state's filter is not in force; empty if it is.
     """
 
-    findings: Findings
+    findings: LabFindings
     state: ScreenState
     where: str
     error: str = ""
 
     @classmethod
-    def of(cls, findings: Findings, state: ScreenState, before: str) -> Selection:
+    def of(cls, findings: LabFindings, state: ScreenState, before: str) -> LabSelection:
         """Return the selection of a state; `before` is the filter that stays in force if the state's cannot be read."""
         table, where, error = findings.table, state[WHERE], ""
         try:

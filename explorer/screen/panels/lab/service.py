@@ -30,12 +30,12 @@ from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import Outcomes
 from lpn.tasks.task import Scoring, Task
 
-MapKind = Literal["ground", "pca", "umap"]
+PlaneKind = Literal["ground", "pca", "umap"]
 T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
-class SecondRanks:
+class OtherRanks:
     """A second model's ranks of the same queries.
 
     Attributes:
@@ -50,7 +50,7 @@ class SecondRanks:
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
+class LabFindings:
     """The outcomes of all queries of a task, under equal part weights.
 
     Attributes:
@@ -70,7 +70,7 @@ class Findings:
     notes_error: str
     flight: LocatedFlight | None = None
     doubtful: BoolArray | None = None
-    second: SecondRanks | None = None
+    second: OtherRanks | None = None
 
     @cached_property
     def graded(self) -> Outcomes:
@@ -84,7 +84,7 @@ class Findings:
         tags, text = (str(self.table.columns[name].values[query]) for name in (TAGS, NOTE))
         return Note(tuple(tags.split()), text)
 
-    def compared(self, names: tuple[str, str], other: RankingJob) -> Findings:
+    def compared(self, names: tuple[str, str], other: RankingJob) -> LabFindings:
         """Return the findings with the ranks of another model, which has ranked the same queries.
 
         Raises:
@@ -94,12 +94,12 @@ class Findings:
             raise LPNError(f"The queries of {names[1]} are others: the data set changed; start the app again.")
         columns = query_outcomes.compared_ranks(self.table, other.ranks)
         hits = self.outcomes.known & (other.ranks == 0)
-        second = SecondRanks(names, hits, (self.task.scoring, other.task.scoring))
+        second = OtherRanks(names, hits, (self.task.scoring, other.task.scoring))
         return replace(self, table=self.table.with_columns(columns), second=second)
 
 
 @dataclass(frozen=True, eq=False)
-class MapPoints:
+class PlanePoints:
     """Queries and tiles on a plane.
 
     Attributes:
@@ -116,12 +116,12 @@ class MapPoints:
     origin: Position | None = None
 
 
-def map_kinds(task: Task) -> dict[MapKind, str]:
+def map_kinds(task: Task) -> dict[PlaneKind, str]:
     """Return the maps that a task has, by what they are called: UMAP needs its extra, and has a limit."""
-    kinds: dict[MapKind, str] = {} if task.geometry is None else {"ground": "On the ground"}
-    kinds["pca"] = "Descriptors, PCA"
+    kinds: dict[PlaneKind, str] = {} if task.geometry is None else {"ground": "Ground"}
+    kinds["pca"] = "PCA"
     few = len(task.queries) + len(task.gallery) <= embedding_map.MOST_FOR_UMAP
-    return kinds | ({"umap": "Descriptors, UMAP"} if few and find_spec("umap") is not None else {})
+    return kinds | ({"umap": "UMAP"} if few and find_spec("umap") is not None else {})
 
 
 class Lab:
@@ -129,7 +129,7 @@ class Lab:
 
     def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._jobs, self._lock = workspace, BackgroundJobs(), threading.Lock()
-        self._findings: dict[str, Findings] = {}
+        self._findings: dict[str, LabFindings] = {}
 
     @property
     def _notes(self) -> Path:
@@ -141,7 +141,7 @@ class Lab:
         """Where the notes are, in words and without the server's folders."""
         return own_file_place(self._workspace.root, notes.NAME, "data")
 
-    def findings(self, task: str) -> Findings | None:
+    def findings(self, task: str) -> LabFindings | None:
         """Return a task's findings with the newest notes and answers of a flight; None before they are computed."""
         flight = self._workspace.flight
         with self._lock:
@@ -156,7 +156,7 @@ class Lab:
         """Start or join the computation of a task's findings, again after a failure."""
         return self._join(task, client, lambda progress: self._build(self._workspace.rankings[task], progress))
 
-    def points(self, kind: MapKind, task: str, client: object) -> BackgroundJob[MapPoints]:
+    def points(self, kind: PlaneKind, task: str, client: object) -> BackgroundJob[PlanePoints]:
         """Start or join the computation of a map; `ground` requires that the task has places."""
         ranked = self._workspace.rankings[task].task
         return self._join((kind, task), client, lambda progress: self._points(kind, ranked, progress))
@@ -201,28 +201,30 @@ class Lab:
             except LPNError as failure:  # the table is useful without notes
                 stored, error = {}, str(failure)
             table = table.with_columns(notes.columns(stored, table.paths))
-            self._findings[task.key] = Findings(task, outcomes, table, part_names, error)
+            self._findings[task.key] = LabFindings(task, outcomes, table, part_names, error)
 
-    def _points(self, kind: MapKind, task: Task, progress: ReportProgress) -> MapPoints:
+    def _points(self, kind: PlaneKind, task: Task, progress: ReportProgress) -> PlanePoints:
         if kind == "ground":
             assert task.geometry is not None
             places = task.geometry
             ground = self._workspace.mosaic(task), places.bounds()
             origin = None if shows_rendered(self._workspace.root) else places.origin
-            return MapPoints(places.query_ground, places.ground, ground=ground, origin=origin)
+            return PlanePoints(places.query_ground, places.ground, ground=ground, origin=origin)
         if kind == "umap":
             found = run_in_process(progress, embedding_map.umap, *map(np.asarray, task.sides()))
-            return MapPoints(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
+            return PlanePoints(found.queries, found.tiles, "neighbours are alike; distances between groups mean little")
         found = embedding_map.pca(*task.sides())
         assert found.variance is not None
         across, upwards = 100 * found.variance
-        return MapPoints(found.queries, found.tiles, f"{across:.0f} % of the variance across, {upwards:.0f} % upwards")
+        return PlanePoints(
+            found.queries, found.tiles, f"{across:.0f} % of the variance across, {upwards:.0f} % upwards"
+        )
 
 
 # The laboratories of open workspaces: of a few places, each with a few models.
 lab_of = lru_cache(maxsize=16)(Lab)
 
 
-def chosen_places(points: MapPoints, corners: Int64Array | Float64Array) -> Int64Array:
+def chosen_places(points: PlanePoints, corners: Int64Array | Float64Array) -> Int64Array:
     """Return the queries within a lasso of corners (C, 2) in the map's units, ascending."""
     return embedding_map.inside(points.queries, np.asarray(corners, np.float64))

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from explorer.screen.panels.lab.selection import Selection, outcome_masks
-from explorer.screen.panels.lab.service import Findings
+from explorer.screen.panels.lab.selection import LabSelection, outcome_masks
+from explorer.screen.panels.lab.service import LabFindings
 from lpn.core.arrays import Int64Array
 from lpn.core.tables import Column
 from lpn.tasks.query_outcomes import RANK_A, RANK_B
@@ -22,7 +22,7 @@ _HINTS = {
 }
 
 
-def columns(selection: Selection) -> list[dict[str, str]]:
+def columns(selection: LabSelection) -> list[dict[str, str]]:
     """Return the headings of the table: name, unit, kind, and hint of each column."""
     second = selection.findings.second
     hints = dict(_HINTS)
@@ -47,12 +47,12 @@ def _kind(column: Column) -> str:
     return column.name if column.name in ("margin", "part", "answer") else column.kind
 
 
-def entries(findings: Findings, shown: list[Column], rows: Int64Array) -> list[tuple[int, list[Any]]]:
+def entries(findings: LabFindings, shown: list[Column], rows: Int64Array) -> list[tuple[int, list[Any]]]:
     """Return rows of the table: each query and its cells."""
     return [(row, [_cell(findings, column, row) for column in shown]) for row in rows.tolist()]
 
 
-def _cell(findings: Findings, column: Column, row: int) -> Any:
+def _cell(findings: LabFindings, column: Column, row: int) -> Any:
     """Return a cell as its column's kind needs it: a text, a number, or a text with a verdict, a part, or a tile."""
     text, graded = column.text(row), findings.graded
     if column.name in _RANKS:
@@ -71,7 +71,7 @@ def _cell(findings: Findings, column: Column, row: int) -> Any:
     return text
 
 
-def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
+def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
     """Return what stands above the table: the choices with their counts, the filter's error, and a sentence of numbers.
 
     Args:
@@ -81,7 +81,9 @@ def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
     table, graded, second = findings.table, findings.graded, findings.second
     margins = np.abs(findings.outcomes.margin)
     known = int(graded.known[rows].sum())
-    unlike = "" if second is None or len(set(second.scorings)) == 1 else " and ".join(second.scorings)
+    unlike = ""
+    if second is not None and len(set(second.scorings)) > 1:
+        unlike = "A is ranked {}, B {}: their ranks differ not by the models alone.".format(*second.scorings)
     name, descending = selection.sort
     return {
         "total": len(rows),
@@ -101,5 +103,5 @@ def message(selection: Selection, rows: Int64Array) -> dict[str, Any]:
         "picked": len(selection.picked) if len(selection.picked) < len(table) else 0,
         "claim": findings.task.contract.claim,
         "models": None if second is None else second.names,
-        "unlike": unlike and f"A and B are ranked by {unlike}: their ranks differ not by the models alone.",
+        "unlike": unlike,
     }
