@@ -85,7 +85,8 @@ class ScreenSession:
             "forget": self._forget,
             "hover": self.scene.hover,
             "pick": self.scene.pick,
-            "scene": self.scene.fit,
+            "scene": self.scene.draw,
+            "still": self.scene.still,
         }
 
     # What panels use, see `Tab`.
@@ -290,7 +291,8 @@ class ScreenSession:
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
         elif (before.view, before.theme) != (state.view, state.theme) and self._result is not None:
-            self.scene.show(self._result, state)
+            self.scene.take(self._result, state)
+            self.scene.draw()
         if problems:
             self.say(problems[0][:1].upper() + problems[0][1:])
         self._show_rail()
@@ -372,13 +374,14 @@ class ScreenSession:
         self._number += 1
         message = result.message() | {"scene": views_of(result), "number": self._number}
         self._result = result
+        self.scene.take(result, self.state)
         return message | {"state": state.values(), "curve": _digest(key, state)}
 
     def _after(self, state: ScreenState) -> None:
         """Begin what goes on behind an answer."""
         result = self._result
         assert result is not None
-        self.scene.show(result, self.state)
+        self.scene.draw()
         self._panels.wake()
         self._ranks.wake()
         opened, analysis = self._access.opened(state), result.analysis

@@ -75,6 +75,7 @@ const channel = connect(
       soon();
     },
     scene: () => scene.ready(),
+    still: (address) => scene.still(address),
     picked: (found) => scene.picked(found),
     occlusion: ({ number, done, squares, photo: covered }) => {
       if (view.result?.number !== number) return;
@@ -193,7 +194,7 @@ const draw = () => {
     for (const one of [rows, strip, sum]) markFocus(one, view.focus);
   }
   drawTurn(view);
-  scene.show(result.scene, state.view, page.place);
+  scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`);
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);

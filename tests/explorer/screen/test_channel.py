@@ -21,6 +21,7 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import HeldBytes
+from explorer.screen.scene import shapes
 from explorer.server.auth import Authenticator
 from explorer.web.terms import term
 from explorer.workspace import Workspace
@@ -165,7 +166,7 @@ def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> 
 
 def send_file(tab: Tab, name: str, content: bytes, first: bool = True) -> int:
     """Send a file as the page does, and return how many the server has taken or left out once this one is among them."""
-    before = tab.last["yours"]["taken"]
+    before = tab.until(lambda last: "yours" in last)["yours"]["taken"]
     tab.act("upload", name=name, size=len(content), first=first)
     for start in range(0, len(content), 5000):
         tab.socket.send(content[start : start + 5000])
@@ -245,6 +246,21 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
     other.until(lambda last: last["result"]["state"]["own"])
     for tab_ in (one, other):
         tab_.socket.close()
+
+
+def test_a_browser_without_webgl_gets_a_still_of_the_city(app: App, tab: Tab) -> None:
+    tab.open()
+    tab.act("still", width=360, height=240)
+    address = tab.until(lambda last: "still" in last)["still"]
+    status, headers, body = get(app, f"/{address}")
+    assert (status, headers.get_content_type()) == (200, "image/jpeg")
+    shown = images.decode_picture(body, "still")
+    assert shown.shape == (240, 360, 3)
+    gold = np.abs(shown.astype(int) - shapes.RIGHT[True]).max(axis=2) < 40
+    assert gold.sum() > 300, "the answer's frame and its badge"
+    tab.act("still", width="wide", height=10**9)
+    tab.send({"set": {"angle": 4}})
+    assert tab.result(angle=4)
 
 
 class _Checked:
