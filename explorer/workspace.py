@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from base64 import b64decode
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -59,6 +59,8 @@ log = logging.getLogger(__name__)
 TILES = 48
 # A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
 TILE_BYTES = 400_000_000
+# Described queries in the cache, each turned as often as its curve has points, and their bytes.
+QUERIES, QUERY_BYTES = 1000, 300_000_000
 # Number of card pictures in the cache, 0.15 MB each.
 CARDS = 256
 # Number of tiles whose parts' areas are in the cache, up to 0.02 MB each.
@@ -135,6 +137,9 @@ class Workspace:
         self.part_names = self._part_names()
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
+        )
+        self._queries: SingleFlightCache[Hashable, DescribedPicture] = SingleFlightCache(
+            QUERIES, QUERY_BYTES, lambda one: one.picture.nbytes + (0 if one.trace is None else one.trace.nbytes)
         )
         self._tile_areas: SingleFlightCache[tuple[str, bool, int], PartAreas] = SingleFlightCache(TILE_AREAS)
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
@@ -217,6 +222,12 @@ class Workspace:
             model: describes a tile that is not in the cache, see `scored_model`; by default the workspace's model.
         """
         return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
+
+    def described_query(self, key: Hashable, describe: Callable[[], DescribedPicture]) -> DescribedPicture:
+        """Return a described query, from the cache if possible; nobody waits for another's work, which may be cancelled."""
+        known = self._queries.peek(key)
+        described = describe() if known is None else known
+        return self._queries.get(key, lambda: described)
 
     def known_tile(self, task: Task, index: int) -> DescribedPicture | None:
         """Return a described gallery picture if it is in the cache, else None."""
@@ -601,6 +612,9 @@ class StateAnalyser:
                 for model in (self._model, self._tile_model)
             )
             self._analysers[calibrated] = QueryAnalyser(
-                query_model, lambda task, index: workspace.tile(task, index, tile_model), workspace.load_picture
+                query_model,
+                lambda task, index: workspace.tile(task, index, tile_model),
+                workspace.load_picture,
+                workspace.described_query,
             )
         return self._analysers[calibrated]

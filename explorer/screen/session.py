@@ -66,9 +66,9 @@ class ScreenSession:
         self._state: ScreenState | None = None
         self._result: ScreenResult | None = None
         self._number = 0
-        self._loop = Loop(self._answer, send, lambda: self._access.opened(self.state).requests, self._after)
+        self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
         # What goes on behind an answer.
-        self._rail = Rail()
+        self._rail, self._listed = Rail(), False
         self._ranked: RankingJob | None = None
         self._ranks = Worker(self._rank, lambda _: None)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
@@ -295,9 +295,11 @@ class ScreenSession:
             self.scene.draw()
         if problems:
             self.say(problems[0][:1].upper() + problems[0][1:])
-        self._show_rail()
         if new_page:
+            self._listed = False
             self._send(self._own.message(self.services.feeds))
+        else:
+            self._show_rail()
         self._turn_to_panel(state.panel)
         self._panels.wake()
 
@@ -345,6 +347,7 @@ class ScreenSession:
     def _show_rail(self) -> None:
         state, access = self._state, self._access
         if state is not None:
+            self._listed = True
             ranking, feeds = access.ranking(state), access.services(state).feeds
             self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
 
@@ -362,6 +365,12 @@ class ScreenSession:
         return None
 
     # The analysis.
+
+    def _deliver(self, message: ScreenMessage) -> None:
+        """Send what the loop has for the page; the first list comes after it, as thumbnails would delay a result."""
+        self._send(message)
+        if not self._listed:
+            self._show_rail()
 
     def _answer(self, state: ScreenState) -> ScreenMessage:
         services, workspace = self._access.services(state), self._access.workspace(state)
@@ -395,7 +404,16 @@ class ScreenSession:
         change = change.for_picture(analysis.task.queries[index], analysis.zoom) if index is not None else change
         key = _curve_key(state, analysis)
         scored = opened.workspace.scored_model(model, analysis.task)
-        turning = Turning(key, analysis.task, analysis.source, change, index, state.weights or None, scored)
+        turning = Turning(
+            key,
+            analysis.task,
+            analysis.source,
+            change,
+            index,
+            state.weights or None,
+            scored,
+            opened.workspace.described_query,
+        )
         self._curve.follow(turning, _digest(key, state))
         covering = None
         if state.heat == "occlusion":

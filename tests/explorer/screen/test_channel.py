@@ -164,6 +164,23 @@ def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> 
     assert other["state"]["place"] == "data"
 
 
+def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(
+    app: App, tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab.open("?query=0006")
+    tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)
+    other = Tab(app, TAB[::-1])
+    with monkeypatch.context() as patch:
+        patch.setattr(workspace.inference, "run", lambda *_: pytest.fail("a pass"))
+        for one in (tab, other):
+            result = one.open("?query=0006&angle=45")
+            assert result["angle"] == 45
+            assert result["photo"]["heat"]
+    tab.send({"set": {"angle": 46}})
+    assert tab.result(angle=46)["photo"]["heat"] != result["photo"]["heat"]
+    other.socket.close()
+
+
 def send_file(tab: Tab, name: str, content: bytes, first: bool = True) -> int:
     """Send a file as the page does, and return how many the server has taken or left out once this one is among them."""
     before = tab.until(lambda last: "yours" in last)["yours"]["taken"]
