@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -50,6 +50,8 @@ log = logging.getLogger(__name__)
 TILES = 48
 # A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
 TILE_BYTES = 400_000_000
+# Described queries in the cache, each turned as often as its curve has points, and their bytes.
+QUERIES, QUERY_BYTES = 1000, 300_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
 # Longer side in pixels of a picture on the screen.
@@ -126,6 +128,9 @@ class Workspace:
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
         )
+        self._queries: SingleFlightCache[Hashable, DescribedPicture] = SingleFlightCache(
+            QUERIES, QUERY_BYTES, lambda one: one.picture.nbytes + (0 if one.trace is None else one.trace.nbytes)
+        )
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
         # The verdicts on the newest flight, and the photos that cannot be graded under each ranking of it.
@@ -155,6 +160,12 @@ class Workspace:
             model: describes a tile that is not in the cache, see `scored_model`; by default the workspace's model.
         """
         return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
+
+    def described_query(self, key: Hashable, describe: Callable[[], DescribedPicture]) -> DescribedPicture:
+        """Return a described query, from the cache if possible; nobody waits for another's work, which may be cancelled."""
+        known = self._queries.peek(key)
+        described = describe() if known is None else known
+        return self._queries.get(key, lambda: described)
 
     def scored_model(self, model: Model, task: Task) -> Model:
         """Return the model that describes pictures as a task's descriptors are: calibrated where the task is."""
@@ -416,6 +427,9 @@ class WorkspaceAnalyser:
                 for model in (self._model, self._tile_model)
             )
             self._analysers[calibrated] = QueryAnalyser(
-                query_model, lambda task, index: workspace.tile(task, index, tile_model), workspace.load_picture
+                query_model,
+                lambda task, index: workspace.tile(task, index, tile_model),
+                workspace.load_picture,
+                workspace.described_query,
             )
         return self._analysers[calibrated]

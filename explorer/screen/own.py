@@ -196,12 +196,13 @@ class OwnPhotos:
             going = [key for key, one in self._checks.items() if one is not job and not one.wait(0)]
             for key in going[: max(len(going) - _MOST_CHECKS, 0)]:
                 self._checks.pop(key).leave(self)
+        ended = job.wait(0)  # before its mark, which is then the last one
         sign, text, why = mark(job, analysis.task, analysis.matches[0].index)
         marked = {"own": picture.key, "sign": sign, "text": text, "why": why}
         if marked != self._marked:
             self._marked = marked
             self._send({"mark": marked})
-        return None if job.wait(0) else _INTERVAL
+        return None if ended else _INTERVAL
 
     def _hold(self, name: str, content: bytes) -> str:
         """Read a file, and hold its photo; LPNError says why not."""

@@ -77,9 +77,9 @@ class ScreenSession:
         self._state: ScreenState | None = None
         self._result: ScreenResult | None = None
         self._number, self._left = 0, False
-        self._loop = Loop(self._answer, send, lambda: self._access.opened(self.state).requests, self._after)
+        self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
         # What goes on behind an answer.
-        self._rail = Rail()
+        self._rail, self._listed = Rail(), False
         self._ranked: RankingJob | None = None
         self._ranks = Worker(self._rank, lambda _: None)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
@@ -98,7 +98,8 @@ class ScreenSession:
             "calibrate": self._calibrate,
             "hover": self.scene.hover,
             "pick": self.scene.pick,
-            "scene": self.scene.fit,
+            "scene": self.scene.draw,
+            "still": self.scene.still,
         }
 
     # What panels use, see `Tab`.
@@ -363,12 +364,15 @@ class ScreenSession:
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
         elif (before.view, before.theme) != (state.view, state.theme) and self._result is not None:
-            self.scene.show(self._result, state)
+            self.scene.take(self._result, state)
+            self.scene.draw()
         if problems:
             self.say(problems[0][:1].upper() + problems[0][1:])
-        self._show_rail()
         if new_page:
+            self._listed = False
             self._send(self._own.message(self.services.feeds))
+        else:
+            self._show_rail()
         self._turn_to_panel(state.panel)
         self._panels.wake()
 
@@ -424,6 +428,7 @@ class ScreenSession:
     def _show_rail(self) -> None:
         state, access = self._state, self._access
         if state is not None:
+            self._listed = True
             ranking, feeds = access.ranking(state), access.services(state).feeds
             self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
 
@@ -442,6 +447,12 @@ class ScreenSession:
 
     # The analysis.
 
+    def _deliver(self, message: ScreenMessage) -> None:
+        """Send what the loop has for the page; the first list comes after it, as thumbnails would delay a result."""
+        self._send(message)
+        if not self._listed:
+            self._show_rail()
+
     def _answer(self, state: ScreenState) -> ScreenMessage:
         services, workspace = self._access.services(state), self._access.workspace(state)
         question = state.question(self._own.find(state.own))
@@ -455,13 +466,14 @@ class ScreenSession:
         marks = [] if state.own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
         message = result.message() | {"scene": views_of(result), "number": self._number, "marks": marks}
         self._result = result
+        self.scene.take(result, self.state)
         return message | {"state": state.values(), "curve": _digest(key, state)}
 
     def _after(self, state: ScreenState) -> None:
         """Begin what goes on behind an answer."""
         result = self._result
         assert result is not None
-        self.scene.show(result, self.state)
+        self.scene.draw()
         self._panels.wake()
         self._ranks.wake()
         opened, analysis = self._access.opened(state), result.analysis
@@ -475,7 +487,16 @@ class ScreenSession:
         change = change.for_picture(analysis.task.queries[index], analysis.zoom) if index is not None else change
         key = _curve_key(state, analysis)
         scored = opened.workspace.scored_model(model, analysis.task)
-        turning = Turning(key, analysis.task, analysis.source, change, index, state.weights or None, scored)
+        turning = Turning(
+            key,
+            analysis.task,
+            analysis.source,
+            change,
+            index,
+            state.weights or None,
+            scored,
+            opened.workspace.described_query,
+        )
         self._curve.follow(turning, _digest(key, state))
         covering = None
         if state.heat == "occlusion":

@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -81,6 +82,16 @@ class _Photo:
     key: Hashable
 
 
+# Returns a described picture by its key, or what the function returns.
+KeepDescribed = Callable[[Hashable, Callable[[], DescribedPicture]], DescribedPicture]
+
+
+def described_key(task: Task, query: int, change: Change) -> Hashable:
+    """Return what a described query of a task depends on; `change` is that of the picture, see `Change.for_picture`."""
+    picture = task.queries[query]
+    return picture.path, picture.box, task.key, change
+
+
 class _LastValue(Generic[T]):
     """A cache of one value: that of the last key."""
 
@@ -100,6 +111,7 @@ class QueryAnalyser:
         model: describes queries, as the task's `Model.for_task`; None if only stored descriptors are available.
         describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
         load: reads a picture without regard to its box; may use a cache.
+        keep: returns a described query of the task by its `described_key`, or what describes it; may use a cache.
     """
 
     def __init__(
@@ -107,8 +119,9 @@ class QueryAnalyser:
         model: Model | None,
         describe_tile: Callable[[Task, int], DescribedPicture],
         load: Callable[[Picture], UInt8Array] = Picture.load,
+        keep: KeepDescribed = lambda _, describe: describe(),
     ) -> None:
-        self._model, self._describe_tile, self._load = model, describe_tile, load
+        self._model, self._describe_tile, self._load, self._keep = model, describe_tile, load, keep
         self._source: _LastValue[UInt8Array] = _LastValue()
         self._query: tuple[Hashable, DescribedPicture] | None = None
         self._ahead: dict[QueryRequest, tuple[_Photo, DescribedPicture]] = {}
@@ -144,7 +157,10 @@ class QueryAnalyser:
         if self._query is None or self._query[0] != query_key:
             if self._model is not None:
                 model = self._model.for_task(*task.views)
-                described = retrieval.describe_picture(model, photo.source, task.query_view, photo.change)
+                describe = partial(retrieval.describe_picture, model, photo.source, task.query_view, photo.change)
+                described = (
+                    describe() if index is None else self._keep(described_key(task, index, photo.change), describe)
+                )
             elif index is not None:
                 described = DescribedPicture(photo.source, task.query_descriptors[index], None, None)
             else:

@@ -455,7 +455,7 @@ def test_saved_descriptors_are_ranked_without_heat_or_turning(
     assert not screen.complaints
 
 
-def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Screen) -> None:
+def test_without_webgl_a_still_stands_in_the_place_of_the_scene(running: Running, screen: Screen) -> None:
     screen.page.add_init_script(
         """const made = HTMLCanvasElement.prototype.getContext;
         HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
@@ -464,8 +464,13 @@ def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Scre
     )
     screen.open()
     screen.expect_numbers(running.analysis())
-    expect(screen.page.locator("#scene")).to_be_hidden()
     expect(screen.page.locator("iframe")).to_have_count(0)
+    still = screen.page.get_by_alt_text("The place")
+    expect(still).to_be_visible()
+    assert still.evaluate("one => one.decode().then(() => one.naturalWidth)") == round(box(still)["width"])
+    before = still.get_attribute("src")
+    screen.key("n")
+    expect(still).not_to_have_attribute("src", before or "")
 
 
 def test_a_second_browser_has_its_own_photo(running: Running, contexts: Callable[..., BrowserContext]) -> None:

@@ -76,6 +76,7 @@ const channel = connect(
       soon();
     },
     scene: () => scene.ready(),
+    still: (address) => scene.still(address),
     picked: (found) => scene.picked(found),
     occlusion: ({ number, done, squares, photo: covered }) => {
       if (view.result?.number !== number) return;
@@ -179,8 +180,13 @@ onPicture(() => {
   loaded++;
   soon();
 });
-// What pictures, rows, and strip were drawn from: a turn of the photo alone leaves them as they are.
-let drawn = [];
+// What each part of the page was drawn from: it is drawn anew when that changes.
+const drawnFrom = new Map();
+const redraw = (part, from, draws) => {
+  const before = drawnFrom.get(part);
+  drawnFrom.set(part, from);
+  if (!before || from.some((one, at) => one !== before[at])) draws();
+};
 
 const draw = () => {
   due = 0;
@@ -195,17 +201,16 @@ const draw = () => {
   const stale = isStale();
   document.body.classList.toggle("turning", stale);
   document.body.classList.toggle("color", view.colour);
-  const from = [result, state.theme, view.colour, view.truth, view.focus, view.mark, loaded, innerWidth];
-  if (from.some((one, at) => one !== drawn[at])) {
-    drawn = from;
-    drawPictures(view);
-    showRows(rows, page, result, view.colour);
+  const from = [result, state.theme, innerWidth, innerHeight];
+  redraw("pictures", [...from, view.truth, view.focus, view.mark], () => drawPictures(view));
+  redraw("rows", [...from, view.colour, loaded], () => showRows(rows, page, result, view.colour));
+  redraw("sum", from, () => {
     showSums(sum, result);
     showStrip(strip, result);
-    for (const one of [rows, strip, sum]) markFocus(one, view.focus);
-  }
+  });
+  for (const one of [rows, strip, sum]) markFocus(one, view.focus);
   drawTurn(view);
-  scene.show(result.scene, state.view, page.place);
+  scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`);
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);

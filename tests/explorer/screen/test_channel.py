@@ -21,6 +21,7 @@ from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import HeldBytes
+from explorer.screen.scene import shapes
 from explorer.screen.terms import term
 from explorer.server.auth import Authenticator
 from explorer.workspace import Workspace
@@ -164,9 +165,26 @@ def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> 
     assert other["state"]["place"] == "data"
 
 
+def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(
+    app: App, tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab.open("?query=0006")
+    tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)
+    other = Tab(app, TAB[::-1])
+    with monkeypatch.context() as patch:
+        patch.setattr(workspace.inference, "run", lambda *_: pytest.fail("a pass"))
+        for one in (tab, other):
+            result = one.open("?query=0006&angle=45")
+            assert result["angle"] == 45
+            assert result["photo"]["heat"]
+    tab.send({"set": {"angle": 46}})
+    assert tab.result(angle=46)["photo"]["heat"] != result["photo"]["heat"]
+    other.socket.close()
+
+
 def send_file(tab: Tab, name: str, content: bytes, first: bool = True) -> int:
     """Send a file as the page does, and return how many the server has taken or left out once this one is among them."""
-    before = tab.last["yours"]["taken"]
+    before = tab.until(lambda last: "yours" in last)["yours"]["taken"]
     tab.act("upload", name=name, size=len(content), first=first)
     for start in range(0, len(content), 5000):
         tab.socket.send(content[start : start + 5000])
@@ -246,6 +264,21 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
     other.until(lambda last: last["result"]["state"]["own"])
     for tab_ in (one, other):
         tab_.socket.close()
+
+
+def test_a_browser_without_webgl_gets_a_still_of_the_city(app: App, tab: Tab) -> None:
+    tab.open()
+    tab.act("still", width=360, height=240)
+    address = tab.until(lambda last: "still" in last)["still"]
+    status, headers, body = get(app, f"/{address}")
+    assert (status, headers.get_content_type()) == (200, "image/jpeg")
+    shown = images.decode_picture(body, "still")
+    assert shown.shape == (240, 360, 3)
+    gold = np.abs(shown.astype(int) - shapes.RIGHT[True]).max(axis=2) < 40
+    assert gold.sum() > 300, "the answer's frame and its badge"
+    tab.act("still", width="wide", height=10**9)
+    tab.send({"set": {"angle": 4}})
+    assert tab.result(angle=4)
 
 
 class _Checked:
