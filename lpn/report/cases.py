@@ -81,7 +81,7 @@ class Case:
         doubtful: no tile is right for certain, so it is not graded.
         matches: the nearest tiles, then the nearest positive if it is not among them.
         thumbnails: of listed tiles by their positions, as data URIs.
-        facts: names and values of the query's metadata.
+        facts: names and values of the query's metadata, or of the file of the user's own picture.
         query: the query's picture.
         tiles: the compared tile, then its rival if there is one: of a true tile the nearest wrong one, of another tile the
             nearest true one, and of an answer whose truth is not known the next tile.
@@ -142,7 +142,8 @@ class Cases:
         listed = [self._listed(answer) for answer in answers]
         own = {match.index for place in requests for match in compared[place]}
         self._see({match.index for matches in (*listed, *compared) for match in matches}, own)
-        return [self._case(*each) for each in zip(answers, compared, listed, strict=True)]
+        facts = [list(query.facts) if isinstance(query, OwnPicture) else [] for query in queries]
+        return [self._case(*each) for each in zip(answers, compared, listed, facts, strict=True)]
 
     def _listed(self, answer: Answer) -> list[Match]:
         """Return the nearest tiles, and the nearest positive behind them."""
@@ -169,7 +170,7 @@ class Cases:
         for index in list(self._tiles)[: -max(_KEPT, len(compared))]:
             del self._tiles[index]
 
-    def _case(self, answer: Answer, compared: list[Match], listed: list[Match]) -> Case:
+    def _case(self, answer: Answer, compared: list[Match], listed: list[Match], facts: list[tuple[str, str]]) -> Case:
         options, task, index = self._options, self._task, answer.index
         comparison = None if answer.positive is None else Comparison.of(answer.ranking, answer.chosen)
         placed = index is not None and (index in options.doubtful or task.truth is None or task.truth[index].known)
@@ -178,7 +179,7 @@ class Cases:
             doubtful=placed and answer.verdict.sign is None,
             matches=listed,
             thumbnails=self._thumbnails,
-            facts=[] if index is None or options.title else self._facts(index),
+            facts=facts if index is None or options.title else self._facts(index),
             query=Seen(*answer.drawn(answer.query, 0), answer.query.activation),
             tiles=[_seen(answer, match) for match in compared],
             comparison=comparison,

@@ -52,7 +52,7 @@ def build(
     progress: Callable[[int, int], None] | None = None,
     made: datetime | None = None,
 ) -> bytes:
-    """Build a report: a UTF-8 HTML file with its pictures inside, about 0.2 MB for each query.
+    """Build a report: a UTF-8 HTML file with its pictures inside, about 0.15 MB for each query.
 
     Each query and each compared tile is described once, several together.
 

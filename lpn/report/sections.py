@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import chain
+from functools import lru_cache
+from itertools import chain, groupby
 from typing import NamedTuple
 
 import numpy as np
@@ -163,18 +164,29 @@ def _picture(seen: Seen, title: str, name: str, true: bool | None, task: Task) -
 def _outline(areas: PartAreas, part: int, across: float, heat: Float32Array | None) -> _Outline:
     inside = areas.labels == part
     rows, columns = inside.shape
-    x, y, path, strongest = across / columns, 100 / rows, "", None
-    for row, cells in enumerate(inside.astype(int)):
-        edges = np.flatnonzero(np.diff(cells, prepend=0, append=0)).tolist()
-        for begin, end in zip(edges[::2], edges[1::2], strict=True):
-            path += f"M{begin * x:.4g} {row * y:.4g}h{(end - begin) * x:.4g}v{y:.4g}h{(begin - end) * x:.4g}z"
+    x, y, strongest = across / columns, 100 / rows, None
     if heat is not None and inside.any():
         row, column = divmod(int(np.argmax(np.where(inside, images.enlarge(heat, rows, columns), -1))), columns)
         strongest = column * x, row * y, x, y
     left, top, right, bottom = areas.boxes[part]
     width, height = (right - left) * across, 100 * (bottom - top)
     cut = max(width - _MOST_WIDE * height, 0)
+    path = _path(inside.tobytes(), rows, columns, across)
     return _Outline(path, left * across + cut / 2, 100 * top, width - cut, height, strongest)
+
+
+@lru_cache(maxsize=256)
+def _path(inside: bytes, rows: int, columns: int, across: float) -> str:
+    """Return cells as an SVG path: the runs of each row, as high as the rows below are alike."""
+    path, x, y, top = "", across / columns, 100 / rows, 0
+    for alike, cells in groupby(inside[row * columns : (row + 1) * columns] for row in range(rows)):
+        height = len(list(cells))
+        edges = np.flatnonzero(np.diff(np.frombuffer(alike, np.int8), prepend=0, append=0)).tolist()
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            wide = (end - begin) * x
+            path += f"M{begin * x:.4g} {top * y:.4g}h{wide:.4g}v{height * y:.4g}h{-wide:.4g}z"
+        top += height
+    return path
 
 
 def _rows(case: Case) -> list[_Row]:

@@ -24,7 +24,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.core.texts import ordinal
-from lpn.datasets import open_dataset
+from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.report import Options, OwnPicture, Said, SaidPicture, _rendering
@@ -170,6 +170,38 @@ def test_the_words_of_a_screen_stand_first(task: Task) -> None:
     folded = page.all("details")
     assert [(fold.get("class"), fold.get("open")) for fold in folded] == [("said", None), ("experts", None)]
     assert not any(table.get("class") == "contents" for table in page.all("table")), "it would have one line"
+
+
+def test_each_picture_is_described_and_each_tile_is_read_once(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert task.model is not None
+    described, read, run, load = [], [], type(task.model).run, Picture.load
+    monkeypatch.setattr(
+        type(task.model), "run", lambda model, images, view: described.append(len(images)) or run(model, images, view)
+    )
+    monkeypatch.setattr(Picture, "load", lambda picture: read.append(picture.path) or load(picture))
+    queries = range(4)
+    report.build(task, queries)
+    found = [rank(task, task.query_descriptors[query], query) for query in queries]
+    tiles = {
+        match.index for one in found for match in (one.match(0), one.match(0).true and one.hardest_negative()) if match
+    }
+    tiles |= {one.positive().index for one in found if not one.match(0).true}  # type: ignore[union-attr]
+    assert sum(described) == 2 * (len(queries) + len(tiles)), "picture and mirror"
+    assert len(described) == 2, "all queries together, and all tiles"
+    assert len(read) == len(set(read))
+
+
+def test_pictures_that_are_described_together_are_described_as_alone(task: Task) -> None:
+    assert task.model is not None
+    pictures, changes = [picture.load() for picture in task.queries[:3]], [Change(rotate=turn) for turn in (0, 30, 90)]
+    together = retrieval.describe_pictures(task.model, pictures, "drone", changes)
+    for picture, change, one in zip(pictures, changes, together, strict=True):
+        alone = retrieval.describe_picture(task.model, picture, "drone", change)
+        np.testing.assert_array_equal(one.picture, alone.picture)
+        np.testing.assert_allclose(one.descriptor, alone.descriptor, atol=1e-6)
+        assert one.trace is not None
+        assert alone.trace is not None
+        np.testing.assert_allclose(one.trace.features, alone.trace.features, atol=1e-4)
 
 
 def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
