@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import logging
 import threading
@@ -10,6 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import viser
+from websockets.asyncio.server import ServerConnection
 
 from explorer.parameters import DATA
 from explorer.screen import route
@@ -23,7 +25,7 @@ from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core import images
 from lpn.core.errors import InputError
-from lpn.core.resources import is_loopback, limit_malloc_arenas
+from lpn.core.resources import is_loopback, limit_malloc_arenas, return_memory
 from lpn.core.served_page import ServedPage
 from lpn.core.shutdown import writes_finished
 
@@ -74,7 +76,7 @@ class App:
         self._add(DATA, workspace)
         self._pictures = PictureRoute(self._find_picture)
         self._channel = Channel(Screens(self._services_of, DATA, self._places))
-        screen = Screen(route.respond, route.scene_of, self._channel.serve)
+        screen = Screen(route.respond, route.scene_of, self._serve)
         self.server, self.gateway = open_server(host, port, self.authenticator, self._pictures, screen, embedders)
         # The tabs whose scenes viser's clients are.
         self._scenes: dict[int, str] = {}
@@ -94,6 +96,11 @@ class App:
         close_server(self.server)
         if not writes_finished(max(until - time.monotonic(), 0)):
             log.warning("A file is still being written")
+
+    async def _serve(self, tab: str, connection: ServerConnection) -> None:
+        """Serve the channel of a tab; what it held, pictures included, is collected now, for which Python would take minutes."""
+        await self._channel.serve(tab, connection)
+        await asyncio.to_thread(_collect)
 
     async def _connect(self, client: viser.ClientHandle) -> None:
         """Attach the client of a scene; viser runs a coroutine where the tab of the scene is known."""
@@ -131,6 +138,11 @@ class App:
     def _find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
         computes = (services.find_picture(path) for services in list(self._services.values()))
         return next((compute for compute in computes if compute is not None), None)
+
+
+def _collect() -> None:
+    gc.collect()
+    return_memory()
 
 
 def serve(

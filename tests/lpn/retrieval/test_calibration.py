@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.session_state import SessionState
 from safetensors import safe_open
 
 import lpn
 from explorer.opening import open_model
-from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn import report
 from lpn.cli.main import main
