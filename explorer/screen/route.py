@@ -95,5 +95,7 @@ def bundle() -> str:
                 add(imported)
             texts.append(_IMPORT.sub("", text))
 
-    add("app.js")
+    for name in sorted(file.name for file in _PAGE.glob("*.js") if file.name != "app.js"):
+        add(name)
+    add("app.js")  # the last one, as it begins
     return "\n".join(texts)

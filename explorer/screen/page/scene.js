@@ -71,6 +71,7 @@ export class SceneFrame {
 
   /** The server has drawn in the frame. */
   ready() {
+    if (!this.box.classList.contains("ready")) this.resized(); // viser's panel has taken its width only now
     this.box.classList.add("ready");
   }
 
@@ -123,7 +124,6 @@ export class SceneFrame {
 
   resized() {
     clearTimeout(this.waiting);
-    this.key = "";
     this.waiting = setTimeout(() => this.channel.act("scene"), SETTLED);
   }
 }
