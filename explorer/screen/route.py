@@ -1,7 +1,7 @@
 """The files of the page at `/`: one template, style sheets, and ES modules, as they lie in `page`, `vendor`, and the panels.
 
-`screen/page/bundle.js` is all modules of the page in one file, as each file takes a connection. The address of a module, which
-panels import, exports all of the bundle. `screen/terms.json` has the meanings of the glossary's terms.
+`screen/page/bundle.js` is all modules that the page begins with, as each file takes a connection; no two may have a name in
+common. The address of one of them, which panels import, exports all of the bundle. `screen/terms.json` has the meanings of terms.
 """
 
 from __future__ import annotations
@@ -72,18 +72,18 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
 def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
     """Return a file, perhaps compressed, and the tag of this state of it."""
     if file == _BUNDLE:
-        content = bundle().encode()
+        content = bundle()[0].encode()
     elif file == terms.GLOSSARY:
         content = json.dumps(terms.meanings()).encode()
-    elif file.parent == _PAGE and file.suffix == ".js":
+    elif file.parent == _PAGE and file.name in bundle()[1]:
         content = b'export * from "./bundle.js";'
     else:
         content = file.read_bytes()
     return gzip.compress(content, mtime=0) if zipped else content, f'"{sha256(content).hexdigest()[:16]}"'
 
 
-def bundle() -> str:
-    """Return the page's modules as one, each after those that it imports; no two have a name in common."""
+def bundle() -> tuple[str, set[str]]:
+    """Return the modules that the page begins with as one, and their names; each stands after those that it imports."""
     texts: list[str] = []
     added: set[str] = set()
 
@@ -95,7 +95,5 @@ def bundle() -> str:
                 add(imported)
             texts.append(_IMPORT.sub("", text))
 
-    for name in sorted(file.name for file in _PAGE.glob("*.js") if file.name != "app.js"):
-        add(name)
-    add("app.js")  # the last one, as it begins
-    return "\n".join(texts)
+    add("app.js")
+    return "\n".join(texts), added
