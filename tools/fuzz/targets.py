@@ -351,9 +351,10 @@ def rankings(folder: Path) -> list[FuzzCase]:
 
 def links(folder: Path) -> list[FuzzCase]:
     """The address of a page."""
-    from explorer.opening import open_model
     from explorer.session_state import SessionState
     from explorer.url_state import UrlState
+
+    from explorer.opening import open_model
     from tools.fixtures import small_worlds
     from tools.fixtures.small_models import onnx_file
 

@@ -27,6 +27,7 @@ const view = { page: null, state: null, result: null, rail: null, curve: null, y
 const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#curve", "#strip", "#sum"].map((one) => find(one));
 const list = new RailList(find("#list"));
 
+let kept = null;
 // What a result depends on: while the state differs from it, the numbers are faded.
 const OF_RESULT = ["place", "task", "model", "scoring", "query", "own", "compare", "weights", "heat"];
 const isStale = () => view.result.angle !== view.angle || OF_RESULT.some((name) => JSON.stringify(view.result.state[name]) !== JSON.stringify(view.state[name]));
@@ -96,10 +97,6 @@ const channel = connect(
     if (view.lost) scene.reload();
     view.lost = false;
     const search = new URLSearchParams(location.search);
-    let kept = null;
-    try {
-      kept = localStorage.getItem(KEPT);
-    } catch {} // the browser may deny its storage
     if (!search.has("theme")) search.set("theme", kept ?? (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
     channel.act("open", { search: `?${search}` });
   },
@@ -111,6 +108,11 @@ const channel = connect(
     say("Connection lost. Trying again.", true);
   },
 );
+
+// While the connection opens.
+try {
+  kept = localStorage.getItem(KEPT);
+} catch {} // the browser may deny its storage
 
 /** Say something in the headline's place; the result that is shown stays, faded. */
 const say = (text, busy = false) => {
@@ -164,6 +166,7 @@ const setTheme = (theme) => {
 };
 const flipTheme = () => {
   const theme = view.state.theme === "dark" ? "light" : "dark";
+  kept = theme;
   try {
     localStorage.setItem(KEPT, theme);
   } catch {}

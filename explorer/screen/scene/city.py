@@ -26,7 +26,7 @@ _BESIDE, _BELOW, _ROOM = 35.0, -38.0, 0.8
 # Ranked tiles that have frames.
 _FRAMES = 3
 # Height of a badge as a share of the picture's.
-_BADGE = 0.085
+_BADGE = 0.09
 
 
 @dataclass(frozen=True, eq=False)

@@ -139,7 +139,7 @@ def test_the_rings_apart_have_ribbons_and_layers_of_each_part(workspace: Workspa
     assert all(node.visible for name, node in client.nodes.items() if name.startswith("/apart/"))
     z, half, hole = scene._layers[3]
     corner = tf.SO3.from_z_radians(math.radians(33)).apply(np.array([(half + hole) / 2, 0.0, 0.0]))
-    assert scene.pick(*looking(client, corner + np.array([-3.1, 0.0, z]))) == {"part": 3}
+    assert scene.pick(*looking(client, corner + np.array([-scene._apart_by, 0.0, z]))) == {"part": 3}
     assert scene.pick(0.5, 0.02) is None
 
 
