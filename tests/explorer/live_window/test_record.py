@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 
 from explorer.live_window import record as record_module
-from explorer.live_window.messages import GreetLive, LivePageMessage, ResizeLive
 from explorer.live_window.record import LiveRecord
 from explorer.server.picture_route import PREFIX
-from explorer.web.messages import decode
 from lpn.live.outputs import LiveFix
 from lpn.live.run import live_answer
 from lpn.locate.located import LocatedFlight, LocatedFrame
@@ -88,10 +86,3 @@ def test_a_frame_that_is_kept_does_not_change_the_one_that_was_located(
     file = located.frame.file
     record.send(fix(located))
     assert located.frame.file == file
-
-
-def test_messages_of_the_page_are_checked() -> None:
-    assert decode(LivePageMessage, "viewport", [800, 600]) == ResizeLive(800, 600)
-    assert decode(LivePageMessage, "viewport", [0, 600]) is None
-    assert isinstance(decode(LivePageMessage, "hello", {"viewport": None}), GreetLive)
-    assert decode(LivePageMessage, "hello", "text") is None

@@ -2,9 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from explorer.stories import messages, story
+from explorer.stories import story
 from explorer.stories.story import MOST_STEPS, Step, Story
-from explorer.web.messages import decode
 from lpn.core.errors import InputError
 
 THREE = Story("Three", tuple(Step(f"query={letter}", letter) for letter in "abc"))
@@ -26,17 +25,3 @@ def test_a_story_has_a_greatest_length() -> None:
 
 def test_a_new_story_has_the_first_free_number() -> None:
     assert story.new_name(["Story 1", "Story 3"]) == "Story 2"
-
-
-@pytest.mark.parametrize(
-    ("kind", "value"),
-    [
-        ("story-play", ""),
-        ("story-play", {"name": "x"}),
-        ("story-step", [0, 3]),
-        ("story-end", "stay"),
-        ("story-step", [MOST_STEPS, "query=a"]),
-    ],
-)
-def test_a_message_that_the_page_does_not_send_is_dropped(kind: str, value: object) -> None:
-    assert decode(messages.StoryMessage, kind, value) is None
