@@ -19,9 +19,6 @@ from explorer import opening
 from explorer.cli import Explore
 from explorer.compute import own_photos
 from explorer.compute.own_photos import CameraPicture, OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
-from explorer.failure_lab import state as lab_state
-from explorer.failure_lab.service import FailureLab
-from explorer.failure_lab.state import LabState
 from explorer.opening import open_flight_over
 from explorer.workspace import Workspace
 from lpn.cli.main import main
@@ -125,23 +122,13 @@ def test_registration_replaces_the_flight_when_it_is_done(
     before, job = workspace.flight, workspace.registration
     assert before is not None
     assert job is not None
-    laboratory = FailureLab(workspace)
-    assert laboratory.build(TASK, None).wait(60)
-    findings = laboratory.findings(TASK)
-    assert findings is not None
-    assert "registration" not in findings.table.columns
-    assert set(findings.table.columns["verdict"].values) <= {"by its neighbours", "not verified", "not located"}
     assert not job.wait(0)
     may_end.set()
     assert job.wait(60)
     assert (job.done, job.total) == (len(FLOWN_PLACES) + 1,) * 2
+    assert workspace.flight is not None
     assert workspace.flight is not before
-    newest = laboratory.findings(TASK)
-    assert newest is not None
-    assert set(newest.table.columns["registration"].values) == {"refused"}
-    assert newest.table.columns["reason"].values[5] == "Only 4 matches agree."
-    assert newest.table.columns["sequence off tag"].about.startswith("Distance from the photo's GPS tag")
-    assert "reason" not in [column.name for column in lab_state.charted_columns(newest)]
+    assert {one.stages["registration"].state for one in workspace.flight.frames} == {"refused"}
 
 
 def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspace) -> None:
@@ -152,21 +139,6 @@ def test_frames_of_unknown_place_are_neither_found_nor_failed(workspace: Workspa
     assert all(workspace.thumbnail_file(task.queries[query])[:2] == b"\xff\xd8" for query in (0, 2, 5))
     with pytest.raises(RefusedError, match="is not a picture"):
         answered(workspace, query=2)
-    laboratory = FailureLab(workspace)
-    assert laboratory.build(TASK, None).wait(60)
-    findings = laboratory.findings(TASK)
-    assert findings is not None
-    rows = {
-        outcome: set(lab_state.selected_rows(findings, LabState(task=TASK, outcome=outcome)))  # type: ignore[arg-type]
-        for outcome in ("all", "failed", "found")
-    }
-    assert set(UNKNOWN) == rows["all"] - rows["failed"] - rows["found"]
-    rates = lab_state.failure_rates(findings, LabState(task=TASK), findings.table.columns["heading from"])
-    assert sum(rate.queries for rate in rates) == known
-    places = laboratory.points("ground", TASK, None)
-    assert places.wait(60)
-    assert places.value is not None
-    assert np.flatnonzero(np.isnan(places.value.queries[:, 0])).tolist() == [0]
 
 
 @pytest.mark.parametrize(

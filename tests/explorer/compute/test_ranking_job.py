@@ -15,7 +15,6 @@ from explorer.browse.feeds import Feeds
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
 from explorer.screen.fields import opening
 from explorer.screen.rail import Rail
@@ -93,16 +92,6 @@ def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> N
     assert ranking.error == ""
     assert going.wait(TIMEOUT)
     assert ranking.result is not None
-
-
-def test_the_failure_laboratory_uses_the_same_ranking(workspace: Workspace) -> None:
-    laboratory, ranking = FailureLab(workspace), workspace.rankings[TASK]
-    job = laboratory.build(TASK, "me")
-    assert job.wait(TIMEOUT)
-    assert job.error is None
-    found = laboratory.findings(TASK)
-    assert found is not None
-    np.testing.assert_array_equal(found.outcomes.rank, ranking.ranks)
 
 
 def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
