@@ -29,7 +29,7 @@ from tools.fixtures.processes import free_port
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 120.0
-# Run in each page before its own scripts: nothing is stored yet, and the scene has a quarter of its pixels, by a parameter of viser.
+# Run in each page before its own scripts: nothing is stored yet, and the scene has a quarter of its pixels (for viser).
 _PREPARE = """
 const parameter = URLSearchParams.prototype.get;
 URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
