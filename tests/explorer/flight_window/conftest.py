@@ -1,0 +1,86 @@
+"""A small flight over a small map, with answers of all stages that were made up."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from lpn.flights import Flight, Frame
+from lpn.locate.audit import TagAudit
+from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
+from lpn.locate.retrieval import MapRetrieval
+from lpn.maps import Window, open_map
+from tests.lpn.maps.small_maps import smooth, write_geotiff
+
+# Metres from one frame to the next, and width of a photo on the ground.
+STEP, WIDTH = 20.0, 40.0
+SIZE = (80, 60)
+
+
+def registered(x: float, y: float, radius: float = 1.0) -> StageRecord:
+    """A registration of a north-up photo about a place."""
+    scale = WIDTH / SIZE[0]
+    matrix = [scale, 0, x - scale * (SIZE[0] - 1) / 2, 0, -scale, y + scale * (SIZE[1] - 1) / 2, 0, 0, 1]
+    return StageRecord("accepted", "40 matches agree.", x, y, True, radius, 0.0, 0.0, WIDTH, 40, matrix)
+
+
+@pytest.fixture(scope="session")
+def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
+    """Three frames from west to east: registered, registered far from its tag, and refused with a nasty sentence.
+
+    The map is 200 m wide and 120 m high, in pixels of 0.5 m, and its western 20 m are not valid.
+    """
+    pytest.importorskip("rasterio")
+    folder = tmp_path_factory.mktemp("flight")
+    ground = smooth(240, 400)
+    mask = np.full((240, 400, 1), 255, np.uint8)
+    mask[:, :40] = 0
+    town = open_map(write_geotiff(folder / "town.tif", np.dstack([ground, mask])))
+    frames = []
+    for i in range(3):
+        file = folder / f"photo{i}.png"
+        cv2.imwrite(str(file), cv2.resize(ground, SIZE))
+        tag = np.array([(i - 1) * STEP, 0.0])
+        latitude, longitude = town.frame.degrees([tag])[0]
+        frame = Frame(
+            file.name if i < 2 else "<b>photo2</b>.png",
+            file,
+            *SIZE,
+            time=2.0 * i,
+            latitude=float(latitude),
+            longitude=float(longitude),
+            height_above_ground=30.0 + i,
+            heading=0.0,
+            heading_source="gimbal",
+            pitch=-90.0,
+            roll=0.0,
+            fov=60.0,
+        )
+        frames.append(LocatedFrame(frame, tag))
+    places = np.array([(x, y) for y in (30.0, 0.0, -30.0) for x in (-60.0, -30.0, 0.0, 30.0, 60.0)])
+    for i, located in enumerate(frames):
+        located.windows = [WindowRecord(0.0, 0.0, 60.0, 0.5 + i / 10, 0.0, [0.5, 0.5], [0.5, 0.5])]
+        located.stages["retrieval"] = StageRecord("not verified", "A window; not verified.", 0.0, 0.0, heading=0.0)
+        located.stages["sequence"] = StageRecord("accepted", "Its neighbours agree.", (i - 1) * STEP, 5.0, radius=10.0)
+    frames[0].stages["registration"] = registered(-STEP, 1.0)
+    frames[1].stages["registration"] = registered(45.0, 0.0)
+    frames[2].stages["registration"] = StageRecord("refused", "Only <i>4</i> matches agree.")
+    count = len(places)
+    retrieval = MapRetrieval(
+        [Window(x, y, 60.0) for x, y in places.tolist()],
+        places,
+        np.full(count, 60.0),
+        np.zeros((count, 2, 4), np.float32),
+        [np.zeros((1, 2, 4), np.float32)] * 3,
+        [[0.0]] * 3,
+        np.full(3, 60.0),
+        np.ones(3),
+        32,
+        {},
+        {},
+    )
+    audit = TagAudit(2, 22.0, 45.0)
+    return LocatedFlight(
+        Flight("monday", tuple(f.frame for f in frames), ("A note.",)), town, frames, audit, ["Said."], retrieval
+    )

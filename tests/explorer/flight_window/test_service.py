@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import csv
+import json
+import threading
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgspec
+import numpy as np
+import pytest
+
+from explorer.flight_window import page
+from explorer.flight_window import service as service_module
+from explorer.flight_window.service import FlightService
+from lpn.core.errors import InputError
+from lpn.locate import corrections
+from lpn.locate.agreement import MapAgreement
+from lpn.locate.belief import FlightVerdicts
+from lpn.locate.corrections import NAME
+from lpn.locate.located import LocatedFlight
+from tests.explorer.flight_window.conftest import SIZE
+
+CORNERS = np.array([(0.0, 30.0), (40.0, 30.0), (40.0, 0.0), (0.0, 0.0)])
+
+
+@pytest.fixture
+def service(flight: LocatedFlight, tmp_path: Path) -> FlightService:
+    return FlightService(SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of))  # type: ignore[arg-type]
+
+
+def test_the_view_is_derived_once_and_again_when_something_changes(service: FlightService) -> None:
+    first = service.view()
+    assert service.view() is first
+    service.correct(2, CORNERS)
+    assert service.view() is not first
+    assert service.view().outlines is first.outlines
+
+
+def test_a_correction_is_a_track_of_its_own_and_lays_the_photo(service: FlightService) -> None:
+    assert service.view().homography(2) is None
+    service.correct(2, CORNERS)
+    view = service.view()
+    assert view.corrected(2) == pytest.approx((20.0, 15.0), abs=1e-3)
+    track = page.data(view, "x/")["tracks"]["corrected"]
+    assert "corrected by hand" in track["mark"]
+    assert (track["count"], track["x"][:2], track["error"][2]) == ("1 of 3", [None, None], pytest.approx(15.0))
+    matrix = view.homography(2)
+    assert matrix is not None
+    middle = matrix @ (39.5, 29.5, 1.0)
+    np.testing.assert_allclose(middle[:2] / middle[2], (20.0, 15.0), atol=1e-3)
+    assert "By hand" in page.card(view, 2, "x/")
+    service.correct(2, None)
+    assert service.view().homography(2) is None
+    assert "corrected" not in page.data(service.view(), "x/")["tracks"]
+
+
+def test_a_photo_that_a_person_lays_is_compared_with_the_map_there_and_once(
+    service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept, anew = MapAgreement([], 1.0), MapAgreement([], 9.0)
+    laid: list[Any] = []
+    monkeypatch.setattr(service_module, "map_agreement", lambda *given: laid.append(given) or anew)
+    stages = flight.frames[0].stages
+    monkeypatch.setitem(stages, "registration", msgspec.structs.replace(stages["registration"], agreement=kept))
+    assert service.agreement(0) is kept
+    assert service.agreement(2) is None, "it is not laid over the map"
+    service.correct(0, CORNERS)
+    assert [service.agreement(0) for _ in range(2)] == [anew, anew]
+    ((basemap, _, matrix, size),) = laid
+    assert (basemap, size) == (flight.basemap, SIZE)
+    np.testing.assert_allclose(matrix, service.view().homography(0))
+    service.correct(0, None)
+    assert service.agreement(0) is kept
+
+
+@pytest.mark.parametrize("content", [None, b"not a picture"])
+def test_a_laid_photo_that_cannot_be_read_is_not_compared(
+    service: FlightService,
+    flight: LocatedFlight,
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    content: bytes | None,
+) -> None:
+    file = tmp_path / "lost.png"
+    if content is not None:
+        file.write_bytes(content)
+    monkeypatch.setattr(flight.frames[0], "frame", replace(flight.frames[0].frame, file=file))
+    service.correct(0, CORNERS)
+    assert service.agreement(0) is None
+
+
+def test_positions_are_one_a_photo_and_hold_the_corrections(service: FlightService) -> None:
+    def column(name: str) -> list[str]:
+        rows = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
+        return [row[name] for row in rows]
+
+    assert column("stage") == ["registration", "registration", "sequence"]
+    assert column("state") == ["accepted", "contradicted", "accepted"]
+    assert column("doubt")[1] == "sequence, tag"
+    service.correct(2, CORNERS)
+    assert column("stage") == ["registration", "registration", "by hand"]
+    assert json.loads(service.positions(".geojson"))["type"] == "FeatureCollection"
+
+
+def test_a_position_has_its_radius_with_and_without_the_error_of_the_map_s_place(
+    service: FlightService, flight: LocatedFlight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stages = flight.frames[0].stages
+    answer = msgspec.structs.replace(stages["registration"], radius=5.0, place_error=4.0)
+    monkeypatch.setitem(stages, "registration", answer)
+    first, second, _ = csv.DictReader(service.positions(".csv").decode("utf-8-sig").splitlines())
+    assert (first["radius_on_map_m"], first["radius_on_earth_m"]) == ("3.0", "5.0")
+    assert (second["radius_on_map_m"], second["radius_on_earth_m"]) == ("1.0", "")
+
+
+def test_corrections_at_once_are_all_in_the_view(service: FlightService, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, may_end = threading.Event(), threading.Event()
+    write = corrections.set_correction
+
+    def slow(file: Path, name: str, *given: Any) -> dict[str, Any]:
+        found = write(file, name, *given)
+        if not begun.is_set():  # the first has read and written, and is the last to assign unless others wait
+            begun.set()
+            may_end.wait(0.3)
+        else:
+            may_end.set()
+        return found
+
+    monkeypatch.setattr(corrections, "set_correction", slow)
+    first = threading.Thread(target=service.correct, args=(0, CORNERS))
+    first.start()
+    assert begun.wait(60)
+    service.correct(1, CORNERS)
+    first.join(60)
+    assert sorted(service.view().corrections) == ["photo0.png", "photo1.png"]
+
+
+def test_two_servers_that_correct_one_photo_lose_neither_correction(flight: LocatedFlight, tmp_path: Path) -> None:
+    workspace = SimpleNamespace(flight=flight, root=tmp_path, verdicts_of=FlightVerdicts.of)
+    first, second = FlightService(workspace), FlightService(workspace)  # type: ignore[arg-type]
+    assert not first.view().corrections
+    assert not second.view().corrections
+    first.correct(0, CORNERS)
+    second.correct(1, CORNERS)
+    stored = (tmp_path / NAME).read_bytes()
+    shown: list[bool] = []  # by the other browsers of the first server: the second one's correction
+    first.watchers.watch(lambda: shown.append("photo1.png" in first.view().corrections))
+    with pytest.raises(InputError, match="Somebody else has corrected this photo meanwhile; save again to replace"):
+        first.correct(1, CORNERS + 5)
+    assert (tmp_path / NAME).read_bytes() == stored
+    assert shown == [True]
+    assert first.view().corrected(1) == pytest.approx((20.0, 15.0), abs=1e-3)
+    first.correct(1, CORNERS + 5)
+    with pytest.raises(InputError, match="Somebody else"):
+        second.correct(1, None)
+    second.correct(1, None)
+    assert corrections.read_corrections(tmp_path / NAME).keys() == {"photo0.png"}
+
+
+def test_a_refused_correction_changes_nothing(service: FlightService, tmp_path: Path) -> None:
+    before = service.view()
+    with pytest.raises(InputError, match="tie points"):
+        service.correct(0, CORNERS[::-1])
+    assert service.view() is before
+    assert not (tmp_path / NAME).exists()
+
+
+def test_a_damaged_file_of_corrections_is_left_out_with_a_note(service: FlightService, tmp_path: Path) -> None:
+    (tmp_path / NAME).write_text("nonsense")
+    assert service.view().corrections == {}
+    assert "Corrections are left out: The first line" in page.lists(service.view())["notes"]
