@@ -11,12 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from explorer.failure_lab import state
-from explorer.failure_lab.service import FailureLab, Findings
-from explorer.failure_lab.state import LabState
-from explorer.flight_window.service import FlightService
 
-from explorer.feeds import Feeds
+from explorer.browse.feeds import Feeds
+from explorer.flight_window.service import FlightService
 from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
@@ -48,15 +45,6 @@ def workspace() -> Iterator[Workspace]:
     place.basemap.close()
 
 
-@pytest.fixture(scope="module")
-def findings(workspace: Workspace) -> Findings:
-    lab = FailureLab(workspace)
-    assert lab.build(TASK, lab).wait(PATIENCE)
-    found = lab.findings(TASK)
-    assert found is not None
-    return found
-
-
 def text(html: str) -> str:
     return unescape(" ".join(re.sub(r"<[^>]*>", " ", html.partition("</style>")[2] or html).split()))
 
@@ -81,11 +69,6 @@ def test_the_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right_nor_a
     counted = np.delete(result.errors, sorted(DOUBTFUL))
     assert measured["within 50 m"] == pytest.approx(100 * np.mean(counted <= 50))
     assert measured["within 50 m"] != pytest.approx(100 * np.mean(result.errors <= 50))
-
-
-def test_the_laboratory_counts_as_the_screen_does(workspace: Workspace, findings: Findings) -> None:
-    np.testing.assert_array_equal(findings.graded.known, workspace.graded(workspace.rankings[TASK]))
-    assert set(state.selected_rows(findings, LabState(task=TASK, outcome="failed")).tolist()) == WRONG
 
 
 def test_reports_count_as_the_screen_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -254,17 +254,3 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])
-
-
-def test_the_laboratory_ranks_all_queries_in_the_weather(data: Path, model_file: Path) -> None:
-    workspace = open_model(data, model_file, beside_weathers=["dark"])
-    name = TASK
-    laboratory, browser = FailureLab(workspace), object()
-    assert laboratory.build(name, browser).wait(PATIENCE)
-    laboratory.open_second()
-    wait_until(lambda: laboratory.join_second(name, browser).text == "")
-    findings = laboratory.findings(name)
-    assert findings is not None
-    assert findings.second is not None
-    assert findings.second.names == ("model.onnx", "model.onnx in the dark")
-    assert "rank B" in findings.table.columns

@@ -11,14 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.browse.query_list import entries
+from explorer.browse.feeds import Feeds
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.ranking_progress import RankingProgress
-from explorer.explain_window import model_comparison
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
-from explorer.panels import pages
+from explorer.screen.fields import opening
+from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.tasks import ranking_cache
@@ -72,17 +71,14 @@ def test_a_ranking_is_cached_until_a_picture_changes(data: Path, workspace: Work
     assert open_model(data, model_file).rankings[TASK].result is None
 
 
-def test_pages_show_progress_and_mark_nothing_before_the_ranking_is_done(workspace: Workspace) -> None:
-    ranking = workspace.rankings[TASK]
-    assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
-    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [None, None]
-    assert model_comparison.changes(ranking, ranking, workspace.graded(ranking)) is None
+def test_nothing_is_marked_before_the_ranking_is_done(workspace: Workspace) -> None:
+    ranking, feeds = workspace.rankings[TASK], Feeds(workspace)
+    state = opening(workspace)
+    assert Rail().message(replace(state, filter="missed"), workspace, ranking, feeds)["total"] == 0
+    assert not workspace.graded(ranking).any()
     assert ranking.join("me").wait(TIMEOUT)
-    assert "R@1" in pages.header(workspace, ranking.task)
-    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [
-        int(not failed) for failed in ranking.failed[:2]
-    ]
-    assert model_comparison.changes(ranking, ranking, workspace.graded(ranking)) is not None
+    assert Rail().message(state, workspace, ranking, feeds)["missed"] == int(ranking.failed.sum())
+    assert workspace.graded(ranking).all()
 
 
 def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> None:
@@ -96,16 +92,6 @@ def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> N
     assert ranking.error == ""
     assert going.wait(TIMEOUT)
     assert ranking.result is not None
-
-
-def test_the_failure_laboratory_uses_the_same_ranking(workspace: Workspace) -> None:
-    laboratory, ranking = FailureLab(workspace), workspace.rankings[TASK]
-    job = laboratory.build(TASK, "me")
-    assert job.wait(TIMEOUT)
-    assert job.error is None
-    found = laboratory.findings(TASK)
-    assert found is not None
-    np.testing.assert_array_equal(found.outcomes.rank, ranking.ranks)
 
 
 def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
