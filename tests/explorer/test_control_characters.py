@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from explorer.app import App
+from explorer.feeds import shown_json
 from explorer.opening import open_model
-from explorer.web.render import shown_json
 from lpn.core.files import TYPED, printable
 from lpn.tasks import notes
 from tools.fixtures import small_worlds

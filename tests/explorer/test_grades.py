@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-
-from explorer.browse.feeds import Feeds
 from explorer.flight_window.service import FlightService
+
+from explorer.feeds import Feeds
 from explorer.opening import OFFERED_OVERLAP, open_offered_flight
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace

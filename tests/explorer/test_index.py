@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from explorer.failure_lab.service import FailureLab
 
 import lpn
 from explorer.app import App

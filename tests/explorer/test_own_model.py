@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from explorer.failure_lab.service import FailureLab
 
 import lpn
 from explorer.opening import open_model, open_source

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.compute.ranking_progress import RankingProgress
 
 import lpn
 from explorer.compute import scorings
 from explorer.compute.ranking_job import RankingJob
-from explorer.compute.ranking_progress import RankingProgress
 from explorer.opening import open_model
 from explorer.screen import fields
 from explorer.workspace import Workspace

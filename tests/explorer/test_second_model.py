@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from explorer.failure_lab.service import FailureLab
 
 import explorer.app
 import explorer.cli

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from explorer.browse.feeds import CHUNK, Feeds
+from explorer.feeds import CHUNK, Feeds
 from explorer.opening import open_model
 from explorer.server.picture_route import PREFIX
 from explorer.workspace import Workspace

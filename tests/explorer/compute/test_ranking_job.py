@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from explorer.compute.ranking_progress import RankingProgress
 
-from explorer.browse.feeds import Feeds
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
-from explorer.compute.ranking_progress import RankingProgress
+from explorer.feeds import Feeds
 from explorer.opening import open_model
 from explorer.screen.fields import opening
 from explorer.screen.rail import Rail

@@ -15,10 +15,11 @@ from explorer.screen.panels.compare.models import changes
 from explorer.screen.panels.compare.pair import TilePair
 from explorer.screen.panels.region import MapCells, message
 from explorer.screen.panels.why import words
-from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn.analysis.comparison import effect_on
 from lpn.core.numbers import shown_difference
 from lpn.explain import sweeps
+from lpn.library.answer import Answer
 from lpn.retrieval import scoring
 from tests.explorer.screen.conftest import Tab
 from tests.explorer.screen.test_result import result_of
@@ -26,9 +27,9 @@ from tests.explorer.screen.test_result import result_of
 TASK = "drone-to-satellite"
 
 
-def analysed(workspace: Workspace, **state: Any) -> StateAnalysis:
+def analysed(workspace: Workspace, **state: Any) -> Answer:
     made = SessionState(TASK, workspace.contract.n_parts, **state)
-    return StateAnalyser(workspace).analyse(made, 6)
+    return WorkspaceAnalyser(workspace).analyse(made, 6)
 
 
 def shown(tab: Tab, key: str) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from safetensors import safe_open
 
 import lpn
 from explorer.opening import open_model
-from explorer.workspace import StateAnalyser
+from explorer.workspace import WorkspaceAnalyser
 from lpn import report
 from lpn.cli.main import main
 from lpn.core import images
@@ -257,7 +257,7 @@ def test_the_explorer_calibrates_both_models_and_shows_what_they_see(
     np.testing.assert_array_equal(workspace.ground_picture(task, 0), tile.load())
     query = workspace.rankings[calibrated].task.queries[0]
     state = SessionState(TASK, 4, scoring="calibrated", upload=OwnPicture("mine", query.load()))
-    shown = StateAnalyser(workspace).analyse(state, 5)
+    shown = WorkspaceAnalyser(workspace).analyse(state, 5)
     assert shown.query_note == query.note == f"zoomed by {shown.zoom:.2f}"
 
 
