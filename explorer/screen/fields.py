@@ -231,7 +231,8 @@ class ScreenState:
     def with_value(self, name: str, value: Any) -> ScreenState:
         """Return the state with another value of a field, which is not checked."""
         if name in _OF_PANELS:
-            return replace(self, of_panels={**self.of_panels, name: value})
+            others = {other: kept for other, kept in self.of_panels.items() if other != name}
+            return replace(self, of_panels=others if value == FIELDS[name].default else {**others, name: value})
         changes: dict[str, Any] = {name: value}
         return replace(self, **changes)
 
