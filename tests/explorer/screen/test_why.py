@@ -13,7 +13,7 @@ from explorer.parameters import UnusableError
 from explorer.screen import fields
 from explorer.screen.panels.compare.models import changes
 from explorer.screen.panels.compare.pair import TilePair
-from explorer.screen.panels.region import MapCells, message
+from explorer.screen.panels.region import CellRuns, message
 from explorer.screen.panels.why import words
 from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn.analysis.comparison import effect_on
@@ -203,7 +203,7 @@ def test_a_region_ranks_as_the_library_does(workspace: Workspace) -> None:
     ("text", "cells"), [("", ()), ("7", (7,)), ("3-6,19", (3, 4, 5, 6, 19)), ("9,1-2", (1, 2, 9)), ([5, 4, 4], (4, 5))]
 )
 def test_cells_are_written_as_runs(workspace: Workspace, text: object, cells: tuple[int, ...]) -> None:
-    state, kind = fields.opening(workspace), MapCells()
+    state, kind = fields.opening(workspace), CellRuns()
     assert kind.read(text, state, workspace) == cells
     assert kind.read(kind.write(cells, state, workspace), state, workspace) == cells
 
@@ -211,7 +211,7 @@ def test_cells_are_written_as_runs(workspace: Workspace, text: object, cells: tu
 @pytest.mark.parametrize("value", ["x", "1-", "99999", [True], [-1], ["2"], [4096], {}, 3])
 def test_other_cells_are_refused(workspace: Workspace, value: object) -> None:
     with pytest.raises(UnusableError, match="cells"):
-        MapCells().read(value, fields.opening(workspace), workspace)
+        CellRuns().read(value, fields.opening(workspace), workspace)
 
 
 def test_another_photo_has_no_region(workspace: Workspace) -> None:
