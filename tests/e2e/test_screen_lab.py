@@ -15,8 +15,8 @@ from explorer.app import App
 from explorer.opening import open_model
 from explorer.screen.panels.lab.service import LabFindings, lab_of
 from lpn.tasks import notes
-from tests.e2e.conftest import box, expect_accessible
-from tests.e2e.test_screen import SIZES, Running, Screen, hides, scrolls
+from tests.e2e.conftest import Running, Screen, box, expect_accessible
+from tests.e2e.test_screen import SIZES, hides, scrolls
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 

@@ -84,7 +84,7 @@ def test_reports_count_as_the_screen_does(tmp_path: Path, monkeypatch: pytest.Mo
     command += ["--model", str(DEMO_MODEL), "--out", str(tmp_path / "r.html")]
     assert main([*command, "--where", "seconds >= 0", "--matches", "1"]) == 0
     said = text((tmp_path / "r.html").read_text())
-    assert "That is right for 22 of the 26 pictures whose place is known for certain." in said
+    assert "That is right for 22 of the 26 photos whose place is known for certain." in said
     assert "30 queries (26 of known place, for certain, which are graded)" in said
     assert said.count("It is not graded, as no tile is right for certain") == len(DOUBTFUL)
     assert "84.6 % R@1" in said

@@ -16,7 +16,6 @@ from explorer.screen import fields
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn import report
-from lpn.analysis import part_weights
 from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
 from lpn.flights import write_flight
@@ -114,7 +113,6 @@ def test_outcomes_and_reports_are_those_of_a_data_set(workspace: Workspace, live
     task = workspace.tasks[TASK]
     assert b"14 tiles" in report.build(task, [1], report.Options())
     assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
-    assert not part_weights.why_not(task)
     assert not changes.why_not(task)
 
 

@@ -193,26 +193,7 @@ def test_the_demo_opens_by_the_calibration_that_ships_whatever_the_labels(
     monkeypatch.setattr(opening, "labels_of", lambda of: labels_of(of)[:: -1 if is_query(of) else 1])
     reversed_labels = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
     assert reversed_labels.default_scoring(TASK) == expected
-    assert [one.ready for one in scorings.choices(reversed_labels.rankings, TASK)] == [True] * 3
-
-
-def test_the_switch_waits_for_the_scorings_that_are_not_shown(workspace: Workspace) -> None:
-    shown = workspace.rankings[scored_key(TASK, "calibrated")]
-    rankings = workspace.scored_rankings(shown.task)
-    assert rankings[0] is shown
-    assert {one.task.scoring for one in rankings} == set(SCORINGS)
-    main, *others = jobs = [RankingJob(one.task) for one in rankings]  # none of them is ranked yet
-    told, drawn = list[tuple[RankingJob, int]](), list[str]()
-
-    def tell(ranking: RankingJob) -> None:
-        told.append((ranking, sum(job.result is not None for job in jobs)))
-
-    progress = RankingProgress(tell, lambda: drawn.append("the page is shown anew"))
-    progress.follow(main, figures=others)
-    wait_until(lambda: (main, 3) in told)
-    assert {ranking for ranking, _ in told} == {main}, "the results are those that are shown"
-    progress.follow(main, figures=others)
-    assert len(drawn) == 1, "the figures of the others stand in its results alone"
+    assert all(scored_key(TASK, one) in reversed_labels.rankings for one in SCORINGS)
 
 
 def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(

@@ -94,57 +94,6 @@ def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> N
     assert ranking.result is not None
 
 
-def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
-    one, other = workspace.rankings.values()
-    told, ends = [], threading.Semaphore(0)
-    progress = RankingProgress(lambda ranking: told.append(ranking.task.name), ends.release)
-    progress.follow(one, other)
-    for _ in range(2):
-        assert ends.acquire(timeout=TIMEOUT)
-    assert one.result is not None
-    assert other.result is not None
-    assert set(told) == {one.task.name}
-    progress.follow(other)
-    wait_until(lambda: progress._thread is None)
-
-
-def test_a_ranking_that_is_chosen_while_its_figures_are_waited_for_draws_the_page(workspace: Workspace) -> None:
-    chosen = RankingJob(workspace.rankings[TASK].task)
-    ended, begun, drawn = threading.Event(), threading.Event(), threading.Event()
-    background: Any = SimpleNamespace(wait=lambda _: (begun.set(), ended.wait(TIMEOUT))[1], cancelled=False)
-    chosen.join = lambda _: background  # type: ignore[method-assign]
-    shown, told = workspace.rankings[TASK], list[RankingJob]()
-    assert shown.join(object()).wait(TIMEOUT)
-    progress = RankingProgress(told.append, drawn.set)
-    progress.follow(shown, figures=[chosen])
-    assert begun.wait(TIMEOUT)
-    progress.follow(chosen, figures=[shown])
-    assert told[-1] is chosen
-    ended.set()
-    assert drawn.wait(TIMEOUT)
-    assert told[-1] is chosen
-    progress.close()
-
-
-def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:
-    ranking = workspace.rankings[TASK]
-    ended: list[int] = []
-    progress = RankingProgress(lambda _: None, lambda: ended.append(1))
-    with ranking._rank_lock:
-        progress.follow(ranking)
-        wait_until(lambda: ranking._job is not None)
-        job = ranking.join("me")
-        ranking.leave("me")
-        progress.close()
-    assert job.wait(TIMEOUT)
-    assert job.cancelled
-    assert not ended
-    wait_until(lambda: progress._thread is None)
-    progress.follow(ranking)  # by an answer that was being computed when the page closed
-    assert progress._thread is None
-    assert ranking._job is job
-
-
 def test_a_failed_ranking_reports_its_error(workspace: Workspace) -> None:
     ranking = workspace.rankings[TASK]
     damaged = np.array(ranking.task.gallery_descriptors)
@@ -162,22 +111,3 @@ def test_a_failed_ranking_can_start_again(workspace: Workspace, monkeypatch: pyt
         with pytest.raises(LPNError, match="ZeroDivisionError"):
             ranking.wait("me", lambda *_: None)
     assert ranking.wait("me", lambda *_: None) is ranking.result
-
-
-def test_a_page_whose_progress_report_fails_can_follow_again(
-    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ranking, told = workspace.rankings[TASK], []
-
-    def tell(shown: RankingJob) -> None:
-        told.append(shown)
-        if threading.current_thread().name == "explorer-ranking" and len(told) < 3:
-            raise RuntimeError("the page is not there yet")
-
-    monkeypatch.setattr(threading, "excepthook", lambda _: None)
-    ended = threading.Event()
-    progress = RankingProgress(tell, ended.set)
-    progress.follow(ranking)
-    wait_until(lambda: progress._thread is None)
-    progress.follow(ranking)
-    assert ranking.result is not None or ended.wait(TIMEOUT)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from explorer.session_state import SessionState
 
 from explorer.parameters import UnusableError
 from explorer.screen import fields
@@ -28,8 +27,8 @@ TASK = "drone-to-satellite"
 
 
 def analysed(workspace: Workspace, **state: Any) -> Answer:
-    made = SessionState(TASK, workspace.contract.n_parts, **state)
-    return WorkspaceAnalyser(workspace).analyse(made, 6)
+    made = replace(fields.opening(workspace), **state)
+    return WorkspaceAnalyser(workspace).analyse(workspace.tasks[TASK], made.question(), 6)
 
 
 def shown(tab: Tab, key: str) -> dict[str, Any]:
