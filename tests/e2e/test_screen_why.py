@@ -16,7 +16,6 @@ from tests.e2e.conftest import Running, Screen, box, expect_accessible
 from tests.explorer.screen.test_result import result_of
 
 
-
 def test_the_verdict_opens_what_a_newcomer_needs(running: Running, screen: Screen) -> None:
     screen.open()
     page = screen.page

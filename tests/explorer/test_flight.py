@@ -18,7 +18,7 @@ import lpn
 from explorer import opening
 from explorer.cli import Explore
 from explorer.compute import own_photos
-from explorer.compute.own_photos import CameraPicture, OwnPhotoComparisons, OwnPhotoJobs, OwnPhotoProgress
+from explorer.compute.own_photos import CameraPicture, OwnPhotoJobs, OwnPhotoProgress
 from explorer.opening import open_flight_over
 from explorer.workspace import Workspace
 from lpn.cli.main import main
@@ -75,7 +75,7 @@ def test_frames_are_the_queries_and_windows_of_the_map_the_gallery(workspace: Wo
     result = answered(workspace, f"?query={task.query_names[5]}")
     assert result.state.query == 5
     assert result.first.score == pytest.approx(located.frames[5].windows[0].score, abs=1e-5)
-    assert workspace.thumbnail(task.queries[5]).startswith("data:image/jpeg")
+    assert workspace.thumbnail_file(task.queries[5]).startswith(b"\xff\xd8")
 
 
 def test_a_window_that_cannot_be_read_has_a_grey_thumbnail(
@@ -282,10 +282,7 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
 
     monkeypatch.setattr(own_photos, "register_own_photo", register)
     jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
-    progress, of_page = OwnPhotoProgress(jobs, lambda: None), OwnPhotoComparisons()
-    other = of_page.of(jobs, lambda: None)
-    assert of_page.of(jobs, lambda: None) is other, "a page that comes back to a place has its comparisons again"
-    assert of_page.of(None, lambda: None) is not other
+    progress, other = (OwnPhotoProgress(jobs, lambda: None) for _ in range(2))
     first, second = (OwnPicture("mine.jpg", land()[:side], key=f"{side}") for side in (10, 20))
     of_first = progress.follow(first)
     go_on(1)
@@ -307,7 +304,7 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
     assert left is not None
     assert tried.acquire(timeout=60)
     assert other.follow(None) is None
-    of_page.forget()
+    other.forget()
     assert left.wait(60)
     assert left.cancelled
 

@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from explorer.flight_window.service import FlightService
 
 from explorer.feeds import Feeds
-from explorer.opening import OFFERED_OVERLAP, open_offered_flight
+from explorer.flight.service import SharedFlight
+from explorer.opening import OFFERED_OVERLAP, open_flight_over
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
 from lpn.cli.main import main
@@ -22,6 +22,7 @@ from lpn.core.demo import DEMO_ANSWERS, DEMO_MODEL, DEMO_PLACE
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
 from lpn.locate.source import FlightSource
+from lpn.sources import ModelOptions
 from tests.explorer.conftest import TASK, answered
 
 PATIENCE = 120.0
@@ -31,7 +32,8 @@ PHOTOS = 30
 
 
 def opened(basemap: Path, flight: Path) -> Workspace:
-    place = open_offered_flight(basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
+    shipped, model = basemap.with_name(DEMO_ANSWERS), ModelOptions(model=DEMO_MODEL)
+    place = open_flight_over(basemap, flight, model, overlap=OFFERED_OVERLAP, shipped=shipped)
     assert place.registration is not None
     assert place.registration.wait(PATIENCE)
     return place
@@ -106,8 +108,8 @@ def test_a_flight_is_judged_once_for_each_state_of_its_registration(
     ranking = workspace.rankings[TASK]
     for _ in range(3):
         assert int(workspace.graded(ranking).sum()) == PHOTOS - len(DOUBTFUL)
-    view = FlightService(workspace).view()
-    assert view.beliefs is FlightService(workspace).view().beliefs
+    seen = SharedFlight(workspace).snapshot()
+    assert seen.beliefs is SharedFlight(workspace).snapshot().beliefs
     assert judged == [workspace.flight]
     frames = [
         replace(one, stages={name: answer for name, answer in one.stages.items() if name != "registration"})

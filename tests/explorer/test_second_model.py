@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import explorer.cli
 import explorer.opening
 import lpn
 from explorer.cli import Explore
-from explorer.opening import open_model
+from explorer.opening import open_flight_over, open_model
 from explorer.workspace import Workspace
 from lpn.cli.failures import FailuresCommand
 from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
@@ -114,8 +115,8 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
 
     monkeypatch.setattr("lpn.maps.open_map", lacking)
-    files = tmp_path, tmp_path, tmp_path / "model.onnx"
-    flight = explorer.opening.offered("a flight", files, lambda: explorer.opening.open_offered_flight(*files))
+    opens = partial(open_flight_over, tmp_path, tmp_path, ModelOptions(model=tmp_path / "model.onnx"))
+    flight = explorer.opening.offered("a flight", [tmp_path], opens)
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."

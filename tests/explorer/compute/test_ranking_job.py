@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
-from explorer.compute.ranking_progress import RankingProgress
 
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
@@ -22,7 +18,7 @@ from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.tasks import ranking_cache
 from tools.fixtures import small_worlds
-from tools.fixtures.waiting import TIMEOUT, wait_until
+from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
 
