@@ -173,6 +173,7 @@ class Laboratory {
     const second = this.context.view.state.lab_second;
     const models = [["", "Model B"], ...Object.entries(head.beside)];
     select.replaceChildren(...models.map(([number, label]) => make("option", { value: number, selected: number === second, text: number ? `B: ${label}` : label })));
+    select.title = second ? `Rank B is that of ${head.beside[second]}` : "Compare with the ranks of a second model";
     select.hidden = models.length < 2;
     this.drawCounts();
   }

@@ -5,7 +5,7 @@ import { load } from "./vendor.js";
 
 const ROW = 33; // pixels without the line below; lab.css has the same height for rows that are still empty
 const PIECE = 100; // rows that the server sends at once
-const WIDTHS = { name: 84, rank: 62, margin: 88, part: 84, answer: 104, number: 88, text: 112 };
+const WIDTHS = { rank: 62, margin: 88, part: 84, answer: 104, number: 88, text: 112 };
 
 const verdict = (found) => (found === null ? "" : make("b", { class: found ? "right" : "wrong", text: found ? "✓" : "✗" }));
 
@@ -71,7 +71,8 @@ export class QueryTable {
   }
 
   columns() {
-    const { columns, sort, descending } = this.head;
+    const { columns, sort, descending, longest } = this.head;
+    const width = ({ name, kind }) => (name === "name" ? Math.max(84, Math.min(170, 8 * longest + 14)) : WIDTHS[kind]);
     const title = ({ name, unit, hint }) => {
       const sign = name === sort ? (descending ? " ▾" : " ▴") : "";
       const button = make("button", { title: `${hint}; click to sort`, text: `${name}${unit ? ` ${unit}` : ""}${sign}` });
@@ -81,7 +82,7 @@ export class QueryTable {
     return [
       { title: "photo", field: "query", width: 46, frozen: true, formatter: (cell) => this.thumbnail(0, cell.getValue()), titleFormatter: () => make("span", { class: "unseen", text: "photo" }) },
       ...columns.map((column) => ({
-        title: column.name, field: `=${column.name}`, width: WIDTHS[column.name] ?? WIDTHS[column.kind],
+        title: column.name, field: `=${column.name}`, width: width(column),
         hozAlign: column.kind === "number" ? "right" : "left", headerHozAlign: column.kind === "number" ? "right" : "left",
         titleFormatter: () => title(column), formatter: (cell) => this.cell(column.kind, cell.getValue()),
       })),
