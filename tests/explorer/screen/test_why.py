@@ -32,7 +32,8 @@ def analysed(workspace: Workspace, **state: Any) -> Answer:
 
 
 def shown(tab: Tab, key: str) -> dict[str, Any]:
-    """Return the newest message of the open panel that has a key."""
+    """Return the newest message of the open panel that has a key; a state that changes nothing has it sent again."""
+    tab.send({"set": {}})
     tab.until(lambda last: key in last.get("panel", {"message": {}})["message"])
     return dict(tab.last["panel"]["message"])
 
@@ -130,8 +131,19 @@ def test_the_painted_places_make_the_lead(workspace: Workspace) -> None:
     assert told["photo"]["signed"] is True
 
 
+def test_the_account_of_the_answer_adds_up_to_its_score(workspace: Workspace) -> None:
+    result = result_of(workspace, query=3)
+    account = TilePair.of(result).message(trying=False)["account"]
+    terms = [[float(term.replace("−", "-")) for term in part] for part in account["parts"]]
+    assert sum(part[-1] for part in terms) == pytest.approx(result.first.score, abs=3e-3)
+    for part in terms:
+        assert sum(part[:3]) == pytest.approx(part[3], abs=1e-9)
+    assert f"{result.first.score:.3f}" in account["said"][0]
+
+
 def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspace, tab: Tab) -> None:
     tab.open("?query=~2&panel=compare")
+    tab.send({"set": {}})
     tab.until(lambda last: ((last.get("panel") or {"message": {}})["message"].get("models") or {}).get("alone"))
     told = tab.last["panel"]["message"]["models"]
     other = workspace.beside[0].workspace
