@@ -55,8 +55,10 @@ class Downloads:
             text = f"{title}: it failed; the server's log has the details."
             if isinstance(error, (LPNError, WorkCancelledError)):
                 text = str(error) or f"{title}: cancelled."
+            self._job = None  # who reads the note may begin another one
             self._send({"note": text})
             raise
         address = feeds.address + feeds.publish_bytes(owner, "file", lambda: content) + "0"
+        self._job = None
         self._send({"download": {"address": address, "name": name}})
         self._send({"note": f"The browser saves {name}."})

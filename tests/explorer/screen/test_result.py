@@ -12,8 +12,7 @@ import pytest
 from explorer.client.services import WorkspaceServices
 from explorer.screen import fields, result
 from explorer.screen.fields import ScreenState
-from explorer.screen.result import STRIP, ScreenResult, measured_scale
-from explorer.screen.session import _as_session_state
+from explorer.screen.result import STRIP, ScreenResult, as_session_state, measured_scale
 from explorer.workspace import StateAnalyser, Workspace
 from lpn import explain
 from lpn.core import images
@@ -23,7 +22,7 @@ from lpn.retrieval import scoring
 
 def result_of(workspace: Workspace, **values: Any) -> ScreenResult:
     state: ScreenState = replace(fields.opening(workspace), **values)
-    analysis = StateAnalyser(workspace).analyse(_as_session_state(state, workspace, None), STRIP)
+    analysis = StateAnalyser(workspace).analyse(as_session_state(state, workspace, None), STRIP)
     feeds = WorkspaceServices.of(workspace).feeds
     return ScreenResult(workspace, feeds, state, analysis, measured_scale(analysis.task), "photo.jpg")
 
