@@ -13,7 +13,11 @@ from explorer.screen.fields import PanelField, ScreenState
 from explorer.screen.loop import ScreenMessage
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
+from lpn.core.arrays import Float64Array
+from lpn.drawing.theme import Colour
 
+# Line segments (N, 2, 3) and their colour.
+SceneLines = tuple[Float64Array, Colour]
 Action = Callable[[Mapping[str, Any]], None]
 
 
@@ -105,6 +109,7 @@ class Panel:
         fields: the choices that it adds to the state; their names begin with the panel's and "_".
         offered: whether a workspace has it.
         mark: what it says of a query in the head of the tile, as a `sign` and a `text`; None for nothing.
+        lines: what it adds for a query to the scene of the place, in metres about the gallery's origin.
     """
 
     name: str
@@ -115,3 +120,4 @@ class Panel:
     fields: Sequence[PanelField[Any]] = ()
     offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
     mark: Callable[[Workspace, int], Mapping[str, Any] | None] = lambda workspace, query: None  # noqa: ARG005
+    lines: Callable[[Workspace, int], Sequence[SceneLines]] = lambda workspace, query: ()  # noqa: ARG005

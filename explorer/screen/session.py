@@ -327,7 +327,9 @@ class ScreenSession:
             return
         if self._scene is None or self._scene.client is not client:
             self._scene = Scene(client)
-        self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)))
+        query = None if result.state.own else result.state.query
+        lines = [] if query is None else [of for one in PANELS.values() for of in one.lines(result.workspace, query)]
+        self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)), lines)
         self._send({"scene": "ready"})
 
     # The open panel.
