@@ -6,9 +6,8 @@ import sys
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, cast
 
@@ -18,7 +17,7 @@ from explorer.parameters import DATA
 from lpn.cli.live import LiveInput, MapError
 from lpn.core.demo import DEMO, DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PHOTO, DEMO_PLACE, DEMO_QUERY
 from lpn.core.errors import InputError
-from lpn.core.files import printable
+from lpn.core.files import check_outputs, printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
 from lpn.locate.source import FlightSource
@@ -39,13 +38,12 @@ class Workspaces:
     """The workspace that a page shows first, not opened yet, and further ones that it offers, by the keys of their addresses.
 
     Attributes:
-        label, key: of the first, see `App`.
+        label: of the first.
     """
 
     open_workspace: Callable[[], Workspace]
     others: Mapping[str, LazyWorkspace] = field(default_factory=dict)
     label: str = ""
-    key: str = DATA
 
 
 @dataclass(kw_only=True)
@@ -79,7 +77,7 @@ class ModelsBeside:
     """Models to compare with."""
 
     beside: tuple[Path, ...] = ()
-    """Other trained models to compare on every query (key Y, tab Two models), such as those with other parts or input sizes."""
+    """Other trained models to choose in the page's head, such as those with other parts or input sizes."""
     beside_kind: Advanced[Annotated[tuple[Kind | Literal["auto"], ...], tyro.conf.arg(metavar="KIND")]] = ()
     """Method of each model of --beside, in their order, as --kind is that of --model; auto for those that tell theirs."""
     beside_pooling: Advanced[tuple[str, ...]] = ()
@@ -129,41 +127,12 @@ class ExploreLive(ServeOptions, LiveInput):
 
 
 @dataclass(kw_only=True)
-class StoryList:
-    """List the stories that lie beside a data set or flight; lpn explore tells them."""
-
-    source: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="SOURCE")] = None
-    """Data set in any layout of docs/data.md, or the photos of a flight; by default those that lpn explore opens."""
-    stories: bool = True
-    """List the stories."""
-
-    def run(self) -> None:
-        from explorer.stories.library import read_all
-
-        if self.source is not None and not self.source.is_dir():
-            raise InputError(f"There is no folder {printable(str(self.source))!r}; give that of a data set or flight.")
-        shipped = {DATA: DEMO, "place": DEMO_PLACE[1], "flight": DEMO_FLIGHT[1]}
-        opened = (
-            {f", {_LABELS[key]}": root for key, root in shipped.items()} if self.source is None else {"": self.source}
-        )
-        stories = {of: read_all(root) for of, root in opened.items()}
-        problems = dict.fromkeys(problem for read in stories.values() for problem in read.errors)
-        for problem in problems:
-            print(f"lpn: {problem}", file=sys.stderr)
-        for of, read in stories.items():
-            for story in read.by_name.values():
-                print(f"{printable(story.name)}  ({len(story.steps)} steps{of})")
-        if not problems and not any(read.by_name for read in stories.values()):
-            print("There is no story yet. S on the page of lpn explore keeps what is shown as the step of one.")
-
-
-@dataclass(kw_only=True)
 class Explore(ModelsBeside, ServeOptions, SourceOptions):
     """Open the explorer in a browser: on a source, by default on the demo."""
 
     # The command runs until it is stopped, so a stop is no failure.
     SERVES: ClassVar[bool] = True
-    MODES: ClassVar[dict[str, type[ExploreLive | StoryList]]] = {"--live": ExploreLive, "--stories": StoryList}
+    MODES: ClassVar[dict[str, type[ExploreLive]]] = {"--live": ExploreLive}
 
     query: str | None = None
     """Name of the query to open with, as the picker shows it; by default the first."""
@@ -172,12 +141,19 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
     register: Advanced[bool] = True
     """Lay each photo of a flight over the map; this goes on in the background, and its answers are kept."""
     map_error: MapError = None
+    stories: Advanced[Path | None] = None
+    """File (.json) in which S on the page keeps steps of stories; by default stories.json beside the data."""
 
     def run(self) -> None:
         from explorer.app import serve
+        from explorer.screen.panels.stories.story import read_stories
 
         authenticator, opening = self.authenticator(), self.workspaces()
-        serve(opening.open_workspace, self.host, self.port, authenticator, opening.others, opening.label, opening.key)
+        check_outputs((self.stories, ".json"))
+        if self.stories is not None:
+            read_stories(self.stories)
+        of_page = opening.others, opening.label, self.stories
+        serve(opening.open_workspace, self.host, self.port, authenticator, *of_page)
 
     @staticmethod
     def in_background(
@@ -205,9 +181,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
             return serve_in_background(opens, host, port, authenticator, {})
         folder = None if data is None else str(data)
         opening = Explore(source=folder, model=source, calibrate=calibrate, csls=csls).workspaces()
-        return serve_in_background(
-            opening.open_workspace, host, port, authenticator, opening.others, opening.label, opening.key
-        )
+        return serve_in_background(opening.open_workspace, host, port, authenticator, opening.others, opening.label)
 
     def opens_data(self) -> Callable[[], Workspace]:
         """Return what opens the data set, by default the demo's city, under the model.
@@ -231,17 +205,14 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         return partial(
             open_model,
             DEMO if self.source is None else self.path,
-            self.model or (DEMO_MODEL if self.source is None else shipped_model()),
+            replace(self, model=self.model or (DEMO_MODEL if self.source is None else shipped_model())),
             query,
             beside,
             baseline,
-            self.provider,
-            self.kind,
             self.calibrate,
-            self.pooling,
-            self.beside_weather,
             self.csls,
             self.task,
+            self.beside_weather,
         )
 
     def workspaces(self) -> Workspaces:
@@ -265,7 +236,7 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         return Workspaces(partial(open_source, self, self.query))
 
     def _demo(self) -> Workspaces:
-        from explorer.opening import offered, open_offered_flight
+        from explorer.opening import OFFERED_OVERLAP, offered, open_flight_over
 
         of_source = [one for one in self.of_source() if one not in ("--calibrate", "--csls")]
         of_source += [] if self.map_error is None else ["--map-error"]
@@ -275,33 +246,15 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
         open_data = self.opens_data()
         if not self._is_demo:
             return Workspaces(open_data)
-        flights = {
-            key: partial(
-                open_offered_flight,
-                map_path=place[0],
-                flight_path=place[1],
-                model=DEMO_MODEL,
-                provider=self.provider,
-                query=query,
-                shipped=place[0].with_name(DEMO_ANSWERS),
-                about=about,
-            )
-            for key, place, query, about in (
-                ("place", DEMO_PLACE, DEMO_PHOTO, _REAL),
-                ("flight", DEMO_FLIGHT, None, ""),
-            )
-            if place[0].exists()
-        }
-        others = {
-            key: offered(_LABELS[key], [opens.keywords[name] for name in ("map_path", "flight_path", "model")], opens)
-            for key, opens in flights.items()
-        }
-        of_city = self.query or self.beside or self.beside_weather or self.calibrate is not None or self.csls
-        if of_city or "place" not in flights or find_spec("rasterio") is None:
-            return Workspaces(open_data, others, _LABELS[DATA])
-        del others["place"]
-        city = {DATA: offered(_LABELS[DATA], [DEMO, DEMO_MODEL], open_data)}
-        return Workspaces(flights["place"], city | others, _LABELS["place"], "place")
+        model, others = replace(self, model=DEMO_MODEL), {}
+        for key, (map_path, flight_path), query in (("place", DEMO_PLACE, DEMO_PHOTO), ("flight", DEMO_FLIGHT, None)):
+            if map_path.exists():
+                shipped = map_path.with_name(DEMO_ANSWERS)
+                opens = partial(
+                    open_flight_over, map_path, flight_path, model, query, overlap=OFFERED_OVERLAP, shipped=shipped
+                )
+                others[key] = offered(_LABELS[key], [map_path, flight_path, DEMO_MODEL], opens)
+        return Workspaces(open_data, others, _LABELS[DATA])
 
     @property
     def _is_demo(self) -> bool:
@@ -309,4 +262,3 @@ class Explore(ModelsBeside, ServeOptions, SourceOptions):
 
 
 _LABELS = {DATA: "a computer-generated city", "place": "a real flight", "flight": "a computer-generated flight"}
-_REAL = "real photos of a place that the model was not trained on, over a map of the flight's other photos"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import fields, replace
@@ -15,20 +14,17 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.compute.scorings import Scorings
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.consoles import terminal
-from lpn.core.errors import DataError, InputError, LPNError
+from lpn.core.errors import InputError, LPNError
 from lpn.core.files import printable
 from lpn.core.requirements import missing_package
-from lpn.core.resources import ProviderName, yield_cores
+from lpn.core.resources import yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
-from lpn.datasets.city_model import CityModel, city_model
 from lpn.descriptors.transforms import Change
-from lpn.descriptors.weather import Weather, WeatherName
+from lpn.descriptors.weather import CLEAR, Weather, WeatherName
 from lpn.locate.located import LocatedFlight
 from lpn.locate.options import LocateOptions
 from lpn.locate.pipeline import registered
-from lpn.locate.relief import relief_model
 from lpn.locate.source import FlightSource, OpenedFlight
-from lpn.models.adapters import Kind
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
@@ -45,8 +41,6 @@ from lpn.tasks.opening import (
 )
 from lpn.tasks.task import Scoring, Task
 
-log = logging.getLogger(__name__)
-
 # Seconds that the start waits for registration; answers from the cache take less.
 REGISTRATION_WAIT = 3.0
 # Overlap of the windows under an offered flight, a quarter as many as `lpn locate` describes: somebody waits for them.
@@ -55,39 +49,32 @@ OFFERED_OVERLAP = 0.5
 
 def open_model(
     data: Path,
-    model: Path | Model,
+    model: Path | ModelOptions | Model,
     query: str | None = None,
     beside: Sequence[ModelOptions] = (),
     baseline: Path | None = None,
-    provider: ProviderName = "auto",
-    kind: Kind | None = None,
     calibrate: bool | None = None,
-    pooling: str | None = None,
-    beside_weathers: Sequence[WeatherName] = (),
     csls: int = 0,
     task: str | None = None,
+    beside_weathers: Sequence[WeatherName] = (),
 ) -> Workspace:
     """Open a model and the tasks of a data set whose views it knows.
 
     Args:
-        model: a model, or what `lpn.load` opens.
+        model: a model, how it is loaded, or the file of one.
         query: name of the query of the first task that a new browser shows; by default the task's first query.
         beside: other models to compare with on the same data. All are loaded, and the first is opened; the others describe their
             pictures when a browser asks for it.
         baseline: the model of one part to offer for comparison without others; it is opened when a browser asks for it.
-        provider: what computes the networks, see `lpn.load`.
-        kind: the method of `model`, see `lpn.load`.
         calibrate, csls: how the page ranks when it opens, see `lpn.open_task`. A browser may ask for the other scorings.
-        pooling: of the tokens of `model`, see `lpn.load`.
         task: the one to open, in place of all.
         beside_weathers: in which to compare the model with itself; its queries are described in one when a browser asks for it.
 
     Raises:
         LPNError: when a model or the data set cannot be used, a model or a weather is given twice, or there is no such query.
     """
-    own = (
-        model if isinstance(model, Model) else ModelOptions(model=model, kind=kind, pooling=pooling, provider=provider)
-    )
+    own = ModelOptions(model=model) if isinstance(model, Path) else model
+    provider = own.provider if isinstance(own, ModelOptions) else "auto"
     names = _names([own, *beside] if isinstance(own, ModelOptions) else beside)
     name = printable(own.contract.method) if isinstance(own, Model) else names.pop(0)
     _check_weathers(beside_weathers)
@@ -128,9 +115,7 @@ def _in_weather(workspace: Workspace, model: Model, weather: Weather, label: str
     if not tasks:
         raise InputError("All queries are satellite tiles, which have no weather; leave --beside-weather out.")
     changed_tasks = [replace(changed(task, Change(weather=weather)), model_name=label) for task in tasks]
-    opened = _workspace(OpenedSource(changed_tasks, model), with_city=False)
-    opened.weather = weather
-    return opened
+    return _workspace(OpenedSource(changed_tasks, model), weather=weather)
 
 
 def _check_weathers(weathers: Sequence[WeatherName]) -> None:
@@ -248,7 +233,7 @@ def open_source(options: SourceOptions, query: str | None = None) -> Workspace:
     source = source_of(options)
     with _status(f"Opening {source.title}"):
         opened = source.open()
-    workspace = _workspace(opened, with_city=not isinstance(opened, OpenedFlight))
+    workspace = _workspace(opened)
     _print_notes(opened)
     workspace.choose_first_query(query)
     return workspace
@@ -302,10 +287,9 @@ def open_flight_over(
     locating = LocateOptions(register=False, overlap=overlap, map_error=map_error)
     source = FlightSource(_over(map_path, flight_path, model))
     opened = _open_flown(source, name, overlap, shipped)
-    workspace, located, network = _flight_workspace(opened), opened.located, opened.network
+    workspace, located, network = _flight_workspace(opened, map_error), opened.located, opened.network
     assert located is not None
     assert network is not None
-    workspace.own_photos = OwnPhotoJobs(located.basemap, map_error)
     if shipped is None:  # the flight window shows them, too
         _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
@@ -332,48 +316,22 @@ def _opens_flown(source: FlightSource, name: str, overlap: float, loaded: Model)
     return lambda: _flight_workspace(_open_flown(source, name, overlap, loaded=loaded))
 
 
-def _flight_workspace(opened: OpenedFlight) -> Workspace:
-    workspace = _workspace(opened, with_city=False)
+def _flight_workspace(opened: OpenedFlight, map_error: float | None = None) -> Workspace:
+    workspace = _workspace(opened, map_error)
     workspace.scorings = Scorings(
         "Frames are cut to the ground of the map's windows, so a flight needs no calibration."
     )
     return workspace
 
 
-def open_offered_flight(
-    map_path: Path,
-    flight_path: Path,
-    model: Path,
-    provider: ProviderName = "auto",
-    query: str | None = None,
-    shipped: Path | None = None,
-    about: str = "",
-) -> Workspace:
-    """Open a flight over a map with few windows, see `open_flight_over`.
-
-    Args:
-        about: see `Workspace.about`.
-    """
-    workspace = open_flight_over(
-        map_path,
-        flight_path,
-        ModelOptions(model=model, provider=provider),
-        query,
-        overlap=OFFERED_OVERLAP,
-        shipped=shipped,
-    )
-    workspace.about = about
-    return workspace
-
-
 def offered(label: str, files: Sequence[Path], open_workspace: Callable[[], Workspace]) -> LazyWorkspace:
-    """Return a workspace whose answers ship, which is opened when a browser asks for it, or before.
+    """Return a workspace whose answers ship, which is opened when a browser asks for it.
 
     Args:
         label: its name on the page.
         files: those whose names without folders stand in its errors.
     """
-    return LazyWorkspace(label, _naming_files(files, open_workspace), quick=True)
+    return LazyWorkspace(label, _naming_files(files, open_workspace))
 
 
 def _open_flown(
@@ -388,23 +346,23 @@ def _open_flown(
         return source.locate(overlap, shipped=shipped, loaded=loaded).named(name)
 
 
-def _workspace(source: OpenedSource, with_city: bool = True) -> Workspace:
+def _workspace(source: OpenedSource, map_error: float | None = None, weather: Weather = CLEAR) -> Workspace:
     """Return a workspace of tasks on the same data, whose galleries begin to be ranked."""
     first, model = source.task, source.model
-    workspace = Workspace(
+    flown = source if isinstance(source, OpenedFlight) else None
+    return Workspace(
         first.model_name,
         first.data_name,
         [_begin_ranking(task) for task in source.tasks],
         first.contract,
         dict(first.map_sizes) if model is None else {view: model.map_size(view) for view in model.views},
         model,
-        _city(first) if with_city else _relief(source),
         first.root,
+        None if flown is None else flown.located,
+        None if flown is None else flown.map,
+        None if flown is None else OwnPhotoJobs(flown.map, map_error),
+        weather,
     )
-    if isinstance(source, OpenedFlight):
-        workspace.flight, workspace.basemap = source.located, source.map
-    workspace.own_photos = None if workspace.basemap is None else OwnPhotoJobs(workspace.basemap)
-    return workspace
 
 
 def _print_notes(source: OpenedSource) -> None:
@@ -440,24 +398,3 @@ def _begin_ranking(task: Task) -> RankingJob:
 def _status(text: str) -> AbstractContextManager[object]:
     """Show a line on the terminal while work goes on."""
     return terminal().status(f"{text} (Ctrl-C stops)")
-
-
-def _relief(source: OpenedSource) -> CityModel | None:
-    """Return the relief of a flight's map; None without a map, or if its heights are damaged, which logs a warning."""
-    try:
-        located = source.located if isinstance(source, OpenedFlight) else None
-        return None if located is None else relief_model(located.basemap)
-    except DataError as error:
-        log.warning("The map has no relief: %s", error)
-        return None
-
-
-def _city(task: Task) -> CityModel | None:
-    """Return the data set's 3-D model if the task has positions; a damaged model only logs a warning."""
-    if task.geometry is None:
-        return None
-    try:
-        return city_model(task.root)
-    except DataError as error:
-        log.warning("The map has no city: %s", error)
-        return None

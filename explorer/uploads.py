@@ -7,12 +7,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from explorer.compute.own_photos import CameraPicture
-from explorer.server.message_filter import MAX_UPLOAD
 from lpn.core import images
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.flights.photo_file import PhotoFile
 
+# Bytes of a photo.
+MAX_UPLOAD = 30_000_000
 # Kinds of files that visitors may send: fewer decoders than a data set's own pictures go through.
 KINDS = "JPEG, PNG, or WebP"
 # Uploads are shrunk to this many pixels a side, so that rotating them stays quick. Those of 6,400 pixels a side and more are
@@ -37,9 +38,8 @@ def read(name: str, content: bytes) -> CameraPicture:
         PictureError: when the file is not a JPEG, PNG, or WebP, or is too large.
     """
     name = printable(name.replace("\\", "/").rsplit("/", 1)[-1][:_MAX_NAME]) or "your picture"
-    # The message filter has emptied a file that is too large.
     if not content:
-        raise PictureError(f"{name} is empty, or has more than 30 MB; choose another file.")
+        raise PictureError(f"{name} is empty; choose another file.")
     if len(content) > MAX_UPLOAD:
         raise PictureError(f"{name} has {len(content) / 1e6:.0f} MB; up to 30 MB are taken, so make it smaller.")
     if not (

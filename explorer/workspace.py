@@ -1,18 +1,17 @@
-"""The workspace that all browsers share: a model, a data set, and its tasks; and the analysis of one browser's states."""
+"""The workspace that all browsers share: a model, a data set, and its tasks; and the answers to one browser's questions."""
 
 from __future__ import annotations
 
 import logging
-from base64 import b64decode
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable, Iterable, Mapping
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
+from typing import cast
 
 import numpy as np
 
-from explorer import session_state
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.inference_scheduler import InferenceScheduler
@@ -21,37 +20,29 @@ from explorer.compute.ranking_job import RankingJob, TaskRanking
 from explorer.compute.request_context import QueuedModel, RequestContext
 from explorer.compute.scorings import Scorings
 from explorer.compute.watchers import Watchers
-from explorer.layout import layout_for
-from explorer.session_state import POSITIVE, SessionState
 from lpn.analysis import answer_context
 from lpn.analysis.answer_context import AnswerDistances
 from lpn.core import images
 from lpn.core.arrays import BoolArray, UInt8Array
-from lpn.core.errors import DataError, InputError, LPNError, PictureError
+from lpn.core.errors import InputError, LPNError, PictureError
 from lpn.core.resources import yield_cores
 from lpn.core.tables import Table
 from lpn.core.views import View
 from lpn.datasets import Picture as Picture
-from lpn.datasets.city_model import CityModel
-from lpn.datasets.ground_use import Letters, ground_uses
-from lpn.descriptors.weather import CLEAR
+from lpn.descriptors.weather import CLEAR, Weather
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.drawing.words import Vocabulary
-from lpn.explain.lead_places import TileGround
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
 from lpn.locate.belief import FlightVerdicts
-from lpn.locate.grades import doubtful_photos
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.locate.own_photo import OwnPhoto
+from lpn.locate.grades import doubtful_photos, is_doubtful
+from lpn.locate.located import LocatedFlight
 from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
-from lpn.retrieval.calibration import zoom_note
 from lpn.tasks.query_outcomes import Outcomes
-from lpn.tasks.task import SCORINGS, Scoring, Task, scored_key
+from lpn.tasks.task import Scoring, Task, scored_key
 
 log = logging.getLogger(__name__)
 
@@ -59,10 +50,8 @@ log = logging.getLogger(__name__)
 TILES = 48
 # A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
 TILE_BYTES = 400_000_000
-# Number of card pictures in the cache, 0.15 MB each.
-CARDS = 256
-# Number of tiles whose parts' areas are in the cache, up to 0.02 MB each.
-TILE_AREAS = 1024
+# Described queries in the cache, each turned as often as its curve has points, and their bytes.
+QUERIES, QUERY_BYTES = 1000, 300_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
 # Longer side in pixels of a picture on the screen.
@@ -83,8 +72,11 @@ class Workspace:
         map_sizes: (h, w) of the feature map of each view.
         model: None for saved descriptors, whose queries cannot be changed. All forward passes go through one queue;
             `RequestContext` gives each browser its own access.
-        city: the 3-D model for the map: a city's, or the relief of a flight's map.
         root: the data set's folder.
+        flight: whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
+        basemap: the map that windows are cut from; None without one.
+        own_photos: registers own pictures on the map; None without one.
+        weather: of all queries.
     """
 
     def __init__(
@@ -95,10 +87,14 @@ class Workspace:
         contract: Contract,
         map_sizes: dict[View, tuple[int, int]],
         model: Model | None,
-        city: CityModel | None,
         root: Path,
+        flight: LocatedFlight | None = None,
+        basemap: Map | None = None,
+        own_photos: OwnPhotoJobs | None = None,
+        weather: Weather = CLEAR,
     ) -> None:
-        self.root = root
+        self.root, self.weather = root, weather
+        self.flight, self.basemap, self.own_photos = flight, basemap, own_photos
         self.model_name, self.data_name = model_name, data_name
         # By the keys of their tasks: as the tasks were opened, and, once they are calibrated, under the further scorings.
         self.rankings = {ranking.task.key: ranking for ranking in rankings}
@@ -108,7 +104,7 @@ class Workspace:
         self.scorings: Scorings = Scorings(
             "Saved descriptors and indexes are ranked as they are; calibration takes pictures."
         )
-        self.contract, self.map_sizes, self.city = contract, map_sizes, city
+        self.contract, self.map_sizes = contract, map_sizes
         self.inference = InferenceScheduler()
         own = None if model is None else QueuedModel(model, self.inference, RequestContext(self.inference))
         self.model: QueuedModel | None = own
@@ -116,19 +112,15 @@ class Workspace:
             f"saved descriptors, n = {contract.n_parts}, no network" if model is None else model.describe()
         )
         self.first_query = 0
-        # Other models on the same data to compare with; a state says which one is compared.
+        # Other models on the same data; a state says which one is shown.
         self.beside: list[LazyWorkspace] = []
-        # The weather of all queries, in place of that of a state.
-        self.weather = CLEAR
         # The labels of all workspaces of the app by their keys, if there are several, and the key of this one.
         self.choices: Mapping[str, str] = {}
         self.key = ""
         # The app's workspaces that are open, by their keys.
         self.opened: Callable[[], Mapping[str, Workspace]] = dict
-        # A few words about the pictures for the first screen; a workspace that has them opens there.
-        self.about = ""
-        # The flight whose frames are the queries; None for a data set. Registration, which may take minutes, replaces it.
-        self.flight: LocatedFlight | None = None
+        # The file that keeps stories; None for that beside the data.
+        self.stories: Path | None = None
         self.registration: BackgroundJob[None] | None = None
         # They are told when the registration has ended, which changes what is graded.
         self.watchers = Watchers()
@@ -136,36 +128,19 @@ class Workspace:
         self._tiles: SingleFlightCache[tuple[str, bool, int], DescribedPicture] = SingleFlightCache(
             TILES, TILE_BYTES, lambda tile: 0 if tile.trace is None else tile.trace.nbytes
         )
-        self._tile_areas: SingleFlightCache[tuple[str, bool, int], PartAreas] = SingleFlightCache(TILE_AREAS)
+        self._queries: SingleFlightCache[Hashable, DescribedPicture] = SingleFlightCache(
+            QUERIES, QUERY_BYTES, lambda one: one.picture.nbytes + (0 if one.trace is None else one.trace.nbytes)
+        )
         self._thumbnail = lru_cache(maxsize=4096)(self._make_thumbnail)
         self._outcomes = lru_cache(maxsize=8)(self._make_outcomes)
         # The verdicts on the newest flight, and the photos that cannot be graded under each ranking of it.
         self._verdicts: SingleFlightCache[LocatedFlight, FlightVerdicts] = SingleFlightCache(1)
         self._doubtful: SingleFlightCache[tuple[LocatedFlight, TaskRanking], BoolArray] = SingleFlightCache(4)
         self._answer_distances = lru_cache(maxsize=8)(self._measure_answer_distances)
-        self._card = lru_cache(maxsize=CARDS)(self._make_card)
         self._fixed_areas = lru_cache(maxsize=8)(self._make_fixed_areas)
-        # The map that windows are cut from; None without one.
-        self.basemap: Map | None = None
-        # Registers own pictures on the map; None without one.
-        self.own_photos: OwnPhotoJobs | None = None
         self._mosaics: dict[str, UInt8Array] = {}
         self._mosaic_lock = Lock()
-        self.layout = layout_for(self.contract.input_size)
-        self.ground_uses: Callable[[], Mapping[str, Letters]] = lru_cache(maxsize=1)(self._read_ground_uses)
         self.load_picture = lru_cache(maxsize=64)(Picture.load)
-
-    def ground_of(self, task: Task, index: int) -> TileGround | None:
-        """Return the uses of the ground in a tile; None where nobody knows them."""
-        picture = task.gallery[index]
-        if not picture.path.is_relative_to(self.root):
-            return None
-        letters = self.ground_uses().get(picture.path.relative_to(self.root).as_posix())
-        return None if letters is None else TileGround(letters, picture.zoom)
-
-    def compared(self, state: SessionState) -> LazyWorkspace | None:
-        """Return the model beside this one that a state compares; None without one."""
-        return self.beside[state.beside] if state.beside < len(self.beside) else None
 
     def choose_first_query(self, query: str | None) -> None:
         """Choose by name the query that a new browser shows first.
@@ -178,38 +153,6 @@ class Workspace:
             raise InputError(f"{self.data_name} has no query {query}; names look like {names[0]}.")
         self.first_query = 0 if query is None else names.index(query)
 
-    def same_place(self, state: SessionState, task: str, preferred: int = 0) -> int:
-        """Return a query of another task that shows the place of the state's query.
-
-        Args:
-            preferred: the query to return if it shows the place; otherwise it is the first that does, or 0.
-        """
-        if state.upload is not None:
-            return 0
-        label = self.tasks[state.task].query_labels[state.query]
-        same = self.tasks[task].query_labels == label
-        return preferred if same[preferred] else int(np.argmax(same))
-
-    def supported_state(self, state: SessionState) -> SessionState:
-        """Return the state without the features that this workspace cannot show.
-
-        Without a network, these are changes of the query, uploads, heatmaps, and the explain window; without cells, heatmaps and
-        regions.
-        """
-        if state.ranking_key not in self.rankings:
-            state = replace(state, scoring=self.tasks[state.task].scoring)
-        if state.flight and not self.has_flight:
-            state = replace(state, flight=False)
-        if self.tasks[state.task].query_view == "satellite":
-            state = replace(state, weather="normal")  # a tile has none, see `lpn.tasks.weathers`
-        if self.without_cells:
-            state = replace(state, heat=False, heat_kind="activation", region=())
-        return (
-            state
-            if self.model is not None
-            else replace(session_state.upright(state), heat=False, upload=None, why=False)
-        )
-
     def tile(self, task: Task, index: int, model: Model | None = None) -> DescribedPicture:
         """Return a described gallery picture, from the cache if possible.
 
@@ -218,9 +161,11 @@ class Workspace:
         """
         return self._tiles.get(_tile_key(task, index), lambda: describe_tile(task, index, model or self.model))
 
-    def known_tile(self, task: Task, index: int) -> DescribedPicture | None:
-        """Return a described gallery picture if it is in the cache, else None."""
-        return self._tiles.peek(_tile_key(task, index))
+    def described_query(self, key: Hashable, describe: Callable[[], DescribedPicture]) -> DescribedPicture:
+        """Return a described query, from the cache if possible; nobody waits for another's work, which may be cancelled."""
+        known = self._queries.peek(key)
+        described = describe() if known is None else known
+        return self._queries.get(key, lambda: described)
 
     def scored_model(self, model: Model, task: Task) -> Model:
         """Return the model that describes pictures as a task's descriptors are: calibrated where the task is."""
@@ -232,14 +177,9 @@ class Workspace:
         ready = (scoring for scoring in self.opens_with if scored_key(name, scoring) in self.rankings)
         return next(ready, self.tasks[name].scoring)
 
-    def task_of(self, state: SessionState) -> Task:
-        """Return the state's task under its scoring, or as it was opened where that one is not ready."""
-        return self.rankings[self.supported_state(state).ranking_key].task
-
-    def scored_rankings(self, task: Task) -> list[RankingJob]:
-        """Return the ranking of a task under its scoring, and those under the other scorings that are ready."""
-        keys = [task.key, *(scored_key(task.name, scoring) for scoring in SCORINGS)]
-        return [self.rankings[key] for key in dict.fromkeys(keys) if key in self.rankings]
+    def ranking(self, name: str, scoring: str) -> RankingJob:
+        """Return the ranking of a task under a scoring, or as it was opened where that one is not ready."""
+        return self.rankings.get(scored_key(name, cast("Scoring", scoring)), self.rankings[self.tasks[name].key])
 
     def shared_task(self, task: Task, others: Iterable[Workspace]) -> Task:
         """Return a task under its scoring if all others rank it so, else as it was opened: models are compared alike."""
@@ -263,13 +203,8 @@ class Workspace:
             return known
         return replace(known[0], known=self.graded(self.rankings[task.key])), known[1]
 
-    @property
-    def verdicts(self) -> FlightVerdicts | None:
-        """The verdicts on the flight's photos, computed once for each state of its registration; None without a flight."""
-        return None if self.flight is None else self.verdicts_of(self.flight)
-
     def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
-        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile, see `verdicts`."""
+        """Return the verdicts on a state of the flight, which registration may have replaced meanwhile; computed once."""
         return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
@@ -291,6 +226,16 @@ class Workspace:
             graded &= known
         return graded if doubtful is None else graded & ~doubtful
 
+    def judged(self, answer: Answer) -> Answer:
+        """Return an answer without grades if the judge of its photo is in doubt, see `lpn.locate.grades`."""
+        flight, first = self.flight, answer.matches[0]
+        if flight is None or answer.index is None or first.true is None:
+            return answer
+        sure = answer.positive is not None and not is_doubtful(
+            flight, answer.task, answer.index, first.index, first.true
+        )
+        return answer if sure else answer.ungraded()
+
     def counts(self, ranking: RankingJob) -> tuple[int, int]:
         """Return how many queries are right, and how many are graded; none before they are ranked."""
         graded = self.graded(ranking)
@@ -306,17 +251,6 @@ class Workspace:
         ranked = self.rankings[task.key].result is not None
         quick = len(task.queries) <= _QUICK_OUTCOMES
         return self._answer_distances(task.key) if ranked and quick else None
-
-    def located(self, analysis: StateAnalysis) -> LocatedFrame | None:
-        """Return the photo that is shown with its registration: of a flight, or an own one; None without."""
-        if analysis.state.upload:
-            return None if analysis.registered is None else analysis.registered.located
-        return None if self.flight is None else self.flight.frames[analysis.state.query]
-
-    def details(self, analysis: StateAnalysis) -> StageRecord | None:
-        """Return how the photo that is shown lies on the map by its details; None while it is not registered."""
-        located = self.located(analysis)
-        return None if located is None else located.stages.get("registration")
 
     @property
     def has_flight(self) -> bool:
@@ -334,13 +268,9 @@ class Workspace:
         self.registration = BackgroundJob(work, self)
         return self.registration
 
-    def thumbnail(self, picture: Picture) -> str:
-        """Return a 64-pixel JPEG of a picture as a data URI; plain grey for a picture that cannot be read."""
-        return self._thumbnail(picture)
-
     def thumbnail_file(self, picture: Picture) -> bytes:
-        """Return the file of `thumbnail`."""
-        return b64decode(self._thumbnail(picture).partition(",")[2])
+        """Return a 64-pixel JPEG of a picture; plain grey for a picture that cannot be read."""
+        return self._thumbnail(picture)
 
     def picture_file(self, picture: Picture, view: View, zoomed: bool) -> bytes:
         """Return a JPEG of a picture as its parts are drawn, at most 800 pixels a side.
@@ -355,50 +285,11 @@ class Workspace:
         """Return the picture on which parts are drawn, see `Model.as_partitioned`."""
         return picture if self.model is None else self.model.as_partitioned(picture, view)
 
-    def card(self, task: Task, index: int) -> UInt8Array:
-        """Return a gallery picture at the size of a card, without part borders; read-only."""
-        return self._card(task.key, index)
-
-    def ground_picture(self, task: Task, index: int) -> UInt8Array:
-        """Return a gallery picture as it lies on the ground: a card, or the picture itself if the card is unrolled or zoomed."""
-        card = self.card(task, index)
-        if not self.contract.unrolled(task.gallery_view) and task.gallery[index].zoom == 1:
-            return card
-        try:
-            return self.load_picture(task.gallery[index])
-        except PictureError:
-            return card
-
     def areas(self, view: View, described: DescribedPicture | None = None) -> PartAreas | None:
         """Return the areas of the parts: of the view's partition, else of the picture's cells; None without either."""
         fixed = self._fixed_areas(view)
         trace = None if described is None else described.trace
         return PartAreas.of(self.contract, view, self.map_sizes[view], trace) if fixed is None else fixed
-
-    def known_tile_areas(self, task: Task, index: int) -> PartAreas | None:
-        """Return the areas of a gallery picture's parts if they take no forward pass: None until `find_tile_areas`."""
-        fixed = self._fixed_areas(task.gallery_view)
-        return self._tile_areas.peek(_tile_key(task, index)) if fixed is None else fixed
-
-    def find_tile_areas(self, task: Task, index: int, model: QueuedModel | None) -> None:
-        """Find the areas of a gallery picture's parts by its cells, from the described tiles if it is among them.
-
-        A tile described here is not cached as `tile` does: an answer that needs it must not wait for background work.
-
-        Args:
-            model: describes the tile in the background.
-
-        Raises:
-            LPNError: when the picture cannot be read or described.
-        """
-        key = _tile_key(task, index)
-
-        def areas() -> PartAreas:
-            described = self._tiles.peek(key) or describe_tile(task, index, model)
-            nowhere = np.zeros((self.contract.n_parts, 1, 1), np.float32)
-            return self.areas(task.gallery_view, described) or PartAreas.of_cells(nowhere)
-
-        self._tile_areas.get(key, areas)
 
     def _make_fixed_areas(self, view: View) -> PartAreas | None:
         return PartAreas.of(self.contract, view, self.map_sizes[view], None)
@@ -425,26 +316,10 @@ class Workspace:
                 self._mosaics[task.name] = drawn
             return self._mosaics[task.name]
 
-    def vocabulary(self, plain: bool) -> Vocabulary:
-        """Return the words to speak, plain or not; a plain ring is called one."""
-        return Vocabulary(plain, self.contract.part_noun)
-
-    @property
-    def has_parts(self) -> bool:
-        """The model describes a picture by several parts, and not by one vector."""
-        return self.contract.n_parts > 1
-
     def _part_names(self) -> list[str]:
         """Return each part's name, such as "ring / strip" if its name differs between views (CVUSA)."""
         names = [self.contract.names(view) for view in self.contract.views]
         return [" / ".join(dict.fromkeys(of_part)) for of_part in zip(*names, strict=True)]
-
-    def _read_ground_uses(self) -> Mapping[str, Letters]:
-        try:
-            return ground_uses(self.root)
-        except DataError as error:  # answers are useful without it
-            log.warning("%s", error)
-            return {}
 
     def _make_outcomes(self, name: str) -> tuple[Outcomes, Table] | None:
         job = self.rankings[name]
@@ -461,21 +336,12 @@ class Workspace:
         assert job.result is not None
         return answer_context.answer_distances(*job.task.sides(), job.result.ranking, job.task.known)
 
-    def _make_card(self, name: str, index: int) -> UInt8Array:
-        task = self.rankings[name].task
-        try:
-            entry = task.gallery[index]
-            picture = images.zoom(self.load_picture(entry), entry.zoom)
-        except PictureError:  # one damaged window does not spoil the answers that rank it
-            return np.full((*self.layout.card_pixels[::-1], 3), _UNREADABLE, np.uint8)
-        return images.resize(self.as_partitioned(picture, task.gallery_view), *self.layout.card_pixels)
-
-    def _make_thumbnail(self, picture: Picture) -> str:
+    def _make_thumbnail(self, picture: Picture) -> bytes:
         try:
             square = overlays.square(picture.load(), _THUMBNAIL)
         except PictureError:  # a flight may have frames that cannot be read
             square = np.full((_THUMBNAIL, _THUMBNAIL, 3), _UNREADABLE, np.uint8)
-        return overlays.data_uri(square)
+        return images.jpeg(square, 80)
 
 
 def _tile_key(task: Task, index: int) -> tuple[str, bool, int]:
@@ -488,11 +354,10 @@ class LazyWorkspace:
     Args:
         label: display name, such as "the baseline (n = 1)".
         open_workspace: opens it; that may take as long as the description of all pictures, whose progress is shown.
-        quick: all pictures are described already, so that it takes about a second.
     """
 
-    def __init__(self, label: str, open_workspace: Callable[[], Workspace], quick: bool = False) -> None:
-        self.label, self.quick = label, quick
+    def __init__(self, label: str, open_workspace: Callable[[], Workspace]) -> None:
+        self.label = label
         self._open, self._jobs = open_workspace, BackgroundJobs()
         self._job: BackgroundJob[Workspace] | None = None
         self._lock = Lock()
@@ -517,11 +382,6 @@ class LazyWorkspace:
         """It was opened, or its opening began."""
         return self._job is not None
 
-    @property
-    def opening(self) -> bool:
-        """The workspace is being opened."""
-        return self._job is not None and not self._job.wait(0)
-
     def open(self) -> BackgroundJob[Workspace]:
         """Open it in the background, unless it is open or being opened; after a failure, try again."""
         with self._lock:
@@ -530,36 +390,12 @@ class LazyWorkspace:
             return self._job
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class StateAnalysis(Answer):
-    """The answer to the query that a state shows.
-
-    Attributes:
-        tile: the compared tile, described.
-        own_photo: registers the own picture that is shown; None without one, or without a map that it may be of.
-    """
-
-    state: SessionState
-    tile: DescribedPicture
-    own_photo: BackgroundJob[OwnPhoto] | None = None
-
-    @property
-    def registered(self) -> OwnPhoto | None:
-        """The registration of the own picture; None until it has ended, or without one."""
-        return None if self.own_photo is None else self.own_photo.value
-
-    @property
-    def query_note(self) -> str:
-        """The remark beside the query's name; of the user's own picture, the zoom that a calibration chose for it."""
-        return self.task.queries[self.state.query].note if self.state.upload is None else zoom_note(self.zoom)
-
-
-class StateAnalyser:
-    """Analyses one browser's states, see `QueryAnalyser`.
+class WorkspaceAnalyser:
+    """Answers one browser's questions, see `QueryAnalyser`.
 
     Args:
         model: the browser's queued model; by default the workspace's.
-        cancellable: a newer state may supersede the query's forward pass. A tile's is never cancelled: other browsers share it.
+        cancellable: a newer question may supersede the query's forward pass, but no tile's: other browsers share it.
     """
 
     def __init__(self, workspace: Workspace, model: QueuedModel | None = None, cancellable: bool = True) -> None:
@@ -569,27 +405,17 @@ class StateAnalyser:
         self._model = model.cancellable() if model is not None and cancellable else model
         self._analysers: dict[bool, QueryAnalyser] = {}
 
-    def analyse(self, state: SessionState, k: int) -> StateAnalysis:
-        """Analyse the state's query, with its k nearest tiles.
+    def analyse(self, task: Task, request: QueryRequest, k: int) -> Answer:
+        """Answer a question about a task of the workspace, with the k nearest tiles.
 
         Raises:
             BusyError: when the inference queue is full; the caller may retry.
-            SupersededError: when a newer state superseded this one, see `RequestContext.answering`.
+            SupersededError: when a newer question superseded this one, see `RequestContext.answering`.
             LPNError: when the query cannot be analysed.
         """
-        change = state.change
-        request = QueryRequest(
-            query=state.upload or state.query,
-            change=replace(change, weather=self._workspace.weather) if self._workspace.weather else change,
-            weights=state.part_values(),
-            region=state.region,
-            compare="positive" if state.selected == POSITIVE else state.selected,
-            evidence=state.why or (state.heat and state.heat_kind == "evidence"),
-            correspondences=state.why,
-        )
-        task = self._workspace.task_of(state)
-        analysis = self._analyser_of(task).analyse(task, request, k)
-        return StateAnalysis(**vars(analysis), state=state)
+        if self._workspace.weather:
+            request = replace(request, change=replace(request.change, weather=self._workspace.weather))
+        return self._workspace.judged(self._analyser_of(task).analyse(task, request, k))
 
     def _analyser_of(self, task: Task) -> QueryAnalyser:
         """Return the analyser whose model describes pictures as the task does."""
@@ -601,6 +427,9 @@ class StateAnalyser:
                 for model in (self._model, self._tile_model)
             )
             self._analysers[calibrated] = QueryAnalyser(
-                query_model, lambda task, index: workspace.tile(task, index, tile_model), workspace.load_picture
+                query_model,
+                lambda task, index: workspace.tile(task, index, tile_model),
+                workspace.load_picture,
+                workspace.described_query,
             )
         return self._analysers[calibrated]

@@ -7,17 +7,15 @@ import io
 import sys
 import time
 from collections.abc import Sequence
-from functools import partial
 from pathlib import Path
+from urllib.parse import quote
 
-import msgspec
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
 from explorer.app import serve_in_background
 from explorer.cli import Explore
-from explorer.stories.library import stories_of
-from explorer.stories.story import Story
+from explorer.screen.panels.stories.story import Story, stories_of
 from lpn.core.errors import InputError, LPNError
 from lpn.core.files import check_outputs, printable, write_atomic
 from tools.fixtures.chromium import launch
@@ -25,17 +23,12 @@ from tools.fixtures.chromium import launch
 _QUALITY = 82
 # Seconds that a step may take until its page is at rest, and between two looks at it.
 _PATIENCE, _PAUSE = 180.0, 0.5
-# The page has an answer, and nothing in sight is still computed.
-_READY = """() => {
-  const status = document.getElementById("lpn-status");
-  const seen = (one) => one.getClientRects().length > 0;
-  return status && status.dataset.seq !== "0"
-    && !document.querySelector("#lpn-told.waiting") && ![...document.querySelectorAll(".busy")].some(seen);
-}"""
+# The page has the answer of what was asked for.
+_READY = "Boolean(document.body.dataset.sequence) && !/wait|turning|down/.test(document.body.className)"
 
 
 def record(url: str, story: Story, size: tuple[int, int]) -> list[Image.Image]:
-    """Show each step of a story in the app's page, and take its picture with the caption once the page is at rest.
+    """Tell a story in the app's page, and take the picture of each step once the page is at rest.
 
     Args:
         url: address of the running app.
@@ -48,29 +41,23 @@ def record(url: str, story: Story, size: tuple[int, int]) -> list[Image.Image]:
     with sync_playwright() as playwright:
         browser = launch(playwright)
         page = browser.new_page(viewport={"width": size[0], "height": size[1]}, color_scheme="dark")
-        shows = ""
-        for index, step in enumerate(story.steps):
-            shows = step.shows or shows  # a step that shows nothing leaves the page as it is
-            page.goto(f"{url}{'&' if '?' in url else '?'}theme=dark&screen=all&words=plain&{shows}")
+        page.goto(f"{url}/?theme=dark&panel=stories&story={quote(story.name)}")
+        page.locator("#panel .main").click(timeout=_PATIENCE * 1000)
+        page.add_style_tag(content="#told nav { display: none !important }")
+        for index in range(len(story.steps)):
             pictures.append(_picture(page, story, index))
+            page.keyboard.press("ArrowRight")
         browser.close()
     return pictures
 
 
 def _picture(page: Page, story: Story, index: int) -> Image.Image:
-    """Return the picture of a step at rest, whose page is open."""
-    wait = partial(page.wait_for_function, _READY, timeout=_PATIENCE * 1000)
-    wait()
-    # viser's notices are about this browser, and no part of the story.
-    notices = page.evaluate("lpn.viser.SELECTORS.notification")
-    page.add_style_tag(content=f"{notices}, #lpn-told button {{ display: none !important }}")
-    page.evaluate("([story, index]) => lpn.tell(story, index)", [msgspec.to_builtins(story), index])
+    """Return the picture of a step that is told, at rest."""
     until, before = time.monotonic() + _PATIENCE, b""
     while time.monotonic() < until:
-        wait()
         page.wait_for_timeout(_PAUSE * 1000)
         shot = page.screenshot()
-        if shot == before:
+        if shot == before and page.evaluate(_READY):
             return Image.open(io.BytesIO(shot)).convert("RGB")
         before = shot
     raise LPNError(f"Step {index + 1} of {printable(story.name)!r} did not come to rest within {_PATIENCE:g} s.")
@@ -91,7 +78,7 @@ def write(pictures: Sequence[Image.Image], seconds: float, out: Path) -> None:
 def main() -> int:
     """Film a story of the demo."""
     parser = argparse.ArgumentParser(description=__doc__, prog="python -m tools.film")
-    parser.add_argument("story", help="its name, as lpn explore --stories lists it")
+    parser.add_argument("story", help="its name, as the panel Stories lists it")
     parser.add_argument("out", type=Path, help=".webp file to write")
     parser.add_argument("--size", type=int, nargs=2, default=(1280, 800), help="width and height in pixels")
     parser.add_argument("--seconds", type=float, default=4.0, help="for which each step stands")
@@ -102,7 +89,7 @@ def main() -> int:
     if given.story not in stories:
         raise InputError(f"There is no story {printable(given.story)!r}; there are {', '.join(stories)}.")
     with serve_in_background(lambda: workspace) as page:
-        pictures = record(f"{page.url}/classic/", stories[given.story], tuple(given.size))
+        pictures = record(page.url, stories[given.story], tuple(given.size))
     write(pictures, given.seconds, given.out)
     return 0
 

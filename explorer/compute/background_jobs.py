@@ -21,8 +21,6 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-# Seconds between two looks at whether a waiting job is still wanted.
-_PATIENCE = 0.1
 # A function that reports the finished and the total amount of work, (0, 0) if unknown. It raises `WorkCancelledError`
 # when all clients have left.
 ReportProgress = Callable[[int, int], None]
@@ -102,17 +100,6 @@ class BackgroundJob(Generic[T]):
             log.exception("A job failed")
             self.error = f"{type(error).__name__}: the details are in the server's log."
         self._finished.set()
-
-
-@contextmanager
-def in_turn(turn: threading.Lock, report: ReportProgress) -> Iterator[None]:
-    """Hold a lock that lets one job compute at a time; a job that is cancelled while it waits ends."""
-    while not turn.acquire(timeout=_PATIENCE):
-        report(0, 0)
-    try:
-        yield
-    finally:
-        turn.release()
 
 
 class BackgroundJobs:

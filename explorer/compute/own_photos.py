@@ -8,13 +8,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
+from lpn.core.numbers import distance
 from lpn.core.resources import yield_cores
 from lpn.flights import Frame
 from lpn.library.analyser import OwnPicture
+from lpn.locate.belief import belief
+from lpn.locate.grades import off_window, window_of
 from lpn.locate.ground import MapFeatures
 from lpn.locate.matchers import open_matchers
+from lpn.locate.options import TOP
 from lpn.locate.own_photo import OwnPhoto, register_own_photo
 from lpn.maps import Map, Window
+from lpn.tasks.task import Task
 
 # Seconds between looks at the progress of a registration, and at whether one that waits for its turn is still wanted.
 _INTERVAL, _PATIENCE = 0.5, 0.1
@@ -177,10 +182,6 @@ class OwnPhotoProgress:
                     threading.Thread(target=self._wait, args=(job,), name="explorer-own-photo", daemon=True).start()
             return self._job
 
-    def attach(self, on_change: Callable[[], None]) -> None:
-        """Call another function from now on."""
-        self._on_change = on_change
-
     def forget(self) -> None:
         """Leave all jobs, whose pictures and answers nobody holds then."""
         with self._lock:
@@ -211,27 +212,33 @@ class OwnPhotoProgress:
                 return
 
 
-class OwnPhotoComparisons:
-    """The registrations of one page's own pictures on the maps of all places that it has shown; they go on behind another one."""
+def likely_windows(task: Task, order: Sequence[int]) -> list[Window]:
+    """Return the most similar windows of a map, about which a photo is searched on a large one.
 
-    def __init__(self) -> None:
-        self._of_places: dict[int, OwnPhotoProgress] = {}
+    Args:
+        order: gallery positions, the nearest first.
+    """
+    return [window for index in order[:TOP] if (window := window_of(task, index)) is not None]
 
-    def of(self, jobs: OwnPhotoJobs | None, on_change: Callable[[], None]) -> OwnPhotoProgress:
-        """Return those on the map of a place, see `OwnPhotoProgress`."""
-        progress = self._of_places.setdefault(id(jobs), OwnPhotoProgress(jobs, on_change))
-        progress.attach(on_change)
-        return progress
 
-    def forget(self) -> None:
-        """Leave all jobs: the page holds no own picture any more."""
-        for progress in list(self._of_places.values()):
-            progress.forget()
+def mark(job: BackgroundJob[OwnPhoto], task: Task, answer: int) -> tuple[bool | None, str, str]:
+    """Return what the check of a photo says of the nearest tile: a sign, a few words, and a sentence of the registration.
 
-    def close(self) -> None:
-        """Leave all jobs for good."""
-        for progress in list(self._of_places.values()):
-            progress.close()
+    Args:
+        answer: gallery position of the nearest tile.
+    """
+    found = job.value
+    if found is None:
+        tries = f", try {job.done} of {job.total}" if job.total else ""
+        return None, "not checked" if job.error else f"checking the map{tries}", job.error or ""
+    why = found.answer.sentence
+    if not found.answer.accepted:
+        return None, "fits no place of the map" if found.whole_map else "fits none of the nearest tiles", why
+    off = off_window(found.located, window_of(task, answer))
+    if off is not None and off > 0:
+        return False, f"fits the map {distance(off)} away", why
+    sign = belief(found.located).sign
+    return sign, "fits the map here" if sign else "fits the map here, in doubt", why
 
 
 def _frame(picture: OwnPicture) -> Frame | None:

@@ -1,33 +1,11 @@
-"""How galleries of a workspace can be ranked: plain, calibrated, and by CSLS; the last two are prepared once for all."""
+"""The further scorings of a workspace, calibrated and by CSLS, which are prepared once for all browsers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable
 from threading import Lock
 
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
-from explorer.compute.ranking_job import RankingJob
-from lpn.tasks.task import SCORINGS, Scoring, scored_key
-
-# The glossary's terms, whose words `lpn.drawing.words` has.
-TERMS: Mapping[Scoring, str] = {"plain": "plain", "calibrated": "calibration", "csls": "CSLS"}
-
-
-@dataclass(frozen=True)
-class Choice:
-    """One scoring of a task, as the page offers it.
-
-    Attributes:
-        term: of the glossary.
-        recall: Recall@1 of the whole task in percent; None while it is not known.
-        ready: its ranking can be shown; otherwise choosing it prepares it, if `Scorings.why_not` is empty.
-    """
-
-    scoring: Scoring
-    term: str
-    recall: float | None
-    ready: bool
 
 
 class Scorings:
@@ -42,25 +20,24 @@ class Scorings:
         self.why_not, self._prepare = why_not, prepare
         self._jobs, self._lock = BackgroundJobs(), Lock()
 
+    @property
+    def prepares(self) -> bool:
+        """They are not there yet, and can be prepared."""
+        return self._prepare is not None
+
     def prepare(self, client: object) -> BackgroundJob[None] | None:
         """Start or join the preparation, which may describe all pictures; None where there is nothing to prepare.
 
         Args:
             client: waits for it; the last one that leaves the job cancels it.
         """
-        if self._prepare is None:
-            return None
         with self._lock:
+            if self._prepare is None:
+                return None
             self._jobs.forget_failed("prepare")
-            return self._jobs.join("prepare", client, self._prepare)
+            return self._jobs.join("prepare", client, self._work)
 
-
-def choices(rankings: Mapping[str, RankingJob], name: str) -> list[Choice]:
-    """Return the scorings of a task with what they bring."""
-    offered = []
-    for scoring in SCORINGS:
-        ranking = rankings.get(scored_key(name, scoring))
-        graded = ranking is not None and ranking.result is not None and ranking.results["queries"]
-        recall = ranking.results["recall@1"] if ranking is not None and graded else None
-        offered.append(Choice(scoring, TERMS[scoring], recall, ranking is not None))
-    return offered
+    def _work(self, report: ReportProgress) -> None:
+        assert self._prepare is not None
+        self._prepare(report)
+        self._prepare = None

@@ -1,4 +1,4 @@
-"""A worker thread for the newest request of a browser, and a delayed call."""
+"""A worker thread for the newest request of a browser."""
 
 from __future__ import annotations
 
@@ -9,27 +9,6 @@ from collections.abc import Callable
 from lpn.core.errors import LPNError
 
 log = logging.getLogger(__name__)
-
-
-class DelayedCall:
-    """Calls a function once after a delay, unless it is cancelled before."""
-
-    def __init__(self, seconds: float, function: Callable[[], None]) -> None:
-        self._function, self._lock, self._cancelled = function, threading.Lock(), False
-        self._timer = threading.Timer(seconds, self._call)
-        self._timer.daemon = True
-        self._timer.start()
-
-    def cancel(self) -> None:
-        """Cancel the call, or wait until it returns if it has started."""
-        self._timer.cancel()
-        with self._lock:
-            self._cancelled = True
-
-    def _call(self) -> None:
-        with self._lock:
-            if not self._cancelled:
-                self._function()
 
 
 class Worker:

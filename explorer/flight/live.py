@@ -10,9 +10,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.watchers import Watchers
 from explorer.compute.worker import Worker
+from explorer.feeds import Feeds
 from explorer.flight import page
 from explorer.flight.part import FIELDS
 from explorer.flight.pictures import FlightPicturesFeed
@@ -169,7 +169,7 @@ class LiveSession:
                 told = {"name": panel.name, "title": "Live flight", "key": "", "place": "full"}
                 nothing: dict[str, Any] = {"tasks": [], "scorings": [], "names": [], "places": {}, "models": ["LPN"]}
                 page_ = {"data": "live", "parts": 1, "word": "part", "tiles": 0, "photo": "photo", "turns": False}
-                self._send({"page": nothing | page_ | {"place": "Map", "live": True, "panels": [told]}})
+                self._send({"page": nothing | page_ | {"place": "Map", "live": True, "panels": [told], "commands": []}})
                 self._record.watchers.watch(self._worker.wake)
             case {"do": "step", "args": {"by": int(by)}}:
                 self._choose(self._state.query + by)

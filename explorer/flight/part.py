@@ -22,7 +22,6 @@ from explorer.screen.panel import PanelPart, Tab
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn.core.errors import InputError, LPNError
-from lpn.library.analyser import OwnPicture
 from lpn.locate.grades import window_of
 from lpn.locate.options import TOP
 
@@ -129,7 +128,7 @@ class FlightPart(PanelPart):
             place = self._of.shared.corrections_place
             message = page.data(seen, addresses) | {"parts": workspace.part_names, "kept": place}
             self.tab.append("flight", {"flight": message})
-        own = None if result is None or result.state.own != state.own else _own_picture(result)
+        own = None if result is None or result.state.own != state.own else result.own
         registered = self._own.follow(own, [] if result is None or own is None else _windows(result))
         if own is not None:
             self._send("photo", own_photo(seen, own, registered, addresses))
@@ -196,10 +195,6 @@ class FlightPart(PanelPart):
         address = feeds.address + feeds.publish_bytes(self, "positions", lambda: content) + "0"
         name = re.sub(r"[^\w-]+", "-", flight.flight.name)
         self.tab.append("file", {"file": {"address": address, "name": f"{name}-positions{suffix}"}})
-
-
-def _own_picture(result: ScreenResult) -> OwnPicture | None:
-    return result.analysis.state.upload if result.state.own else None
 
 
 def _windows(result: ScreenResult) -> list[Any]:

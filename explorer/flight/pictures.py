@@ -11,8 +11,8 @@ from typing import cast
 import cv2
 import numpy as np
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.cache import SingleFlightCache
+from explorer.feeds import Feeds
 from explorer.server.picture_route import EncodedPicture
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array

@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from explorer.client.services import WorkspaceServices
 from explorer.compute.cache import SingleFlightCache
 from explorer.compute.watchers import Watchers
 from explorer.flight.pictures import FlightPicturesFeed
+from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float64Array

@@ -15,8 +15,8 @@ import viser
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
+from explorer.feeds import shown_json
 from explorer.screen.loop import ScreenMessage
-from explorer.web.render import shown_json
 
 log = logging.getLogger(__name__)
 
@@ -29,7 +29,10 @@ _THREADS = 32
 class TabSession(Protocol):
     """The session of one tab. Messages come from one thread at a time."""
 
-    client: viser.ClientHandle | None
+    @property
+    def client(self) -> viser.ClientHandle | None:
+        """The client of viser whose page is the tab's scene; None without one."""
+        ...
 
     def receive(self, message: object) -> None:
         """Do what a message says."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +14,7 @@ from lpn import retrieval
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import LPNError
 from lpn.descriptors.transforms import Change
+from lpn.library.analyser import KeepDescribed, described_key
 from lpn.models.base import Model
 from lpn.retrieval import Ranking, scoring
 from lpn.tasks.task import Task
@@ -39,10 +40,11 @@ class Turning:
     Attributes:
         key: of the photo under its model, without angle and part weights.
         source: the photo before it is turned, (H, W, 3) uint8.
-        change: what is done to it besides turning.
+        change: what is done to it besides turning, see `Change.for_picture`.
         index: of the query; None for an own photo.
         weights: of the parts; None for equal ones.
         model: describes it as the task's descriptors are, in the background.
+        keep: holds described queries, so that a turn to one of the curve's angles needs no forward pass.
     """
 
     key: Hashable
@@ -52,13 +54,15 @@ class Turning:
     index: int | None
     weights: tuple[float, ...] | None
     model: Model
+    keep: KeepDescribed
 
     def descriptor(self, angle: int) -> Float32Array:
         """Describe the photo turned by some degrees, (n, D)."""
-        change = Change(angle, around=self.change.around, zoom=self.change.zoom, weather=self.change.weather)
-        return retrieval.describe_picture(
-            self.model.for_task(*self.task.views), self.source, self.task.query_view, change
-        ).descriptor
+        change, task = replace(self.change, rotate=float(angle)), self.task
+        model = self.model.for_task(*task.views)
+        describe = partial(retrieval.describe_picture, model, self.source, task.query_view, change)
+        described = describe() if self.index is None else self.keep(described_key(task, self.index, change), describe)
+        return described.descriptor
 
     def point(self, descriptor: Float32Array) -> tuple[int | None, float]:
         """Return the truth's rank, None where it is not known, and the distance of the nearest tile."""

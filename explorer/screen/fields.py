@@ -9,15 +9,16 @@ from typing import Any, Generic, Literal, Protocol, TypeVar
 from urllib.parse import parse_qsl, quote, urlencode
 
 from explorer.parameters import LONGEST_TEXT, UnusableError, format_number, is_line, parse_number
-from explorer.session_state import MAX_WEIGHT
 from explorer.workspace import Picture, Workspace
 from lpn.core.files import printable
+from lpn.descriptors.transforms import Change
+from lpn.library.analyser import OwnPicture, QueryRequest
 from lpn.tasks.task import SCORINGS, scored_key
 
 # Characters and values of an address that are read.
 _MAX_SEARCH, _MAX_PARAMETERS = 4000, 100
-# The weights are written by this many digits.
-_WEIGHT_DIGITS = 2
+# The most that a part weighs, and the digits by which weights are written.
+MAX_WEIGHT, _WEIGHT_DIGITS = 2.0, 2
 
 
 class FieldKind(Protocol):
@@ -223,6 +224,10 @@ class ScreenState:
         value: T = self.of_panels.get(row.name, row.default)
         return value
 
+    def question(self, own: OwnPicture | None = None) -> QueryRequest:
+        """Return what is asked of the task: about the own photo, or about the query without one."""
+        return QueryRequest(own or self.query, Change(self.angle), self.weights or None, compare=self.compare)
+
     def value(self, name: str) -> Any:
         """Return the value of a field by its name."""
         row = FIELDS[name]
@@ -231,7 +236,8 @@ class ScreenState:
     def with_value(self, name: str, value: Any) -> ScreenState:
         """Return the state with another value of a field, which is not checked."""
         if name in _OF_PANELS:
-            return replace(self, of_panels={**self.of_panels, name: value})
+            others = {key: one for key, one in self.of_panels.items() if key != name}
+            return replace(self, of_panels=others if value == FIELDS[name].default else {**others, name: value})
         changes: dict[str, Any] = {name: value}
         return replace(self, **changes)
 
@@ -247,15 +253,15 @@ FIELDS: dict[str, PanelField[Any]] = {
     if row.metadata
 }
 _OF_PANELS: set[str] = set()
-# The names of all panels.
+# The names of all panels that open.
 PANELS: list[str] = []
 # Fields whose change needs no new answer, beside those of panels.
 _OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
 
 
-def add_panel(name: str, rows: Sequence[PanelField[Any]]) -> None:
-    """Add a panel's name and rows to the table."""
-    PANELS.append(name)
+def add_panel(name: str, rows: Sequence[PanelField[Any]], opens: bool = True) -> None:
+    """Add a panel's name, unless it has only commands, and its rows to the table."""
+    PANELS.extend([name] * opens)
     for row in rows:
         assert row.name.startswith(f"{name}_"), row.name
         assert row.key == "" or row.key not in {other.key for other in FIELDS.values()}, row.key
@@ -314,7 +320,11 @@ def to_address(state: ScreenState, workspace: Workspace) -> str:
 
 def from_address(search: str, workspace: Workspace) -> tuple[ScreenState, list[str]]:
     """Return the state of a query string, and a sentence for each value that cannot be used; other keys are ignored."""
-    given = parsed(search)
+    return from_values(parsed(search), workspace)
+
+
+def from_values(given: Mapping[str, str], workspace: Workspace) -> tuple[ScreenState, list[str]]:
+    """Return the state of an address's values by their keys, see `from_address`."""
     values = {name: given[row.key] for name, row in FIELDS.items() if row.key in given}
     return changed(opening(workspace), values, workspace)
 

@@ -6,12 +6,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
-from explorer.client.services import WorkspaceServices
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
+from explorer.screen.downloads import MakeFile
 from explorer.screen.fields import PanelField, ScreenState
 from explorer.screen.loop import ScreenMessage
 from explorer.screen.result import ScreenResult
+from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.drawing.theme import Colour
@@ -70,7 +71,15 @@ class Tab(Protocol):
         ...
 
     def say(self, text: str) -> None:
-        """Show a sentence in the headline's place."""
+        """Show a sentence in the headline's place; the result fades."""
+        ...
+
+    def note(self, text: str) -> None:
+        """Show a sentence for some seconds in place of the headline's reason; nothing else changes."""
+        ...
+
+    def download(self, title: str, make: MakeFile) -> None:
+        """Make a file on a thread of its own, with notes of its progress, and have the browser save it; see `Downloads`."""
         ...
 
 
@@ -85,15 +94,38 @@ class PanelPart:
         self.tab = tab
         self.actions: Mapping[str, Action] = {}
 
-    def show(self) -> None:
+    def show(self) -> float | None:
         """Send what the panel shows: after it opened, after each change of the state, and after each result.
 
         The calls come one after the other from a thread of their own; several changes lead to one more call. A sentence of an
         LPNError that this raises is shown in the headline's place.
+
+        Returns:
+            Seconds until the next call, for a panel that waits for something or computes step by step; None to wait for a change.
         """
+        return None
 
     def close(self) -> None:
         """End what goes on for the panel."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """What a person can do by the palette or a key, whether the panel is open or not.
+
+    Attributes:
+        name: of the action, which the page asks for as `PANEL.NAME`; it comes before an action of the panel's part.
+        title: in the palette.
+        act: does it for a tab, within a moment; the sentence of an LPNError that it raises is shown in the headline's place.
+        key: that does it, in lower case; empty for none.
+        offered: whether a workspace has it.
+    """
+
+    name: str
+    title: str
+    act: Callable[[Tab], None]
+    key: str = ""
+    offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
 
 
 @dataclass(frozen=True)
@@ -103,21 +135,23 @@ class Panel:
     Attributes:
         name: of the folder, of its module `NAME.js`, of its style sheet `NAME.css`, and in the address.
         title: of its command, and of its heading.
-        part: makes its part of a tab.
+        part: makes its part of a tab; None where there are only commands, and nothing opens.
         key: that opens and closes it, in lower case; empty for none.
         place: "beside" the rings in place of the rail, a "page" over the rings, or the "full" window.
         fields: the choices that it adds to the state; their names begin with the panel's and "_".
-        offered: whether a workspace has it.
+        offered: whether a workspace has it, and its commands.
+        commands: what it offers in the palette and by keys.
         mark: what it says of a query in the head of the tile, as a `sign` and a `text`; None for nothing.
         lines: what it adds for a query to the scene of the place, in metres about the gallery's origin.
     """
 
     name: str
     title: str
-    part: Callable[[Tab], PanelPart]
+    part: Callable[[Tab], PanelPart] | None = None
     key: str = ""
     place: Literal["beside", "page", "full"] = "page"
     fields: Sequence[PanelField[Any]] = ()
     offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
+    commands: Sequence[Command] = ()
     mark: Callable[[Workspace, int], Mapping[str, Any] | None] = lambda workspace, query: None  # noqa: ARG005
     lines: Callable[[Workspace, int], Sequence[SceneLines]] = lambda workspace, query: ()  # noqa: ARG005

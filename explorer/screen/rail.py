@@ -7,14 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from explorer.browse.feeds import Feeds
 from explorer.compute.ranking_job import RankingJob
+from explorer.feeds import Feeds
 from explorer.screen.fields import ScreenState
-from explorer.session_state import matching_names
 from explorer.workspace import Workspace
 from lpn.core.arrays import Int64Array
 
 _RANDOM = Random()
+# The filter, and the word of a search, that lists the missed queries alone.
+_MISSED = "missed"
 
 
 class Rail:
@@ -35,13 +36,8 @@ class Rail:
         key = state.place, state.model, ranking.task.key, state.filter, state.find, ranking.result
         if key != self._key:
             self._key = key
-            ranks = _ranks(workspace, ranking)
-            named = matching_names(ranking.task.query_names, state.find)
-            self._listed = np.array(named, np.int64)
-            if state.filter == "missed":
-                missed = self._listed[ranks[self._listed] > 1]
-                self._listed = missed[np.argsort(-ranks[missed], kind="stable")]
-            listed, names = self._listed, ranking.task.query_names
+            ranks, names = _ranks(workspace, ranking), ranking.task.query_names
+            listed = self._listed = listed_queries(state, workspace, ranking)
             self._message = {
                 "feed": feeds.publish_list(
                     self,
@@ -72,6 +68,18 @@ class Rail:
     def _position(self, query: int) -> int:
         found = np.flatnonzero(self._listed == query)
         return int(found[0]) if len(found) else -1
+
+
+def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob) -> Int64Array:
+    """Return the queries that a state lists; the missed ones stand worst first."""
+    words = state.find.casefold().split()
+    text = " ".join(word for word in words if word != _MISSED)
+    named = np.array([i for i, name in enumerate(ranking.task.query_names) if text in name.casefold()], np.int64)
+    if state.filter != _MISSED and _MISSED not in words:
+        return named
+    ranks = _ranks(workspace, ranking)[named]
+    order = np.argsort(-ranks, kind="stable")
+    return named[order][ranks[order] > 1]
 
 
 def _ranks(workspace: Workspace, ranking: RankingJob) -> Int64Array:

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.screen.fields import ScreenState
-from explorer.workspace import StateAnalysis, Workspace
+from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float32Array, Float64Array, FloatingArray, UInt8Array
 from lpn.core.numbers import distance, rounded_to_sum, shown_difference, wrap_degrees
@@ -21,7 +21,8 @@ from lpn.core.views import View
 from lpn.drawing import overlays
 from lpn.explain import Evidence
 from lpn.explain.attribution import SideEvidence
-from lpn.library.answer import pair_evidence
+from lpn.library.analyser import OwnPicture, QueryRequest
+from lpn.library.answer import Answer, pair_evidence
 from lpn.library.matching_turn import matching_turn
 from lpn.retrieval import DescribedPicture, Match, scoring
 from lpn.tasks.task import Task
@@ -49,13 +50,15 @@ class ScreenResult:
     """An analysis with the tiles that a person compares.
 
     Attributes:
+        question: what was asked of the task.
         address: of the photo's picture, relative to the page.
     """
 
     workspace: Workspace
     feeds: Feeds
     state: ScreenState
-    analysis: StateAnalysis
+    question: QueryRequest
+    analysis: Answer
     scale: BarScale
     address: str
 
@@ -63,6 +66,11 @@ class ScreenResult:
     def task(self) -> Task:
         """The task of the analysis."""
         return self.analysis.task
+
+    @property
+    def own(self) -> OwnPicture | None:
+        """The own photo that is shown; None for a query."""
+        return self.question.query if isinstance(self.question.query, OwnPicture) else None
 
     @cached_property
     def first(self) -> Match:
@@ -103,6 +111,14 @@ class ScreenResult:
         }
         return {index: pair.evidence for index, pair in pairs.items() if pair is not None}
 
+    @property
+    def headline(self) -> dict[str, Any]:
+        """What the headline says: whether the photo is found, its rank, and the reason."""
+        verdict = self.analysis.verdict
+        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
+        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        return {"found": verdict.sign, "title": self._title(self.analysis.positive), "reason": reason}
+
     def message(self) -> dict[str, Any]:
         """Return the result as JSON takes it."""
         state, workspace = self.state, self.workspace
@@ -110,20 +126,18 @@ class ScreenResult:
         pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
-        verdict, metres = self.analysis.verdict, self.analysis.error_m(self.first)
-        # Without a known truth the headline tells nothing of this answer, and the lead is what there is.
-        reason = f"{verdict.headline}." + (f" {verdict.sentence}" if verdict.sign is None else "")
+        metres = self.analysis.error_m(self.first)
         weights = np.asarray(state.weights or [1.0] * workspace.contract.n_parts)
         return {
             "photo": self._photo(),
             "angle": state.angle,
-            "headline": {"found": verdict.sign, "title": self._title(truth), "reason": reason},
+            "headline": self.headline,
             "answer": self.first.index,
             "rival": None if compared is None else compared.index,
             "rival_word": self._word(compared, pinned),
             "pinned": pinned,
             "truth": None if truth is None else truth.index,
-            "rows": self._rows(compared, pinned),
+            "rows": self.rows(compared, pinned),
             "strip": [match.index for match in strip],
             "tiles": tiles,
             "rank": None if truth is None else truth.rank,
@@ -158,7 +172,7 @@ class ScreenResult:
             return "pinned"
         return "truth" if compared.true else "next"
 
-    def _rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
+    def rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
         """Return for each part how much nearer the answer is than the compared tile, and whether that is towards the truth.
 
         The gains are shown as the verdict shows them: rounded, they add up to the difference of the shown distances.
@@ -217,9 +231,7 @@ class ScreenResult:
 
     def described(self, match: Match) -> DescribedPicture:
         """Return a tile, described."""
-        if match.index == self.analysis.chosen.index:
-            return self.analysis.tile
-        return self.workspace.tile(self.task, match.index)
+        return self.analysis.described(match)
 
     def quarter(self, match: Match) -> int:
         """Return the quarter turns, counter-clockwise, by which a tile lies most like the photo before it was turned."""
@@ -268,8 +280,11 @@ class ScreenResult:
         Args:
             losses: of each part's cosine, see `lpn.explain.occlusion.occlude`, (n, rows, columns); NaN where not measured yet.
         """
-        lost = np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1)
-        return self._heat(self.analysis.query, self.task.query_view, 0, lost / overlays.evidence_limit(lost))
+        return self.painted(np.tensordot(self.analysis.ranking.weights, np.nan_to_num(losses), 1))
+
+    def painted(self, cells: FloatingArray) -> dict[str, Any]:
+        """Return the photo's parts and, in place of its activation, signed values of its cells, (h, w), on their own scale."""
+        return self._heat(self.analysis.query, self.task.query_view, 0, cells / overlays.evidence_limit(cells))
 
     def _signed(self, side: SideEvidence) -> Float64Array:
         """Return each cell's share of the score of its pair, from -1 to 1 of the greatest of all pairs of the result."""

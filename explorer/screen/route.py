@@ -16,16 +16,15 @@ from typing import Final
 from websockets.datastructures import Headers
 from websockets.http11 import Response
 
+from explorer.screen import terms
 from explorer.screen.panels import folder
 from explorer.server.auth import HttpRequest
-from explorer.web import terms
 
 _SCREEN = Path(__file__).parent
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".md": "application/json"}
 _FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js))", re.ASCII)
-# Folders below which viser's own page lies: the former page, and the scene of a tab.
+# The folder of viser's own page: the scene of a tab.
 _SCENE: Final = re.compile(r".*/scene/([a-z0-9]{8,32})/?", re.ASCII)
-_CLASSIC = "/classic/"
 
 
 def scene_of(path: str) -> str | None:
@@ -35,7 +34,7 @@ def scene_of(path: str) -> str | None:
 
 
 def respond(request: HttpRequest, zipped: bool) -> Response | None:
-    """Return the page at a folder's address, or one of its files; None for the addresses of viser's page.
+    """Return the page at a folder's address, or one of its files; None for the address of a scene, and for other files.
 
     Args:
         zipped: the browser reads gzip.
@@ -46,7 +45,7 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
     elif match := _FILE.fullmatch(place):
         of_panel = folder(match[2]) if match[2] else _SCREEN / match[1]
         file = None if of_panel is None else of_panel / match[3]
-    elif place.endswith("/") and not place.endswith(_CLASSIC) and scene_of(place) is None:
+    elif place.endswith("/") and scene_of(place) is None:
         file = _SCREEN / "page" / "index.html"
     else:
         return None

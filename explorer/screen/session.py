@@ -2,56 +2,43 @@
 
 from __future__ import annotations
 
-import secrets
-import threading
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
+from urllib.parse import quote
 
 import viser
 
-from explorer import uploads
-from explorer.client.services import WorkspaceServices
-from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import RankingJob
-from explorer.compute.ranking_progress import RankingProgress
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
 from explorer.screen import fields
+from explorer.screen.access import Access
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
+from explorer.screen.downloads import Downloads, MakeFile
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
-from explorer.screen.panel import PanelPart
+from explorer.screen.own import HeldBytes, OwnPhotos
+from explorer.screen.panel import Action, PanelPart, SceneLines
 from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
-from explorer.screen.result import STRIP, ScreenResult, measured_scale
-from explorer.screen.scene.scene import Scene, views_of
-from explorer.server.message_filter import MAX_UPLOAD
-from explorer.session_state import SessionState
-from explorer.workspace import LazyWorkspace, StateAnalyser, StateAnalysis, Workspace
-from lpn.core import images
-from lpn.core.errors import InputError, LPNError
+from explorer.screen.result import ScreenResult, measured_scale
+from explorer.screen.scene.scene import views_of
+from explorer.screen.scene.tab import TabScene
+from explorer.services import WorkspaceServices
+from explorer.workspace import Workspace
+from lpn.core.errors import LPNError
 from lpn.core.files import printable
-from lpn.library.analyser import OwnPicture
+from lpn.descriptors.transforms import Change
+from lpn.library.answer import Answer
 from lpn.tasks.task import SCORINGS, scored_key
 
-# Own photos that all tabs hold at a time, each of up to 8 MB.
-_MOST_OWN = 100
-# Seconds between two looks at a workspace that is being opened.
-_POLL = 0.2
-_SHOWN_OWN = 800
-
-
-@dataclass(frozen=True, eq=False)
-class _Opened:
-    """A model's workspace with this tab's access to it."""
-
-    workspace: Workspace
-    requests: RequestContext
-    background: RequestContext
-    analyser: StateAnalyser
+# Seconds between two looks at a ranking that goes on.
+_POLL = 0.5
+# The panels' commands by the actions that the page asks for, each with its panel.
+_COMMANDS = {f"{panel.name}.{one.name}": (panel, one) for panel in PANELS.values() for one in panel.commands}
 
 
 class Screens:
@@ -67,7 +54,7 @@ class Screens:
         self.services, self.home, self.places = services, home, places
         self.scale = lru_cache(maxsize=32)(measured_scale)
         self.held = held_descriptors()
-        self.own = threading.BoundedSemaphore(_MOST_OWN)
+        self.own = HeldBytes()
 
     def session(self, send: Callable[[ScreenMessage], None]) -> ScreenSession:
         """Return the session of a new tab."""
@@ -78,7 +65,7 @@ class ScreenSession:
     """One tab. Messages come from one thread at a time.
 
     Attributes:
-        client: viser's, of the tab's scene; None without one.
+        scene: of the tab.
 
     Args:
         send: hands a message to the page, from any thread.
@@ -86,36 +73,34 @@ class ScreenSession:
 
     def __init__(self, screens: Screens, send: Callable[[ScreenMessage], None]) -> None:
         self._screens, self._send = screens, send
-        self._lock, self._left = threading.RLock(), False
-        self._opened: dict[Workspace, _Opened] = {}
+        self._access = Access(screens.services)
         self._state: ScreenState | None = None
-        self._analysed: tuple[ScreenState, StateAnalysis] | None = None
-        self._rail = Rail()
-        self._loop = Loop(self._answer, send, self._requests, self._after)
-        self._curve = Curve(send, screens.held)
-        self._occlusion, self._number = Occlusion(send), 0
-        self._progress = RankingProgress(lambda _: None, self._show_rail)
-        # The own photo by its key, the address of its picture, and the file that is being received.
-        self._own: dict[str, tuple[OwnPicture, str]] = {}
-        self._incoming: tuple[str, int, bytearray] | None = None
-        self._actions: Mapping[str, Callable[[Mapping[str, Any]], None]] = {
+        self._result: ScreenResult | None = None
+        self._number, self._left = 0, False
+        self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
+        # What goes on behind an answer.
+        self._rail, self._listed = Rail(), False
+        self._ranked: RankingJob | None = None
+        self._ranks = Worker(self._rank, lambda _: None)
+        self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
+        self._own = OwnPhotos(screens.own, send)
+        self.scene = TabScene(send, _lines)
+        # The open panel, whose work has a thread of its own.
+        self._panel: tuple[str, PanelPart] | None = None
+        self._panels = Worker(self._show_panel, self._fail_panel)
+        self._downloads = Downloads(send)
+        self._actions: Mapping[str, Action] = {
             "open": self._open,
             "step": self._step,
             "random": self._random,
             "upload": self._upload,
             "forget": self._forget,
-            "hover": self._hover,
-            "pick": self._pick,
-            "scene": lambda _: self._painter.wake("resized"),
+            "calibrate": self._calibrate,
+            "hover": self.scene.hover,
+            "pick": self.scene.pick,
+            "scene": self.scene.draw,
+            "still": self.scene.still,
         }
-        # The tab's scene once its frame is there, and what it is to show.
-        self.client: viser.ClientHandle | None = None
-        self._scene: Scene | None = None
-        self._painted: ScreenResult | None = None
-        self._painter = Worker(self._paint, lambda _: None)
-        # The open panel, whose work has a thread of its own.
-        self._panel: tuple[str, PanelPart] | None = None
-        self._panels = Worker(self._show_panel, self._fail_panel)
 
     # What panels use, see `Tab`.
 
@@ -128,27 +113,27 @@ class ScreenSession:
     @property
     def result(self) -> ScreenResult | None:
         """The newest result."""
-        return self._painted
+        return self._result
 
     @property
     def services(self) -> WorkspaceServices:
         """What the state's place offers."""
-        return self._of(self.state)
+        return self._access.services(self.state)
 
     @property
     def workspace(self) -> Workspace:
         """The workspace of the state's model."""
-        return self._workspace(self.state)
+        return self._access.workspace(self.state)
 
     @property
     def ranking(self) -> RankingJob:
         """The ranking of the state's task."""
-        return self._ranking(self.state)
+        return self._access.ranking(self.state)
 
     @property
     def background(self) -> RequestContext:
         """Access to the network behind what a person waits for."""
-        return self._access().background
+        return self._access.opened(self.state).background
 
     def set(self, values: Mapping[str, object]) -> None:
         """Set fields of the state as the page does."""
@@ -168,6 +153,16 @@ class ScreenSession:
         """Show a sentence in the headline's place."""
         self._send({"error": text})
 
+    def note(self, text: str) -> None:
+        """Show a sentence for some seconds in place of the headline's reason."""
+        self._send({"note": text})
+
+    def download(self, title: str, make: MakeFile) -> None:
+        """Make a file on a thread of its own, and have the browser save it."""
+        self._downloads.make(title, make, self.services.feeds, self)
+
+    # What the channel uses.
+
     def receive(self, message: object) -> None:
         """Do what a message says: `set` fields of the state, or `do` an action; anything else changes nothing."""
         match message:
@@ -176,163 +171,161 @@ class ScreenSession:
             case {"do": str(name), "args": dict(arguments)} if name in self._actions:
                 if name == "open" or self._state is not None:
                     self._actions[name](arguments)
+            case {"do": str(name)} if name in _COMMANDS and self._state is not None:
+                panel, command = _COMMANDS[name]
+                base = self.services.workspace
+                if panel.offered(base) and command.offered(base):
+                    self._try(lambda: command.act(self))
             case {"do": str(name), "args": dict(arguments)} if (action := self._panel_action(name)) is not None:
-                action(arguments)
+                self._try(lambda: action(arguments))
             case {"do": str(name)}:
-                self._send({"error": f"There is no action {printable(name)[:40]}."})
+                self.say(f"There is no action {printable(name)[:40]}.")
 
     def receive_bytes(self, part: bytes) -> None:
-        """Take a part of the file that `upload` announced; the last one shows it."""
-        if self._incoming is None:
+        """Take a part of the file that `upload` announced; the first photo of several is shown."""
+        if self._state is None:
             return
-        name, size, content = self._incoming
-        content += part
-        if len(content) >= size:
-            self._incoming = None
-            self._take(name, bytes(content[:size]))
+        if self.services.workspace.model is None:
+            self._own.refuse("Saved descriptors cannot describe a photo of yours; open the data set with a model.")
+        key = self._own.receive(part)
+        self._send(self._own.message(self.services.feeds))
+        if key is not None:
+            self._set({"own": key})
+
+    @property
+    def client(self) -> viser.ClientHandle | None:
+        """The client of viser whose page is the tab's scene; None without one."""
+        return self.scene.client
+
+    def attach(self, client: viser.ClientHandle | None) -> None:
+        """Draw in a frame of viser's page from now on; None once it has gone."""
+        self.scene.attach(client)
 
     def leave(self) -> None:
         """Stop all that goes on for this tab: it has left."""
         self._left = True
-        self._loop.stop()
-        self._curve.stop()
-        self._occlusion.stop()
-        self._painter.stop()
-        self._panels.stop()
+        for one in (self._loop, self._curve, self._occlusion, self.scene, self._panels, self._ranks):
+            one.stop()
+        self._downloads.close()
         self._close_panel()
-        self._progress.close()
-        with self._lock:
-            for opened in self._opened.values():
-                opened.requests.close()
-                opened.background.close()
-            if self._state is not None:
-                self._of(self._state).feeds.leave(self)
-                self._of(self._state).feeds.leave(self._rail)
-            self._drop_own()
-
-    def attach(self, client: viser.ClientHandle | None) -> None:
-        """Draw in a frame of viser's page from now on; None once it has gone."""
-        self.client = client
-        self._painter.wake()
+        self._access.close()
+        self._own.leave()
+        if self._ranked is not None:
+            self._ranked.leave(self)
+        if self._state is not None:
+            self.services.feeds.leave(self)
+            self.services.feeds.leave(self._rail)
 
     # What messages do.
 
     def _open(self, arguments: Mapping[str, Any]) -> None:
-        search = arguments.get("search")
-        search = search if isinstance(search, str) else ""
-        wanted = dict(fields.parsed(search)).get("show", self._screens.home)
+        """Show the state of an address; a page that shows something keeps its place and theme where the address has none."""
+        search, before = arguments.get("search"), self._state
+        given = fields.parsed(search) if isinstance(search, str) else {}
+        place = given.get("show", "")
+        if place not in self._screens.places:
+            place = self._screens.home if before is None else before.place
+        if before is not None and place != before.place:
+            self._send({"busy": f"Opening {self._screens.places[place]}"})
         try:
-            services = self._screens.services(wanted if wanted in self._screens.places else self._screens.home)
+            services = self._screens.services(place)
         except LPNError as error:
-            self._send({"error": str(error)})
+            self.say(str(error))
+            if before is not None:
+                return
             services = self._screens.services(self._screens.home)
-        state, problems = fields.from_address(search, services.workspace)
+        if before is not None:
+            given = {"theme": before.theme} | given
+        state, problems = fields.from_values(given, services.workspace)
+        state = replace(state, place=services.workspace.key)  # not that of the address if it does not open
+        moved = before is None or before.place != state.place
+        if before is not None and moved:
+            self._leave_place()
         if not self._opens_model(state):
             state = replace(state, model="0")
-        self._show(state, problems, new_page=True)
+        self._show(state, problems, new_page=moved)
 
     def _set(self, values: Mapping[str, Any]) -> None:
-        state = self._state
-        assert state is not None
-        place = values.get("place")
+        state, place = self.state, values.get("place")
         if isinstance(place, str) and place != state.place and place in self._screens.places:
-            self._send({"busy": f"Opening {self._screens.places[place]}"})
-            try:
-                services = self._screens.services(place)
-            except LPNError as error:
-                self._send({"error": str(error)})
-                return
-            self._of(state).feeds.leave(self._rail)
-            self._rail = Rail()
-            self._drop_own()
-            opened = replace(fields.opening(services.workspace), theme=state.theme, view=state.view)
-            self._show(opened, [], new_page=True)
+            self._go_to(place)
             return
-        changed, problems = fields.changed(state, values, self._of(state).workspace)
-        if changed.own not in ("", *self._own):
+        changed, problems = fields.changed(state, values, self.services.workspace)
+        if changed.own and changed.own not in self._own:
             changed = replace(changed, own="")
-        if changed.model != state.model and not self._opens_model(changed):
+        if changed.model == state.model or self._opens_model(changed):
+            self._show(changed, problems)
+
+    def _go_to(self, place: str) -> None:
+        """Open another place, where an own photo is shown on."""
+        state = self.state
+        self._send({"busy": f"Opening {self._screens.places[place]}"})
+        try:
+            workspace = self._screens.services(place).workspace
+        except LPNError as error:
+            self.say(str(error))
             return
-        self._show(changed, problems)
+        self._leave_place()
+        own = "" if workspace.model is None else state.own
+        self._show(replace(fields.opening(workspace), theme=state.theme, view=state.view, own=own), [], new_page=True)
+
+    def _leave_place(self) -> None:
+        self.services.feeds.leave(self._rail)
+        self._rail = Rail()
+
+    def _opens_model(self, state: ScreenState) -> bool:
+        """Wait until a state's model is open; False if it cannot be, which is said."""
+        try:
+            self._access.open_model(state, lambda text: self._send({"busy": text}))
+        except LPNError as error:
+            self.say(str(error))
+            return False
+        return True
 
     def _step(self, arguments: Mapping[str, Any]) -> None:
-        state = self._state
-        assert state is not None
-        query = self._rail.step(state.query, -1 if arguments.get("by") == -1 else 1)
-        if query is not None:
+        by = -1 if arguments.get("by") == -1 else 1
+        state = self.state
+        own = self._own.step(state.own, by) if state.own else ""
+        if own or (state.own and by < 0):
+            self._set({"own": own or state.own})
+        elif (query := state.query if state.own else self._rail.step(state.query, by)) is not None:
             self._set({"query": query})
 
     def _random(self, _: Mapping[str, Any]) -> None:
-        state = self._state
-        assert state is not None
-        query = self._rail.random(state.query)
+        query = self._rail.random(self.state.query)
         if query is not None:
             self._set({"query": query})
 
     def _upload(self, arguments: Mapping[str, Any]) -> None:
-        name, size = arguments.get("name"), arguments.get("size")
-        if not isinstance(name, str) or not isinstance(size, int) or isinstance(size, bool):
-            return
-        if not 0 < size <= MAX_UPLOAD:
-            self._send({"error": f"{printable(name)[:80]} has {size / 1e6:.0f} MB; up to 30 MB are taken."})
-            return
-        self._incoming = name, size, bytearray()
-        self._send({"busy": "Reading your photo"})
-
-    def _take(self, name: str, content: bytes) -> None:
-        """Read an own photo and show it; nothing is written to disk."""
-        assert self._state is not None
-        services = self._of(self._state)
-        if services.workspace.model is None:
-            self._send({"error": "Saved descriptors cannot describe a photo of yours; open the data set with a model."})
-            return
-        try:
-            picture = replace(uploads.read(name, content), key=secrets.token_hex(4))
-            if not self._own and not self._screens.own.acquire(blocking=False):
-                raise InputError(f"The server holds {_MOST_OWN} photos of its visitors, which is the most; try later.")
-        except LPNError as error:
-            self._send({"error": str(error)})
-            return
-        file = images.jpeg(images.shrink(picture.picture, _SHOWN_OWN), 88)
-        address = services.feeds.address + services.feeds.publish_bytes(self, "own", lambda: file, "image/jpeg") + "0"
-        self._own = {picture.key: (picture, address)}
-        self._set({"own": picture.key})
+        self._own.announce(arguments)
+        self._send(self._own.message(self.services.feeds))
 
     def _forget(self, _: Mapping[str, Any]) -> None:
-        self._drop_own()
+        self._own.forget()
+        self._send(self._own.message(self.services.feeds))
         self._set({"own": ""})
 
-    def _drop_own(self) -> None:
-        if self._own:
-            self._own = {}
-            self._screens.own.release()
+    def _calibrate(self, _: Mapping[str, Any]) -> None:
+        """Prepare the further scorings of the state's model, which may describe all pictures, and show the calibrated one."""
+        job = self.workspace.scorings.prepare(self)
+        while job is not None and not job.wait(_POLL) and not self._left:
+            done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
+            self._send({"busy": f"Calibrating{done}"})
+        if job is not None:
+            job.leave(self)
+        if job is None or job.error is not None:
+            self.say(self.workspace.scorings.why_not if job is None else str(job.error))
+        elif not self._left:
+            self._send({"page": self._page(self.state)})
+            self._set({"scoring": "calibrated"})
 
-    def _hover(self, arguments: Mapping[str, Any]) -> None:
-        part, scene = arguments.get("part"), self._scene
-        if scene is not None:
-            scene.hover(part if isinstance(part, int) and part >= 0 else None)
+    # Panels' commands, and the open panel.
 
-    def _pick(self, arguments: Mapping[str, Any]) -> None:
-        """Say what is at a place of the scene."""
-        place = [arguments.get(name) for name in ("x", "y")]
-        if self._scene is not None and all(isinstance(one, (int, float)) and 0 <= one <= 1 for one in place):
-            found = self._scene.pick(*map(float, place))  # type: ignore[arg-type]
-            self._send({"picked": found or {}})
-
-    def _paint(self) -> None:
-        """Draw the newest result in the tab's scene, which is made for a frame that has just come."""
-        client, result, state = self.client, self._painted, self._state
-        if client is None or result is None or state is None:
-            self._scene = None if client is None else self._scene
-            return
-        if self._scene is None or self._scene.client is not client:
-            self._scene = Scene(client)
-        query = None if result.state.own else result.state.query
-        lines = [] if query is None else [of for one in PANELS.values() for of in one.lines(result.workspace, query)]
-        self._scene.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)), lines)
-        self._send({"scene": "ready"})
-
-    # The open panel.
+    def _try(self, act: Callable[[], None]) -> None:
+        try:
+            act()
+        except LPNError as error:
+            self.say(str(error))
 
     def _panel_action(self, name: str) -> Callable[[Mapping[str, Any]], None] | None:
         panel = self._panel
@@ -348,13 +341,13 @@ class ScreenSession:
         """Make the state's panel the open one, for the state's place and model."""
         if (self._panel[0] if self._panel else "") != name:
             self._close_panel()
-            if name:
-                self._panel = name, PANELS[name].part(self)
+            part = PANELS[name].part if name else None
+            if part is not None:
+                self._panel = name, part(self)
 
-    def _show_panel(self) -> None:
+    def _show_panel(self) -> float | None:
         panel = self._panel
-        if panel is not None:
-            panel[1].show()
+        return None if panel is None else panel[1].show()
 
     def _fail_panel(self, error: Exception) -> None:
         if isinstance(error, LPNError):
@@ -368,25 +361,41 @@ class ScreenSession:
         if new_page or before is None or before.model != state.model or before.task != state.task:
             self._send({"page": self._page(state)})
         self._send({"state": self._choices(state)})
-        if problems:
-            self._send({"error": problems[0][:1].upper() + problems[0][1:]})
-        self._show_rail()
-        self._turn_to_panel(state.panel)
-        self._panels.wake()
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
-        elif (before.view, before.theme) != (state.view, state.theme):
-            self._painter.wake()
+        elif (before.view, before.theme) != (state.view, state.theme) and self._result is not None:
+            self.scene.take(self._result, state)
+            self.scene.draw()
+        if problems:
+            self.say(problems[0][:1].upper() + problems[0][1:])
+        if new_page:
+            self._listed = False
+            self._send(self._own.message(self.services.feeds))
+        else:
+            self._show_rail()
+        self._turn_to_panel(state.panel)
+        self._panels.wake()
 
     def _choices(self, state: ScreenState) -> ScreenMessage:
-        workspace = self._of(state).workspace
-        address = fields.to_address(state, workspace)
-        return state.values() | {"address": address, "query_name": workspace.tasks[state.task].query_names[state.query]}
+        """Return the state as the page takes it, with its address, and that of its photo's picture."""
+        services = self._access.services(state)
+        task, address = services.workspace.tasks[state.task], fields.to_address(state, services.workspace)
+        if state.place != self._screens.home:
+            address = f"show={quote(state.place)}&{address}"
+        return state.values() | {
+            "address": address,
+            "query_name": task.query_names[state.query],
+            "photo": self._photo(state),
+        }
+
+    def _photo(self, state: ScreenState) -> str:
+        feeds, task = self._access.services(state).feeds, self._access.ranking(state).task
+        return self._own.address(feeds, state.own) if state.own else f"{feeds.pictures(task, 'query')}{state.query}"
 
     def _page(self, state: ScreenState) -> ScreenMessage:
         """Return what stays while a person looks at one model's task."""
-        base, workspace = self._of(state).workspace, self._workspace(state)
-        task = self._ranking(state).task
+        base, workspace = self._access.services(state).workspace, self._access.workspace(state)
+        task = self._access.ranking(state).task
         scorings = [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
         return {
             "data": base.data_name,
@@ -394,6 +403,7 @@ class ScreenSession:
             "places": dict(self._screens.places),
             "tasks": list(base.tasks),
             "scorings": scorings,
+            "calibrates": workspace.scorings.prepares,
             "parts": workspace.contract.n_parts,
             "word": workspace.contract.part_noun,
             "names": workspace.part_names,
@@ -406,124 +416,96 @@ class ScreenSession:
             "panels": [
                 {"name": one.name, "title": one.title, "key": one.key, "place": one.place}
                 for one in PANELS.values()
-                if one.offered(base)
+                if one.part is not None and one.offered(base)
+            ],
+            "commands": [
+                {"name": name, "title": one.title, "key": one.key}
+                for name, (panel, one) in _COMMANDS.items()
+                if panel.offered(base) and one.offered(base)
             ],
         }
 
     def _show_rail(self) -> None:
-        state = self._state
+        state, access = self._state, self._access
         if state is not None:
-            ranking, feeds = self._ranking(state), self._of(state).feeds
-            self._send({"rail": self._rail.message(state, self._workspace(state), ranking, feeds)})
+            self._listed = True
+            ranking, feeds = access.ranking(state), access.services(state).feeds
+            self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
+
+    def _rank(self) -> float | None:
+        """Wait for the ranking of the state's task, which goes on as long as a tab waits; then the rail shows its marks."""
+        ranking = self.ranking
+        if self._ranked not in (None, ranking):
+            self._ranked.leave(self)
+        self._ranked = ranking
+        if ranking.result is not None or ranking.error:
+            return None
+        if not ranking.join(self).wait(_POLL):
+            return 0.0
+        self._show_rail()
+        return None
 
     # The analysis.
 
-    def _of(self, state: ScreenState) -> WorkspaceServices:
-        """Return what a state's place offers, which is open."""
-        return self._screens.services(state.place)
-
-    def _workspace(self, state: ScreenState) -> Workspace:
-        """Return the workspace of the state's model, or that of the place until it is open."""
-        beside = self._beside(state)
-        return self._of(state).workspace if beside is None or beside.workspace is None else beside.workspace
-
-    def _beside(self, state: ScreenState) -> LazyWorkspace | None:
-        number = int(state.model)
-        return self._of(state).workspace.beside[number - 1] if number else None
-
-    def _opens_model(self, state: ScreenState) -> bool:
-        """Wait until the state's model is open; False if it cannot be."""
-        beside = self._beside(state)
-        if beside is None or beside.workspace is not None:
-            return True
-        job: BackgroundJob[Workspace] = beside.open()
-        while not job.wait(_POLL) and not self._left:
-            done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
-            self._send({"busy": f"Opening {beside.label}{done}"})
-        if beside.workspace is None:
-            self._send({"error": beside.error})
-            return False
-        return True
-
-    def _ranking(self, state: ScreenState) -> RankingJob:
-        workspace = self._workspace(state)
-        name = state.task if state.task in workspace.tasks else next(iter(workspace.tasks))
-        return workspace.rankings.get(scored_key(name, _scoring(state)), workspace.rankings[workspace.tasks[name].key])
-
-    def _access(self) -> _Opened:
-        """Return the newest state's workspace with this tab's access to it."""
-        assert self._state is not None
-        workspace = self._workspace(self._state)
-        with self._lock:
-            if workspace not in self._opened:
-                requests, background = RequestContext(workspace.inference), RequestContext(workspace.inference)
-                analyser = StateAnalyser(workspace, requests.queued(workspace.model))
-                self._opened[workspace] = _Opened(workspace, requests, background, analyser)
-            return self._opened[workspace]
-
-    def _requests(self) -> RequestContext:
-        return self._access().requests
+    def _deliver(self, message: ScreenMessage) -> None:
+        """Send what the loop has for the page; the first list comes after it, as thumbnails would delay a result."""
+        self._send(message)
+        if not self._listed:
+            self._show_rail()
 
     def _answer(self, state: ScreenState) -> ScreenMessage:
-        services, opened = self._of(state), self._access()
-        own = self._own.get(state.own)
-        analysis = opened.analyser.analyse(
-            _as_session_state(state, opened.workspace, None if own is None else own[0]), STRIP
-        )
-        address = f"{services.feeds.pictures(analysis.task, 'query')}{state.query}" if own is None else own[1]
+        services, workspace = self._access.services(state), self._access.workspace(state)
+        question = state.question(self._own.find(state.own))
+        analysis = self._access.analyse(state, question)
         scale = self._screens.scale(analysis.task)
-        result = ScreenResult(opened.workspace, services.feeds, state, analysis, scale, address)
-        key = self._curve_key(state, analysis)
-        if state.angle % STEP == 0 and opened.workspace.model is not None:
+        result = ScreenResult(workspace, services.feeds, state, question, analysis, scale, self._photo(state))
+        key = _curve_key(state, analysis)
+        if state.angle % STEP == 0 and workspace.model is not None:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
-        self._analysed = state, analysis
         self._number += 1
-        marks = [] if own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
+        marks = [] if state.own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
         message = result.message() | {"scene": views_of(result), "number": self._number, "marks": marks}
-        self._painted = result
-        self._panels.wake()
+        self._result = result
+        self.scene.take(result, self.state)
         return message | {"state": state.values(), "curve": _digest(key, state)}
 
     def _after(self, state: ScreenState) -> None:
-        """Begin what goes on behind an answer: the scene, the ranking of all queries, the curve, and the occlusion."""
-        self._painter.wake()
-        ranking = self._ranking(state)
-        self._progress.follow(ranking)
-        assert self._analysed is not None
-        shown, analysis = self._analysed
-        opened = self._access()
+        """Begin what goes on behind an answer."""
+        result = self._result
+        assert result is not None
+        self.scene.draw()
+        self._panels.wake()
+        self._ranks.wake()
+        opened, analysis = self._access.opened(state), result.analysis
+        self._own.check(opened.workspace.own_photos, result.own, analysis)
         model = opened.background.queued(opened.workspace.model, background=True)
-        if shown is not state or model is None:
+        if model is None:
             self._curve.follow(None, "")
-            self._occlusion.follow(None)
             return
         index = None if state.own else state.query
-        change = replace(SessionState(state.task, 1).change, weather=opened.workspace.weather)
+        change = Change(weather=opened.workspace.weather)
         change = change.for_picture(analysis.task.queries[index], analysis.zoom) if index is not None else change
-        key = self._curve_key(state, analysis)
+        key = _curve_key(state, analysis)
         scored = opened.workspace.scored_model(model, analysis.task)
-        turning = Turning(key, analysis.task, analysis.source, change, index, state.weights or None, scored)
+        turning = Turning(
+            key,
+            analysis.task,
+            analysis.source,
+            change,
+            index,
+            state.weights or None,
+            scored,
+            opened.workspace.described_query,
+        )
         self._curve.follow(turning, _digest(key, state))
         covering = None
-        if state.heat == "occlusion" and (result := self._painted) is not None:
+        if state.heat == "occlusion":
             covering = Covering((key, state.angle, result.first.index), self._number, result, scored)
         self._occlusion.follow(covering)
 
-    def _curve_key(self, state: ScreenState, analysis: StateAnalysis) -> tuple[object, ...]:
-        return state.place, state.model, analysis.task.key, state.own or state.query
 
-
-def _as_session_state(state: ScreenState, workspace: Workspace, own: OwnPicture | None) -> SessionState:
-    return SessionState(
-        state.task,
-        workspace.contract.n_parts,
-        query=state.query,
-        upload=own,
-        angle=state.angle,
-        weights=state.weights,
-        scoring=_scoring(state),
-        selected=state.compare,
-    )
+def _curve_key(state: ScreenState, analysis: Answer) -> tuple[object, ...]:
+    return state.place, state.model, analysis.task.key, state.own or state.query
 
 
 def _digest(key: tuple[object, ...], state: ScreenState) -> str:
@@ -531,9 +513,11 @@ def _digest(key: tuple[object, ...], state: ScreenState) -> str:
     return repr((key, state.weights))
 
 
-def _scoring(state: ScreenState) -> Any:
-    return state.scoring
-
-
 def _noun(view: str, of_flight: bool) -> str:
     return {"drone": "photo", "street": "panorama", "satellite": "tile"}[view] if not of_flight else "photo"
+
+
+def _lines(result: ScreenResult) -> list[SceneLines]:
+    """Return what the panels add to the scene of a result."""
+    state = result.state
+    return [] if state.own else [of for one in PANELS.values() for of in one.lines(result.workspace, state.query)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass, field
-from typing import Final
 
 from explorer.server.auth import HttpRequest, same_origin
 from explorer.server.rate_limiter import TokenBucket
@@ -12,10 +11,6 @@ from lpn.core.files import printable
 
 log = logging.getLogger(__name__)
 
-# The subprotocol of the page's own websockets, which try addresses, and the message that each is sent; see
-# `templates/connection.js`.
-PROTOCOL: Final = "lpn-check"
-GREETING: Final = "open"
 # Lines in the log: each sentence once, eight at once, and then one every 20 seconds.
 _LOG_RATE, _LOG_BURST, _MAX_LOGGED = 0.05, 8.0, 1000
 _MAX_NAME = 100  # characters of an address in a message
@@ -29,12 +24,9 @@ class ConnectionCheck:
     _lines: TokenBucket = field(default_factory=lambda: TokenBucket(_LOG_RATE, _LOG_BURST), init=False)
 
     def note(self, request: HttpRequest) -> None:
-        """Log what is wrong with a websocket of a browser, with or without its header Upgrade.
-
-        The page's own websockets, which try addresses, are not logged: another may open.
-        """
+        """Log what is wrong with a websocket of a browser, with or without its header Upgrade."""
         origin, protocol = request.only("origin"), request.headers.get("sec-websocket-protocol", [])
-        if not origin or PROTOCOL in protocol:  # no browser's, such as a port scanner's, or one of the page's own
+        if not origin:  # no browser's, such as a port scanner's
             return
         saw = []
         if origin == "null":

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import asyncio
 import functools
-import itertools
 import logging
 import mimetypes
-from collections.abc import Awaitable, Callable, Generator, Iterator, Sequence
+from collections.abc import Awaitable, Callable, Generator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -33,9 +32,8 @@ from websockets.typing import Subprotocol
 from explorer.server import viser_compat
 from explorer.server.auth import Authenticator, HttpRequest, Redirect, Refusal
 from explorer.server.auth_pages import redirect_page, refusal_page
-from explorer.server.connection_check import GREETING, PROTOCOL, ConnectionCheck, is_websocket
-from explorer.server.loading import with_loading_line
-from explorer.server.message_filter import FIELDS, MAX_MESSAGE, MessageFilter, RejectedMessageError
+from explorer.server.connection_check import ConnectionCheck, is_websocket
+from explorer.server.message_filter import BURST, FIELDS, MAX_MESSAGE, RATE, RejectedMessageError, filtered
 from explorer.server.picture_route import PREFIX, PictureRoute
 from explorer.server.rate_limiter import RateLimiter, TokenBucket
 from lpn.core.errors import MissingPackageError
@@ -97,16 +95,16 @@ _NO_PROTOCOL = Refusal(
 _VISER_SCRIPTS = "'self' 'unsafe-inline' 'unsafe-eval' blob:"
 # The subprotocol of the screen's channel, whose messages are JSON.
 CHANNEL: Final = "lpn-json"
-# The tab whose scene a websocket of viser is, in the tasks that viser runs for it; None for the former page.
-SCENE_TAB: ContextVar[str | None] = ContextVar("scene_tab", default=None)
+# The tab whose scene a websocket of viser is, in the tasks that viser runs for it.
+SCENE_TAB: ContextVar[str] = ContextVar("scene_tab")
 
 
 @dataclass(frozen=True)
 class Screen:
-    """A page of our own before viser's.
+    """The page that is served; viser's lies in a frame of it.
 
     Attributes:
-        respond: returns the page or one of its files, zipped for a browser that reads that; None for addresses of viser's page.
+        respond: returns the page or one of its files, zipped for a browser that reads that; None for other addresses.
         scene_of: returns the tab whose scene a path is, or None.
         serve: serves the channel of a tab.
     """
@@ -121,9 +119,9 @@ class Gateway:
 
     Args:
         authenticator: decides which requests are let in.
-        pictures: answers requests for pictures; None refuses them like any other unknown address.
+        screen: the page.
+        pictures: answers requests for pictures.
         embedders: sources of pages that may show this one in a frame, beside its own server, as CSP writes them.
-        screen: the page at `/`; None for viser's.
 
     Raises:
         MissingPackageError: when viser's private API is not that of the supported version.
@@ -132,15 +130,14 @@ class Gateway:
     def __init__(
         self,
         authenticator: Authenticator,
-        pictures: PictureRoute | None = None,
+        screen: Screen,
+        pictures: PictureRoute,
         embedders: Sequence[str] = (),
-        screen: Screen | None = None,
     ) -> None:
-        self._screen = screen
-        self.authenticator, self._pictures, self._embedders = authenticator, pictures, tuple(embedders)
+        self.authenticator, self._screen = authenticator, screen
+        self._pictures, self._embedders = pictures, tuple(embedders)
         self._rate_limiter = RateLimiter()
         self._check = ConnectionCheck()
-        self._server: viser.ViserServer | None = None
         self._protecting = False
         if changed := [kind for kind, fields in FIELDS.items() if viser_compat.message_fields(kind) != fields]:
             raise _unsupported(", ".join(changed))
@@ -158,7 +155,6 @@ class Gateway:
         if not self._protecting:
             server.stop()
             raise _unsupported(_SERVER_START)
-        self._server = server
         return server
 
     def _serve(self, handler: Handler, *where: Any, **settings: Any) -> Any:
@@ -167,7 +163,7 @@ class Gateway:
         page = settings.pop("process_request", None)  # viser always passes one; without it every request fails
         select = settings.pop("select_subprotocol", None)
         return websockets.asyncio.server.serve(
-            functools.partial(self._handle, handler, itertools.count()),
+            functools.partial(self._handle, handler),
             *where,
             process_request=functools.partial(self._respond, page),
             select_subprotocol=functools.partial(self._select_subprotocol, select),
@@ -175,14 +171,11 @@ class Gateway:
             **settings
             | {
                 "max_size": MAX_MESSAGE,
-                "create_connection": functools.partial(_Connection, self._is_upload_button, self._check),
+                "create_connection": functools.partial(_Connection, self._check),
                 "server_header": None,
                 "logger": _WEB_LOG,
             },
         )
-
-    def _is_upload_button(self, uuid: str) -> bool:
-        return self._server is not None and viser_compat.is_upload_button(self._server, uuid)
 
     def _respond(
         self, page: PageServer, connection: ServerConnection, request: WebsocketRequest
@@ -225,23 +218,21 @@ class Gateway:
             return refusal_page(_NO_PROTOCOL) if dropped else None
         if is_websocket(request):
             return refusal_page(_NO_UPGRADE)
-        path = _path_in_folder(raw.path)
-        if self._pictures is not None and self._pictures.serves(path):
-            return self._picture(self._pictures, path, request)
-        if self._screen is not None:
-            raw.headers.get("Upgrade")  # raises for a repeated header, as viser does
-            own = self._screen.respond(request, "gzip" in raw.headers.get("Accept-Encoding", ""))
-            if own is not None:
-                return self._secured(own, request, "'self'")
-        response = page(connection, WebsocketRequest(path, raw.headers))
-        if response is None:
-            return refusal_page(_MALFORMED)
-        if response.status_code == 404 and (folder := _folder(request)) is not None:
+        if (start := raw.path.partition("?")[0].rfind(PREFIX)) >= 0:  # a proxy may leave a folder in front
+            return self._picture(raw.path[start:], request)
+        raw.headers.get("Upgrade")  # raises for a repeated header, as viser does
+        own = self._screen.respond(request, "gzip" in raw.headers.get("Accept-Encoding", ""))
+        if own is not None:
+            return self._secured(own, request, "'self'")
+        if self._screen.scene_of(raw.path.partition("?")[0]) is not None:
+            of_viser = page(connection, WebsocketRequest("/", raw.headers))
+            return refusal_page(_MALFORMED) if of_viser is None else self._secured(of_viser, request)
+        if (folder := _folder(request)) is not None:
             return redirect_page(Redirect(folder, sign_in=False), "")
-        return self._secured(response if self._scene_of(raw.path) else with_loading_line(response), request)
+        return self._secured(Response(404, "Not Found", Headers({"Content-Length": "0"}), b""), request)
 
-    async def _picture(self, pictures: PictureRoute, path: str, request: HttpRequest) -> Response:
-        return self._secured(await pictures.respond(path, request.address), request)
+    async def _picture(self, path: str, request: HttpRequest) -> Response:
+        return self._secured(await self._pictures.respond(path, request.address), request)
 
     def _secured(self, response: Response, request: HttpRequest, scripts: str = _VISER_SCRIPTS) -> Response:
         """Let the page load resources only from its own server, and only the embedders show it in a frame."""
@@ -256,35 +247,29 @@ class Gateway:
         response.headers["Referrer-Policy"] = "no-referrer"
         return response
 
-    async def _handle(self, handler: Handler, numbers: Iterator[int], connection: ServerConnection) -> None:
-        """Run viser's handler or the screen's; an error closes this connection only and is logged in one line."""
+    async def _handle(self, handler: Handler, connection: ServerConnection) -> None:
+        """Run the screen's handler or, for a tab's scene, viser's; an error closes this connection alone, and is logged."""
         asyncio.get_running_loop().set_exception_handler(_log_failed_task)
-        if connection.subprotocol == PROTOCOL:
-            await connection.send(GREETING)
+        path = "" if connection.request is None else connection.request.path.partition("?")[0]
+        of_channel = connection.subprotocol == CHANNEL
+        tab = self._screen.scene_of(path.replace("/api/", "/scene/") if of_channel else path)
+        if tab is None:
+            await connection.close(1008, "no tab")
             return
-        path = "" if connection.request is None else connection.request.path
-        if self._screen is not None and connection.subprotocol == CHANNEL:
-            tab = self._scene_of(path.replace("/api/", "/scene/"))
-            await (connection.close(1008, "no tab") if tab is None else self._screen.serve(tab, connection))
+        if of_channel:
+            await self._screen.serve(tab, connection)
             return
-        number = next(numbers)  # viser counts browsers in the same way
-        if isinstance(connection, _Connection):
-            connection.filter.number = number
-        SCENE_TAB.set(self._scene_of(path))
+        SCENE_TAB.set(tab)
         try:
             await handler(connection)
         except RejectedMessageError as error:
-            log.info("Browser %d sent %s; closed its connection", number, error)
+            log.info("A scene's page sent %s; closed its connection", error)
             await connection.close(1007, "not a message")
         except ConnectionClosed:
             pass
         except Exception as error:
-            log.info("Browser %d: closed its connection: %s", number, _summary(error))
+            log.info("A scene's page: closed its connection: %s", _summary(error))
             await connection.close(1011)
-
-    def _scene_of(self, path: str) -> str | None:
-        """Return the tab whose scene a path is; None for another path, and without a screen."""
-        return None if self._screen is None else self._screen.scene_of(path.partition("?")[0])
 
     def _select_subprotocol(
         self,
@@ -292,9 +277,8 @@ class Gateway:
         connection: ServerConnection,
         offered: Sequence[Subprotocol],
     ) -> Subprotocol | None:
-        own = [PROTOCOL] if self._screen is None else [PROTOCOL, CHANNEL]
-        if chosen := [Subprotocol(one) for one in own if one in offered]:
-            return chosen[0]
+        if CHANNEL in offered:
+            return Subprotocol(CHANNEL)
         return None if select is None else select(connection, offered)
 
 
@@ -329,16 +313,14 @@ class _RequestReader(StreamReader):
 class _Connection(ServerConnection):
     """A browser's connection, from which viser receives only filtered messages."""
 
-    def __init__(
-        self, is_upload_button: Callable[[str], bool], check: ConnectionCheck, *arguments: Any, **settings: Any
-    ) -> None:
+    def __init__(self, check: ConnectionCheck, *arguments: Any, **settings: Any) -> None:
         super().__init__(*arguments, **settings)
         self._check, self._begun = check, False
         # The parser has begun to read by the other reader.
         self.reader = self.protocol.reader = _RequestReader()
         self.protocol.parser = self.protocol.parse()
         next(self.protocol.parser)
-        self.filter = MessageFilter(is_upload_button)
+        self._messages = TokenBucket(RATE, BURST)
         self._small_frames = TokenBucket(SMALL_FRAME_RATE, SMALL_FRAME_BURST)
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -378,11 +360,11 @@ class _Connection(ServerConnection):
         """Return the next message of the screen's channel, or the next of viser that passes the filter, as bytes."""
         while True:
             raw = await super().recv(decode)
-            if seconds := self.filter.delay():
+            if seconds := self._messages.take():
                 await asyncio.sleep(seconds)
             if self.subprotocol == CHANNEL:  # the screen reads its own messages
                 return raw
-            if (message := self.filter.read(raw)) is not None:
+            if (message := filtered(raw)) is not None:
                 return message
 
 
@@ -416,13 +398,6 @@ def _http_request(connection: ServerConnection, request: WebsocketRequest) -> Ht
 def _address(connection: ServerConnection) -> str:
     remote = connection.remote_address
     return str(remote[0]) if isinstance(remote, tuple) else ""
-
-
-def _path_in_folder(path: str) -> str:
-    """Return a path and its query without the folder that a proxy may leave in front: all files of the page are in one."""
-    place, mark, query = path.partition("?")
-    start = place.rfind(PREFIX)
-    return place[start if start >= 0 else max(place.rfind("/"), 0) :] + mark + query
 
 
 def _folder(request: HttpRequest) -> str | None:

@@ -35,13 +35,13 @@ def open_server(
     port: int,
     authenticator: Authenticator,
     pictures: PictureRoute,
+    screen: Screen,
     embedders: Sequence[str] = (),
-    screen: Screen | None = None,
 ) -> tuple[viser.ViserServer, Gateway]:
     """Start viser's server behind the access rules, and return both.
 
     Args:
-        embedders, screen: see `Gateway`.
+        screen, embedders: see `Gateway`.
 
     Raises:
         InputError: when the address or port cannot be listened on.
@@ -50,9 +50,8 @@ def open_server(
     check_free(host, port)
     conceal(authenticator.token)
     conceal(authenticator.cookie_value)
-    gateway = Gateway(authenticator, pictures, embedders, screen)
+    gateway = Gateway(authenticator, screen, pictures, embedders)
     viser_compat.use_thread_safe_buffers()
-    viser_compat.keep_icons()
     viser_compat.keep_property_types()
     make = partial(viser.ViserServer, host=host, port=port, label="LPN Explorer", verbose=False)
     with redirect_stdout(io.StringIO()), no_cell_output():  # viser prints an address without the token

@@ -66,10 +66,6 @@ class PictureRoute:
         self._computing: dict[str, _Computing] = {}
         self._logged: set[str] = set()
 
-    def serves(self, path: str) -> bool:
-        """Return whether a request's path is one of a picture."""
-        return path.startswith(PREFIX)
-
     async def respond(self, path: str, address: str = "") -> Response:
         """Return the picture, 204 for an empty one, or an error without a body.
 

@@ -8,17 +8,11 @@ from __future__ import annotations
 import asyncio
 import dataclasses
 from collections.abc import Callable, Iterator
-from concurrent.futures import Executor
 from contextlib import contextmanager
-from functools import cache, lru_cache
+from functools import cache
 from typing import Any, get_type_hints
-from zipfile import ZipFile
 
-import viser
 import viser._assignable_props_api as viser_properties
-import viser._gui_api as viser_gui_api
-import viser._gui_handles as viser_gui_handles
-import viser._icons as viser_icons
 import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from viser.infra._async_message_buffer import AsyncMessageBuffer
@@ -59,23 +53,6 @@ def use_thread_safe_buffers() -> None:
     """Make every viser server of this process use `SendBuffer` for browsers that connect from now on."""
     infra: Any = viser_infra
     infra.AsyncMessageBuffer = SendBuffer
-
-
-@cache
-def _icon(name: str) -> str:
-    return _icons().read(f"{name}.svg").decode()
-
-
-@lru_cache(maxsize=1)
-def _icons() -> ZipFile:
-    return ZipFile(viser_icons.ICONS_DIR / "tabler-icons.zip")
-
-
-def keep_icons() -> None:
-    """Read each of viser's icons once; viser keeps 32 and opens their archive, of thousands of files, for each other one."""
-    modules: tuple[Any, ...] = viser_gui_api, viser_gui_handles
-    for module in modules:
-        module.svg_from_icon = _icon
 
 
 @cache
@@ -122,31 +99,3 @@ class _Override:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._module, name)
-
-
-def uuid_of(handle: viser.GuiInputHandle[Any] | viser.GuiButtonHandle | viser.GuiUploadButtonHandle) -> str:
-    """Return the id that a control's element or label has in the page."""
-    return str(handle._impl.uuid)
-
-
-def is_removed(handle: viser.GuiHtmlHandle) -> bool:
-    """Return True if an element is no longer in the page, as after `GuiApi.reset`; the page complains about updates of it."""
-    return bool(getattr(getattr(handle, "_impl", None), "removed", False))
-
-
-def thread_pool(gui: viser.GuiApi) -> Executor:
-    """Return the pool that runs the functions which viser calls."""
-    return gui._thread_executor
-
-
-def is_upload_button(server: viser.ViserServer, uuid: str) -> bool:
-    """Return whether some browser has an upload button of this id; viser would store a file in any control."""
-    return any(
-        isinstance(client.gui._gui_input_handle_from_uuid.get(uuid), viser.GuiUploadButtonHandle)
-        for client in server.get_clients().values()
-    )
-
-
-def forget_upload(button: viser.GuiUploadButtonHandle) -> None:
-    """Drop the uploaded bytes, which viser would keep as the button's value."""
-    button._impl.value = viser.UploadedFile("", b"")

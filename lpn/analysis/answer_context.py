@@ -72,6 +72,21 @@ class AlikeAnswers:
     right: int
 
 
+@dataclass(frozen=True)
+class LeadGroup:
+    """Queries of like leads.
+
+    Attributes:
+        lead: their median lead over the second tile, in d².
+        queries: their number.
+        found: how many of them are found.
+    """
+
+    lead: float
+    queries: int
+    found: int
+
+
 def answers_alike(
     ranking: Retrieval, gap: float | None, known: BoolArray | None = None, besides: int | None = None
 ) -> AlikeAnswers | None:
@@ -100,6 +115,21 @@ def answers_alike(
     count = max(_ALIKE, int(_ALIKE_SHARE * len(rows)))
     alike = rows[distance <= np.partition(distance, count - 1)[count - 1]]
     return AlikeAnswers(len(alike), int(np.count_nonzero(ranking.first[alike] == 0)))
+
+
+def found_by_lead(ranking: Retrieval, known: BoolArray | None = None, groups: int = 10) -> list[LeadGroup]:
+    """Return how many queries of like leads are found, in equal groups from the smallest lead; none where queries are few.
+
+    Args:
+        ranking: of all queries.
+        known: the queries whose truth is known, (Q,); None for all.
+    """
+    rows = np.flatnonzero(np.isfinite(ranking.gap) if known is None else np.isfinite(ranking.gap) & known)
+    if len(rows) < FEWEST_GRADED:
+        return []
+    parts = np.array_split(rows[np.argsort(ranking.gap[rows], kind="stable")], groups)
+    found = ranking.first == 0
+    return [LeadGroup(float(np.median(ranking.gap[of])), len(of), int(np.count_nonzero(found[of]))) for of in parts]
 
 
 def answer_distances(

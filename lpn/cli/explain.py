@@ -123,7 +123,8 @@ class ExplainCommand(SourceOptions):
         taken = 0.0 if csls is None else float((csls[0] + csls[1]) @ weights)
         _show(console, cosines, weights, taken, evidence, names, model.contract.claim)
         if evidence is not None:
-            console.print(verdicts.describe_evidence(evidence, names, *views), markup=False)
+            said = verdicts.describe_evidence(evidence, names, *views, model.contract.part_noun)
+            console.print(said, markup=False)
         if self.json is not None:
             write_json(self.json, of)
         if self.png is not None and evidence is not None and traces is not None:

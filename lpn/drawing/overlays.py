@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Collection
+from functools import cache
 from typing import cast
 
 import cv2
@@ -12,10 +13,12 @@ import numpy as np
 from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, FloatingArray, Int64Array, UInt8Array
 from lpn.drawing.part_areas import PartAreas
-from lpn.drawing.theme import AGAINST, FOR, UNKNOWN_COLOUR, Colour, part_colour
+from lpn.drawing.theme import HEAT, HEAT_AGAINST, UNKNOWN_COLOUR, Colour, part_colour
 
 # Pixels of a dash.
 _DASH = 7
+# The weakest heat that is not painted, and the grey of the picture beneath: its light's share, and a level that is added.
+_BARE, _GREY, _RAISED = 0.3, 0.61, 10.0
 
 
 def square(picture: UInt8Array, size: int) -> UInt8Array:
@@ -50,12 +53,34 @@ def heat_scale(width: int, height: int) -> UInt8Array:
     return with_heat(np.full((height, width, 3), 90, np.uint8), ramp, None, 1.0)
 
 
-def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opacity: float = 0.85) -> UInt8Array:
-    """Paint each cell (h, w) over a greyed picture in the colour for or against, as opaque as its value is large."""
-    values = images.enlarge(cells, *picture.shape[:2])
-    # A gamma of 0.7 keeps small values visible.
-    alpha = opacity * np.clip(np.abs(values) / max(limit, 1e-12), 0, 1).astype(np.float32) ** 0.7
-    return _painted(picture, 0.5, values, alpha, (FOR, AGAINST))
+def with_evidence(picture: UInt8Array, cells: FloatingArray, limit: float, opacity: float = 1.0) -> UInt8Array:
+    """Paint each cell (h, w) over a greyed picture in the colours for or against, the stronger the larger its value."""
+    painted = images.enlarge(heat_colours(cells / max(limit, 1e-12), signed=True), *picture.shape[:2])
+    grey = (_GREY * cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32) + _RAISED)[..., None]
+    alpha = (opacity / 255 * painted[..., 3:]).astype(np.float32)
+    return np.asarray(grey + (painted[..., :3] - grey) * alpha, np.uint8)
+
+
+def heat_colours(values: FloatingArray, signed: bool = False) -> UInt8Array:
+    """Return the colours of cells (h, w) that are laid over a greyed picture, (h, w, 4) RGBA uint8.
+
+    Args:
+        values: from 0 to 1, of which the weakest 30 % are transparent; if `signed`, from -1 to 1, against to for.
+    """
+    if not signed:
+        strength = np.clip((values - _BARE) / (1 - _BARE), 0, 1) ** 1.15
+        return cast(UInt8Array, _ramp(HEAT)[np.round(255 * strength).astype(np.uint8)])
+    # A power of 0.6 keeps small values visible: outer rings have many cells, each with little of the ring's evidence.
+    strengths = np.round(255 * np.clip(np.abs(values), 0, 1) ** 0.6).astype(np.uint8)
+    return np.where((values >= 0)[..., None], _ramp(HEAT)[strengths], _ramp(HEAT_AGAINST)[strengths])
+
+
+@cache
+def _ramp(stops: tuple[tuple[float, float, float, float], ...]) -> UInt8Array:
+    """Return the colours of 256 even steps, (256, 4) RGBA."""
+    steps = np.linspace(0, len(stops) - 1, 256)
+    columns = [np.interp(steps, range(len(stops)), column) for column in np.array(stops).T]
+    return np.stack([*columns[:3], 255 * columns[3]], axis=1).round().astype(np.uint8)
 
 
 def with_lead(picture: UInt8Array, cells: FloatingArray, colours: tuple[Colour, Colour]) -> UInt8Array:
@@ -64,15 +89,8 @@ def with_lead(picture: UInt8Array, cells: FloatingArray, colours: tuple[Colour, 
     # The centre ring of four has a sixteenth of the cells, and must not hide all others.
     strong = float(np.quantile(np.abs(cells), 0.85)) or evidence_limit(cells)
     alpha = 0.7 * np.clip(np.abs(values) / strong, 0, 1).astype(np.float32) ** 1.5
-    return _painted(picture, 0.75, values, alpha, colours)
-
-
-def _painted(
-    picture: UInt8Array, grey: float, values: FloatingArray, alpha: Float32Array, colours: tuple[Colour, Colour]
-) -> UInt8Array:
-    """Paint values (H, W) in their sign's colour, as opaque as `alpha`, over a quarter of a picture and `grey` of its grey."""
     greyed = cv2.cvtColor(cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB)
-    ground = (0.25 * picture + grey * greyed).astype(np.float32)
+    ground = (0.25 * picture + 0.75 * greyed).astype(np.float32)
     paint = np.where(values[..., None] >= 0, *(np.array(colour, np.float32) for colour in colours))
     return np.asarray(ground * (1 - alpha[..., None]) + paint * alpha[..., None], np.uint8)
 
@@ -85,7 +103,7 @@ def evidence_limit(*maps: FloatingArray) -> float:
 def evidence_scale(width: int, height: int) -> UInt8Array:
     """Draw the colour scale of `with_evidence`, from the limit against at the left to the limit for at the right."""
     values = np.broadcast_to(np.linspace(-1, 1, width), (height, width))
-    return with_evidence(np.full((height, width, 3), 40, np.uint8), values, 1.0)
+    return with_evidence(np.full((height, width, 3), 70, np.uint8), values, 1.0)
 
 
 def heat_cells(values: FloatingArray, low: float, high: float) -> UInt8Array:

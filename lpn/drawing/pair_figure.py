@@ -10,20 +10,20 @@ from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.numbers import rounded_to_sum
 from lpn.core.views import View
-from lpn.drawing import captions, charts, overlays, theme, verdicts
+from lpn.drawing import charts, overlays, theme, verdicts
 from lpn.drawing.captions import fitted, font
 from lpn.drawing.part_areas import PartAreas
-from lpn.drawing.theme import AGAINST, DARK, FOR, UNKNOWN_COLOUR
+from lpn.drawing.theme import AGAINST, DARK, FOR, UNKNOWN_COLOUR, Colour
 from lpn.explain import Evidence
 from lpn.models.contract import Contract
 
-# Pixels.
+# Pixels: the figure, its margin, a row of a part, and the ends of the bars.
 WIDTH = 1200
-_MARGIN, _ROW = 24, 46
+_MARGIN, _ROW, _LEFT, _RIGHT = 24, 46, 420, WIDTH - 190
 _COLOURS = {"cells for": FOR, "cells against": AGAINST, "constant": UNKNOWN_COLOUR}
 _ACCOUNT = ": it accounts for the score; it does not say what the score would be were a cell not there."
 OCCLUSION_NOTE = (
-    "Approximate: what the score loses where a square of the query is blurred, measured; the bars are exact."
+    "Approximate: what the score loses where a square of the photo is blurred, measured; the bars are exact."
 )
 
 
@@ -39,106 +39,100 @@ def draw(
     """Draw the whole figure, (H, 1200, 3) uint8.
 
     Args:
-        pictures: query and tile as the model partitions them.
-        titles: captions of query and tile.
-        views: the branches that described query and tile.
-        areas: of the parts of query and tile.
-        losses: of `lpn.explain.occlusion.occlude`; they are drawn on the query in place of the evidence, and the tile has none.
+        pictures: photo and tile as the model partitions them.
+        titles: captions of photo and tile.
+        views: the branches that described photo and tile.
+        areas: of the parts of photo and tile.
+        losses: of `lpn.explain.occlusion.occlude`; they are drawn on the photo in place of the evidence, and the tile has none.
     """
     width = (WIDTH - 3 * _MARGIN) // 2
     height = round(width * contract.input_size[0] / contract.input_size[1])
-    names = contract.names(views[0])
-    bars_top = 96 + height + 40
-    distance_top = bars_top + _ROW * len(names)
-    image = Image.new("RGB", (WIDTH, distance_top + _ROW + 96), DARK.background)
-    pen = ImageDraw.Draw(image)
+    names, noun = contract.names(views[0]), contract.part_noun
+    top = 136 + height
+    figure = _Figure(top + _ROW * len(names) + 142)
     # Pillow's typeface has no minus sign.
-    sentence = verdicts.describe_evidence(evidence, names, *views).replace("−", "-")
-    pen.text((_MARGIN, 32), fitted(pen, sentence, 22, WIDTH - 2 * _MARGIN), DARK.text, font(22), anchor="lm")
+    sentence = verdicts.describe_evidence(evidence, names, *views, noun).replace("−", "-")
+    figure.write(_MARGIN, 32, sentence, 22, width=WIDTH - 2 * _MARGIN)
     maps = evidence.cell_maps()
     if losses is not None:
         maps = np.tensordot(evidence.weights.astype(np.float64), losses, 1), np.zeros((1, 1))
     limit = overlays.evidence_limit(*maps)
     for column, cells in enumerate(maps):
         left = _MARGIN + column * (width + _MARGIN)
-        pen.text((left, 76), fitted(pen, titles[column], 20, width), DARK.dim, font(20), anchor="lm")
+        figure.write(left, 76, titles[column], 20, DARK.dim, width=width)
         drawn = overlays.with_evidence(images.resize(pictures[column], height, width), cells, limit)
-        drawn = overlays.with_parts(drawn, areas[column])
-        image.paste(Image.fromarray(drawn), (left, 96))
-    _draw_bars(pen, evidence, names, bars_top)
-    _draw_distance(pen, evidence, distance_top)
-    _draw_legend(image, pen, limit, distance_top + _ROW + 30)
-    note = f"{contract.claim[0].upper()}{contract.claim[1:]}{_ACCOUNT}" if losses is None else OCCLUSION_NOTE
-    pen.text((_MARGIN, image.height - 18), note, DARK.dim, font(16), anchor="lm")
-    return np.asarray(image)
-
-
-def _draw_bars(pen: ImageDraw.ImageDraw, evidence: Evidence, names: list[str], top: int) -> None:
-    """Draw for each part its evidence in the query's cells, its constant, and a mark at their sum."""
-    left, right = 420, WIDTH - 190
+        figure.paste(overlays.with_parts(drawn, areas[column]), left, 96)
     low, high = charts.evidence_span([evidence])
-    scale = (right - left) / (high - low)
-    zero = left - low * scale
+    scale = (_RIGHT - _LEFT) / (high - low)
+    zero = _LEFT - low * scale
     for part, name in enumerate(names):
-        y = top + _ROW * part + 8
-        total = float(evidence.weighted_cosines[part])
-        pen.text(
-            (_MARGIN, y + 9),
-            f"part {name}" if len(names) > 1 else "whole",
-            DARK.ink(theme.part_colour(part)),
-            font(20),
-            anchor="lm",
-        )
-        numbers = f"cos {evidence.cosines[part]:+.3f}"
-        if len(names) > 1:
-            numbers += f", weight {100 * evidence.weights[part]:.0f} %"
-        pen.text((_MARGIN + 170, y + 9), numbers, DARK.dim, font(18), anchor="lm")
+        y, total = top + _ROW * part + 17, float(evidence.weighted_cosines[part])
+        title, cosine = f"{noun} {name}" if len(names) > 1 else "whole", f"cos {evidence.cosines[part]:+.3f}"
+        weight = f", weight {100 * evidence.weights[part]:.0f} %" if len(names) > 1 else ""
+        figure.write(_MARGIN, y, title, 20, DARK.ink(theme.part_colour(part)))
+        figure.write(_MARGIN + 170, y, cosine + weight, 18, DARK.dim)
         for kind, begin, end in charts.evidence_segments(evidence, part):
-            first, last = sorted((zero + begin * scale, zero + end * scale))
-            if last - first >= 0.5:
-                pen.rectangle((first, y, last, y + 18), fill=DARK.mark(_COLOURS[kind]))
-        mark = zero + total * scale
-        pen.rectangle((mark - 2, y - 5, mark + 1, y + 23), fill=DARK.text)
-        pen.text((WIDTH - _MARGIN, y + 9), f"{total:+.3f}", DARK.text, font(20), anchor="rm")
-    pen.line((zero, top, zero, top + _ROW * len(names) - 8), fill=DARK.dim)
-
-
-def _draw_distance(pen: ImageDraw.ImageDraw, evidence: Evidence, top: int) -> None:
-    """Draw the squared distance as the parts' contributions to it, side by side, each with its number where it fits."""
-    contributions = evidence.contributions.astype(np.float32)
-    left, right, y, total = 420, WIDTH - 190, top + 8, float(contributions.sum())
-    pen.text(
-        (_MARGIN, y + 9),
-        "contributions to the squared distance" if len(contributions) > 1 else "squared distance",
-        DARK.text,
-        font(20),
-        anchor="lm",
-    )
-    captions.draw_shares(pen, (left, y, right, y + 18), contributions, total)
-    for part, (end, number) in enumerate(
-        zip(np.cumsum(np.maximum(contributions, 0)), rounded_to_sum(contributions.tolist()), strict=True)
-    ):
-        width = (right - left) * max(float(contributions[part]), 0.0) / max(total, 1e-9)
-        text = fitted(pen, f"{number:.3f}", 15, width - 4, "")
-        pen.text(
-            (left + (right - left) * float(end) / max(total, 1e-9) - width / 2, y + 9),
-            text,
-            theme.BACKGROUND,
-            font(15),
-            anchor="mm",
-        )
-    captions.draw_squared(pen, WIDTH - _MARGIN, y + 9, f"{total:.3f}", 20, DARK.text)
-
-
-def _draw_legend(image: Image.Image, pen: ImageDraw.ImageDraw, limit: float, y: int) -> None:
-    image.paste(Image.fromarray(overlays.evidence_scale(240, 16)), (_MARGIN + 78, y - 8))
-    pen.text((_MARGIN, y), f"{-limit:+.4f}", DARK.dim, font(17), anchor="lm")
-    pen.text((_MARGIN + 326, y), f"{limit:+.4f} of the score, each cell", DARK.dim, font(17), anchor="lm")
-    x = _MARGIN + 600
+            figure.bar(zero + begin * scale, zero + end * scale, y, _COLOURS[kind])
+        figure.bar(zero + total * scale - 2, zero + total * scale + 2, y, DARK.text, 5)
+        figure.write(WIDTH - _MARGIN, y, f"{total:+.3f}", 20, anchor="rm")
+    y = top + _ROW * len(names)
+    figure.pen.line((zero, top, zero, y - 8), fill=DARK.dim)
+    figure.shares(evidence, noun, y + 17)
+    y += 76
+    figure.paste(overlays.evidence_scale(240, 16), _MARGIN + 78, y - 8)
+    figure.write(_MARGIN, y, f"{-limit:+.4f}", 17, DARK.dim)
+    figure.write(_MARGIN + 326, y, f"{limit:+.4f} of the score, each cell", 17, DARK.dim)
+    x = _MARGIN + 600.0
     for label, colour in (*_COLOURS.items(), ("sum", DARK.text)):
-        pen.rectangle((x, y - 8, x + 16, y + 8), fill=DARK.mark(colour))
-        pen.text((x + 24, y), label, DARK.dim, font(17), anchor="lm")
-        x += 62 + round(pen.textlength(label, font=font(17)))
+        figure.bar(x, x + 16, y, colour)
+        x = figure.write(x + 24, y, label, 17, DARK.dim) + 38
+    note = f"{contract.claim[0].upper()}{contract.claim[1:]}{_ACCOUNT}" if losses is None else OCCLUSION_NOTE
+    figure.write(_MARGIN, figure.image.height - 18, note, 16, DARK.dim)
+    return np.asarray(figure.image)
+
+
+class _Figure:
+    """A picture with texts, which are as high above as below their `y`, and bars."""
+
+    def __init__(self, height: int) -> None:
+        self.image = Image.new("RGB", (WIDTH, height), DARK.background)
+        self.pen = ImageDraw.Draw(self.image)
+
+    def write(
+        self,
+        x: float,
+        y: float,
+        text: str,
+        size: int,
+        colour: Colour = DARK.text,
+        anchor: str = "lm",
+        width: float = WIDTH,
+    ) -> float:
+        """Write a text, cut to a width, and return where it ends."""
+        text = fitted(self.pen, text, size, width)
+        self.pen.text((x, y), text, colour, font(size), anchor=anchor)
+        return x + self.pen.textlength(text, font=font(size))
+
+    def paste(self, picture: UInt8Array, left: int, top: int) -> None:
+        self.image.paste(Image.fromarray(picture), (left, top))
+
+    def bar(self, begin: float, end: float, y: float, colour: Colour, higher: int = 0) -> None:
+        first, last = sorted((begin, end))
+        if last - first >= 0.5:
+            self.pen.rectangle((first, y - 9 - higher, last - 1, y + 9 + higher), fill=DARK.mark(colour))
+
+    def shares(self, evidence: Evidence, noun: str, y: float) -> None:
+        """Draw the squared distance as the shares of the parts side by side, each with its number where it fits."""
+        shares = evidence.contributions.tolist()
+        total, end = sum(shares), float(_LEFT)
+        title = f"shares of the {noun}s in the distance" if len(shares) > 1 else "distance"
+        self.write(_MARGIN, y, title, 20)
+        for part, (share, number) in enumerate(zip(shares, rounded_to_sum(shares), strict=True)):
+            begin, end = end, end + (_RIGHT - _LEFT) * max(share, 0.0) / max(total, 1e-9)
+            self.bar(begin, min(end, _RIGHT), y, theme.part_colour(part))
+            text = fitted(self.pen, f"{number:.3f}", 15, end - begin - 4, "")
+            self.pen.text(((begin + end) / 2, y), text, theme.BACKGROUND, font(15), anchor="mm")
+        self.write(WIDTH - _MARGIN, y, f"{total:.3f}", 20, anchor="rm")
 
 
 def encode(picture: UInt8Array) -> bytes:

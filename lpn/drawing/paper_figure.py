@@ -71,7 +71,7 @@ class FigureRow:
     ) -> FigureRow:
         """Return the row of a tile: its cells' shares of the score, and its parts' shares of d²."""
         heat = evidence.tile.cells * evidence.weights[:, None, None]
-        return cls(title, picture, areas, heat, shares=evidence.contributions, frame=theme.verdict_colour(true))
+        return cls(title, picture, areas, heat, shares=evidence.contributions, frame=theme.verdict_colour(true, LIGHT))
 
     @classmethod
     def of_query(
@@ -158,7 +158,7 @@ class _Drawing:
         bars = lefts[-1] + side + 2.5 * _GAP
         of_all = f"heat of the {given.noun}s" if n > 1 else "heat"
         heads = [f"{given.noun} {name}" for name in given.names] if self._each else [of_all]
-        inks = [LIGHT.ink(theme.part_colour(part)) if self._each else LIGHT.text for part in range(maps)]
+        inks = [LIGHT.ink(theme.part_colour(part, LIGHT)) if self._each else LIGHT.text for part in range(maps)]
         for left, head, ink in zip(lefts, ["picture", *heads], [LIGHT.text, *inks], strict=True):
             self._write(left + side / 2, _TOP / 2, head, color=theme.css(ink))
         heats = [row.heat if self._each else row.heat.sum(axis=0, keepdims=True) for row in given.rows]
@@ -194,7 +194,7 @@ class _Drawing:
         self.figure.text(x / self._given.width, 1 - y / self._height, text, **style)
 
     def _panel(self, picture: UInt8Array, box: _Box, areas: PartAreas | None = None, parts: Sequence[int] = ()) -> Any:
-        """Draw a picture with the outlines of some parts in their colours, on a dark line that bright ground shows."""
+        """Draw a picture with the outlines of some parts in their colours, on a white line that dark ground shows."""
         if areas is not None and not areas.straight and len(parts) == len(self._given.names):
             picture = overlays.with_parts(picture, areas)
         axes = self._axes(box)
@@ -204,8 +204,8 @@ class _Drawing:
         axes.spines[:].set_visible(False)
         for part in parts:
             for border in [] if areas is None else areas.outlines[part : part + 1]:
-                _draw_border(axes, border, (0, 0, 0), 1.5)
-                _draw_border(axes, border, theme.part_colour(part), 0.8)
+                _draw_border(axes, border, (255, 255, 255), 1.5)
+                _draw_border(axes, border, theme.part_colour(part, LIGHT), 0.8)
         return axes
 
     def _bars(self, row: FigureRow, most: float | None, box: _Box) -> None:
@@ -219,7 +219,7 @@ class _Drawing:
         axes.set(xticks=[], yticks=[], xlim=(low, high), ylim=(len(values) - 0.5, -0.5))
         axes.spines[["top", "right", "bottom"]].set_visible(False)
         axes.spines["left"].set(position=("data", 0.0), linewidth=0.6)
-        colours = [theme.css(LIGHT.mark(theme.part_colour(part))) for part in range(len(values))]
+        colours = [theme.css(theme.part_colour(part, LIGHT)) for part in range(len(values))]
         axes.barh(range(len(values)), values, 0.62, color=colours)
         line = (height - _HEAD) / len(values)
         for part, (name, value) in enumerate(zip(self._given.names, values.tolist(), strict=True)):

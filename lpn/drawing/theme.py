@@ -2,31 +2,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import cast
 
 Colour = tuple[int, int, int]
 
-# The one table of colours. Right and wrong are yellow and blue as in the paper; evidence for and against is orange and violet.
-# `tests/lpn/drawing/test_theme.py` measures that all differ, and those that meet on one screen for any colour vision.
+# The one table of colours, on dark ground; `tests/lpn/drawing/test_theme.py` measures them. Rings are cool, in turn light and
+# dark, so that neighbours differ for any colour vision; numerals say their order. Right and wrong stand with sign and word.
 COLOURS: dict[str, Colour] = {
-    "part-0": (185, 63, 163),
-    "part-1": (142, 194, 236),
-    "part-2": (208, 248, 94),
-    "part-3": (208, 67, 55),
-    "part-4": (178, 255, 227),
-    "part-5": (147, 173, 25),
-    "part-6": (148, 81, 117),
-    "part-7": (198, 133, 125),
-    "right": (244, 189, 0),
-    "wrong": (1, 105, 225),
+    "part-0": (242, 247, 255),
+    "part-1": (74, 144, 240),
+    "part-2": (159, 224, 234),
+    "part-3": (106, 102, 216),
+    "right": (246, 197, 83),
+    "wrong": (255, 123, 95),
     "unknown": (130, 130, 130),
-    "for": (243, 123, 22),
-    "against": (177, 132, 255),
+    "for": (244, 104, 184),
+    "against": (82, 178, 92),
     "tag": (255, 255, 255),
     "by-hand": (244, 19, 118),
-    "retrieval": (253, 209, 183),
+    "retrieval": (253, 219, 193),
     "sequence": (202, 179, 255),
     "registration": (83, 170, 85),
     # A place by details that another answer, or the map away from the photo's middle, contradicts.
@@ -34,13 +31,38 @@ COLOURS: dict[str, Colour] = {
     # The accent marks controls and what is chosen.
     "accent": (44, 199, 184),
 }
-# A ninth part has the first colour again. Where no parts are shown, categories of a column have these colours.
-PART_COLOURS: tuple[Colour, ...] = tuple(COLOURS[f"part-{part}"] for part in range(8))
+# Those that are others on light ground.
+LIGHT_COLOURS: dict[str, Colour] = COLOURS | {
+    "part-0": (16, 38, 63),
+    "part-1": (58, 128, 224),
+    "part-2": (11, 70, 86),
+    "part-3": (122, 114, 221),
+    "right": (138, 102, 0),
+    "wrong": (142, 21, 18),
+    "for": (176, 40, 146),
+    "against": (48, 128, 64),
+}
+# A fifth part has the first colour again.
+PART_COLOURS: tuple[Colour, ...] = tuple(COLOURS[f"part-{part}"] for part in range(4))
+# Of the values of a column, where no parts are shown.
+CATEGORIES: tuple[Colour, ...] = (
+    *((185, 63, 163), (142, 194, 236), (208, 248, 94), (208, 67, 55)),
+    *((178, 255, 227), (147, 173, 25), (148, 81, 117), (198, 133, 125)),
+)
+# Red, green, blue, and opacity of weak to strong heat over a greyed picture, in even steps of lightness, and of evidence against.
+HEAT = (
+    *((26, 10, 40, 0.0), (104, 24, 112, 0.4), (182, 34, 146, 0.74)),
+    *((244, 104, 184, 0.88), (255, 184, 218, 0.95), (255, 246, 251, 1.0)),
+)
+HEAT_AGAINST = (
+    *((8, 30, 14, 0.0), (18, 74, 36, 0.4), (34, 122, 58, 0.74)),
+    *((82, 178, 92, 0.88), (166, 226, 160, 0.95), (240, 255, 238, 1.0)),
+)
 TRUE_COLOUR, FALSE_COLOUR, UNKNOWN_COLOUR = COLOURS["right"], COLOURS["wrong"], COLOURS["unknown"]
 FOR, AGAINST = COLOURS["for"], COLOURS["against"]
-BACKGROUND: Colour = (20, 20, 20)
-TEXT: Colour = (236, 236, 236)
-DIM: Colour = (160, 160, 160)
+BACKGROUND: Colour = (14, 18, 22)
+TEXT: Colour = (245, 247, 249)
+DIM: Colour = (170, 182, 192)
 # The contrast of text that WCAG 2 requires (level AA).
 MIN_CONTRAST = 4.5
 # The contrast of bars and lines, which have names beside them: at 3, those on white would look alike without red cones.
@@ -49,7 +71,7 @@ MARK_CONTRAST = 2.0
 
 @dataclass(frozen=True)
 class Palette:
-    """The colours of captions: background, text, dimmed text, the track of a bar, disabled lines, and rows of panels."""
+    """The colours of a ground: itself, text, dimmed text, the track of a bar, disabled lines, rows of panels, and the table."""
 
     background: Colour
     text: Colour
@@ -57,6 +79,7 @@ class Palette:
     track: Colour
     off: Colour
     row: Colour
+    colours: Mapping[str, Colour] = field(hash=False)
 
     def ink(self, colour: Colour) -> Colour:
         """Return a text colour: the same hue, mixed with black or white until it is readable on a row of a panel."""
@@ -67,18 +90,25 @@ class Palette:
         return _mixed(colour, self.background, MARK_CONTRAST)
 
 
-DARK = Palette(BACKGROUND, TEXT, DIM, (48, 48, 48), (55, 55, 55), (44, 44, 44))
-LIGHT = Palette((255, 255, 255), (28, 28, 28), (96, 96, 96), (222, 222, 222), (205, 205, 205), (238, 238, 238))
+DARK = Palette(BACKGROUND, TEXT, DIM, (29, 36, 43), (40, 49, 58), (22, 28, 34), COLOURS)
+LIGHT = Palette(
+    (246, 245, 241), (20, 24, 28), (82, 92, 102), (230, 228, 220), (217, 215, 207), (255, 255, 255), LIGHT_COLOURS
+)
 
 
-def part_colour(part: int) -> Colour:
+def part_colour(part: int, palette: Palette = DARK) -> Colour:
     """Return the colour of a part."""
-    return PART_COLOURS[part % len(PART_COLOURS)]
+    return palette.colours[f"part-{part % len(PART_COLOURS)}"]
 
 
-def verdict_colour(true: bool | None) -> Colour:
-    """Return the frame colour of a match: yellow true, blue false (as in the paper), grey unknown."""
-    return UNKNOWN_COLOUR if true is None else TRUE_COLOUR if true else FALSE_COLOUR
+def category_colour(code: int) -> Colour:
+    """Return the colour of a value of a column."""
+    return CATEGORIES[code % len(CATEGORIES)]
+
+
+def verdict_colour(true: bool | None, palette: Palette = DARK) -> Colour:
+    """Return the frame colour of a match: right, wrong, or unknown (None)."""
+    return palette.colours["unknown" if true is None else "right" if true else "wrong"]
 
 
 def placed_name(sign: bool | None, by_details: bool = True) -> str:
@@ -98,8 +128,8 @@ def placed_colour(sign: bool | None) -> Colour:
 
 def variables(palette: Palette) -> str:
     """Return the table as CSS variables for one palette: `--lpn-NAME` for texts, `--mark-NAME` for bars and lines."""
-    inks = [f"--lpn-{name}:{css(palette.ink(colour))}" for name, colour in COLOURS.items()]
-    marks = [f"--mark-{name}:{css(palette.mark(colour))}" for name, colour in COLOURS.items()]
+    inks = [f"--lpn-{name}:{css(palette.ink(colour))}" for name, colour in palette.colours.items()]
+    marks = [f"--mark-{name}:{css(palette.mark(colour))}" for name, colour in palette.colours.items()]
     return ";".join(inks + marks)
 
 

@@ -57,8 +57,10 @@ def rounded_cosines(cosines: Sequence[float], taken: Sequence[float]) -> tuple[l
     return rounded_to_sum(cosines, total=totals[0]), rounded_to_sum(taken, total=totals[1])
 
 
-def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View) -> str:
-    """Say which part, and which places of the two pictures, a pair's score comes from; of one part, the places alone."""
+def describe_evidence(
+    evidence: Evidence, names: Sequence[str], query_view: View, tile_view: View, noun: str = "part"
+) -> str:
+    """Say which part, called `noun`, and which places of photo and tile a pair's score comes from; of one part, the places."""
     weighted = evidence.weighted_cosines
     best, worst = int(np.argmax(weighted)), int(np.argmin(weighted))
     query_place = describe_position(evidence.query.cells[best], query_view)
@@ -69,7 +71,7 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
         places = "from places all over both pictures"
     else:
         verb = "agree" if query_place == "all around" else "agrees"
-        places = f"where {_place(say('query'), query_place)} {verb} with {_place(say('tile'), tile_place)}"
+        places = f"where {_place('photo', query_place)} {verb} with {_place('tile', tile_place)}"
     rounded, taken = rounded_cosines(weighted.tolist(), evidence.csls_shares)
     similarity, what = sum(rounded), say("score" if evidence.csls is None else "part cosine")
     constants = float(evidence.query.constants @ evidence.weights)
@@ -80,14 +82,14 @@ def describe_evidence(evidence: Evidence, names: Sequence[str], query_view: View
     else:
         share = f"{signed(rounded[best])} of {signed(similarity)}"
         verb = "adds most to" if weighted[best] > 0 else "takes least from"
-        text = f"{capitalised(say('part'))} {names[best]} {verb} the {what} ({share}), {places}."
+        text = f"{noun.capitalize()} {names[best]} {verb} the {what} ({share}), {places}."
     if constants > similarity / 2 > 0:
         text += (
             f" Of the whole {what}, {signed(constants)} is constants: what the network takes both pictures for, rather than "
             "what they show."
         )
     if weighted[worst] < 0 and len(names) > 1:
-        text += f" {capitalised(say('part'))} {names[worst]} speaks against the pair ({signed(rounded[worst])})."
+        text += f" {noun.capitalize()} {names[worst]} speaks against the pair ({signed(rounded[worst])})."
     if evidence.csls is not None:
         took = f"{-sum(taken):.3f} from it, because both pictures have near neighbours elsewhere."
         text += f" Holding favourites back takes {took}" if plain() else f" CSLS takes {took}"
@@ -183,12 +185,12 @@ def describe_margin(total: float, name: str) -> str:
     return f"{capitalised(name)} {by}."
 
 
-def describe_reweighting(change: Reweighting | None, effect: Effect | None) -> str:
-    """State the smallest change of part weights that puts the positive first, and its effect on all queries."""
+def describe_reweighting(change: Reweighting | None, effect: Effect | None, noun: str = "part") -> str:
+    """State the smallest change of weights that puts the truth first, and its effect on all queries; `noun` is a part."""
     if change is None:
-        return f"No choice of {say('part')} weights would put the {say('positive')} first."
+        return f"No choice of {noun} weights would put the truth first."
     percents = " : ".join(f"{100 * weight:.0f}" for weight in change.weights)
-    text = f"The smallest change of {say('part')} weights that puts the {say('positive')} first is {percents} %"
+    text = f"The smallest change of {noun} weights that puts the truth first is {percents} %"
     return f"{text}." if effect is None else f"{text}; {describe_effect(effect)}."
 
 

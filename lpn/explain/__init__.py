@@ -10,6 +10,7 @@ from lpn.explain.attribution import (
     cell_similarities,
     correspondences,
     evidence,
+    lead_cells,
     side_evidence,
     spread_constants,
 )
@@ -21,6 +22,7 @@ __all__ = [
     "cell_similarities",
     "correspondences",
     "evidence",
+    "lead_cells",
     "side_evidence",
     "spread_constants",
 ]

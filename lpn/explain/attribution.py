@@ -165,6 +165,21 @@ def spread_constants(side: SideEvidence, trace: Trace) -> Float64Array:
     return cast(Float64Array, side.cells + side.constants[:, None, None] * shares)
 
 
+def lead_cells(trace: Trace, weights: Float32Array, leader: FloatingArray, follower: FloatingArray) -> Float64Array:
+    """Return each cell's share of the lead of one tile over another in d², (h, w); positive cells speak for the leader.
+
+    The constants of both tiles are spread over the cells of their parts, see `spread_constants`, so that the cells of a part add
+    up to its term of the lead. Parts without cells, and the terms of CSLS, have no place.
+
+    Args:
+        trace: of the query.
+        weights: part weights that sum to one, (n,).
+        leader, follower: descriptors of the tiles, (n, D).
+    """
+    ahead, behind = (spread_constants(side_evidence(trace, tile), trace) for tile in (leader, follower))
+    return cast(Float64Array, np.tensordot(2 * weights.astype(np.float64), ahead - behind, 1))
+
+
 def evidence(
     query: Trace,
     tile: Trace,

@@ -10,17 +10,12 @@ from lpn.core.arrays import BoolArray, FloatingArray
 from lpn.core.views import View
 from lpn.datasets import Picture
 from lpn.models.base import Model
-from lpn.models.contract import Contract, ForwardPass
+from lpn.models.contract import ForwardPass
 from lpn.models.trace import Trace
 
 # Both views of Figure 7, in the order of its columns.
 VIEWS: tuple[View, ...] = ("drone", "satellite")
 _BATCH = 16
-
-
-def has_centre(contract: Contract, view: View) -> bool:
-    """Return whether the target of a view's pictures is in their middle, and the model has cells and does not unroll them."""
-    return contract.has_cells and view in VIEWS and not contract.unrolled(view)
 
 
 def centre_shares(model: Model, pictures: Sequence[Picture], view: View) -> Iterator[float]:

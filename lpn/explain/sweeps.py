@@ -51,6 +51,7 @@ class SweepPoint:
         cosines: part cosines with the followed tile, (n,).
         top: gallery position of the nearest tile.
         top_score: score of the nearest tile.
+        contributions: each part's exact share of the followed tile's squared distance, (n,); None without a ranking.
     """
 
     change: Change
@@ -61,6 +62,7 @@ class SweepPoint:
     cosines: Float32Array
     top: int
     top_score: float
+    contributions: Float32Array | None = None
 
 
 def sweep_points(
@@ -94,7 +96,8 @@ def sweep_points(
             raise InputError(f"Gallery picture {follow} is not in the ranking; choose one that is.")
         top = ranking.match(0)
         tile = (ranking.positive() or top) if follow is None else ranking.find(follow)
-        yield SweepPoint(change, tile.index, tile.true, tile.score, tile.rank, tile.cosines, top.index, top.score)
+        known = tile.score, tile.rank, tile.cosines, top.index, top.score, tile.contributions
+        yield SweepPoint(change, tile.index, tile.true, *known)
 
 
 @dataclass(frozen=True, eq=False)

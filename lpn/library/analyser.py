@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from datetime import date
+from functools import partial
 from typing import Generic, Literal, TypeVar
 
 import numpy as np
@@ -68,6 +69,29 @@ class QueryRequest:
     correspondences: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class _Photo:
+    """A query to describe: its pixels before the change, the zoom within that, and what identifies the changed picture."""
+
+    own: OwnPicture | None
+    index: int | None
+    name: str
+    source: UInt8Array
+    change: Change
+    zoom: float
+    key: Hashable
+
+
+# Returns a described picture by its key, or what the function returns.
+KeepDescribed = Callable[[Hashable, Callable[[], DescribedPicture]], DescribedPicture]
+
+
+def described_key(task: Task, query: int, change: Change) -> Hashable:
+    """Return what a described query of a task depends on; `change` is that of the picture, see `Change.for_picture`."""
+    picture = task.queries[query]
+    return picture.path, picture.box, task.key, change
+
+
 class _LastValue(Generic[T]):
     """A cache of one value: that of the last key."""
 
@@ -87,6 +111,7 @@ class QueryAnalyser:
         model: describes queries, as the task's `Model.for_task`; None if only stored descriptors are available.
         describe_tile: describes a tile of a task by its gallery position, see the function `describe_tile`; may use a cache.
         load: reads a picture without regard to its box; may use a cache.
+        keep: returns a described query of the task by its `described_key`, or what describes it; may use a cache.
     """
 
     def __init__(
@@ -94,42 +119,50 @@ class QueryAnalyser:
         model: Model | None,
         describe_tile: Callable[[Task, int], DescribedPicture],
         load: Callable[[Picture], UInt8Array] = Picture.load,
+        keep: KeepDescribed = lambda _, describe: describe(),
     ) -> None:
-        self._model, self._describe_tile, self._load = model, describe_tile, load
+        self._model, self._describe_tile, self._load, self._keep = model, describe_tile, load, keep
         self._source: _LastValue[UInt8Array] = _LastValue()
         self._query: tuple[Hashable, DescribedPicture] | None = None
+        self._ahead: dict[QueryRequest, tuple[_Photo, DescribedPicture]] = {}
         self._zoom: _LastValue[float] = _LastValue()
         self._search: _LastValue[RankUnderWeights] = _LastValue()
 
-    def analyse(self, task: Task, request: QueryRequest, k: int) -> Answer:
-        """Answer one request; the compared tile is described at once.
+    def describe_ahead(self, task: Task, requests: Sequence[QueryRequest]) -> None:
+        """Describe the queries of some requests in one batch, from which `analyse` takes each; errors as there."""
+        if self._model is None or not requests:
+            return
+        photos = [self._photo(task, request) for request in requests]
+        pictures, changes = [photo.source for photo in photos], [photo.change for photo in photos]
+        described = retrieval.describe_pictures(self._model.for_task(*task.views), pictures, task.query_view, changes)
+        self._ahead = dict(zip(requests, zip(photos, described, strict=True), strict=True))
+
+    def analyse(self, task: Task, request: QueryRequest, k: int, tile: bool = True) -> Answer:
+        """Answer one request.
 
         Args:
             k: number of matches.
+            tile: whether the compared tile is described at once; the evidence of a request needs it.
 
         Raises:
             InputError: when there is no such query, or no tile to rank.
             LPNError: when a picture cannot be read or described.
         """
         started = time.perf_counter()
-        own = request.query if isinstance(request.query, OwnPicture) else None
-        index = None if isinstance(request.query, OwnPicture) else request.query
-        if index is not None and not 0 <= index < len(task.queries):
-            raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
-        picture = task.queries[index or 0]
-        source_key = own or (picture.path, picture.box)
-        source = self._source.get(
-            source_key, lambda: own.picture if own else images.crop(self._load(picture), picture.box, picture.name)
-        )
-        zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
-        query_key = source_key, task.key, index, request.change
-        change = request.change.for_picture(picture, zoom)
+        ahead = self._ahead.pop(request, None)
+        photo = self._photo(task, request) if ahead is None else ahead[0]
+        own, index, query_key = photo.own, photo.index, photo.key
+        if ahead is not None:
+            self._query = query_key, ahead[1]
         if self._query is None or self._query[0] != query_key:
             if self._model is not None:
                 model = self._model.for_task(*task.views)
-                described = retrieval.describe_picture(model, source, task.query_view, change)
+                describe = partial(retrieval.describe_picture, model, photo.source, task.query_view, photo.change)
+                described = (
+                    describe() if index is None else self._keep(described_key(task, index, photo.change), describe)
+                )
             elif index is not None:
-                described = DescribedPicture(source, task.query_descriptors[index], None, None)
+                described = DescribedPicture(photo.source, task.query_descriptors[index], None, None)
             else:
                 raise InputError(f"{task.model_name} has no network, only descriptors; choose a query of the data set.")
             self._query = query_key, described
@@ -137,31 +170,50 @@ class QueryAnalyser:
         weights = scoring.part_weights(task.contract.n_parts, request.weights)
         # The descriptor of a region depends on the part weights.
         search_key = query_key, request.region, request.weights if request.region else None
-        search = self._search.get(search_key, lambda: _start_search(task, index, query, request.region, weights))
+        search = self._search.get(search_key, lambda: start_search(task, index, query, request.region, weights))
         ranking = search(weights)
         matches = ranking.top(k)
         if not matches:
             raise InputError("The gallery has no tile that is not junk; a query needs at least one.")
         chosen = _chosen(ranking, request.compare)
-        tile = self._describe_tile(task, chosen.index)
+        compared = self._describe_tile(task, chosen.index) if tile or request.evidence else None
         return Answer(
             task=task,
-            name=own.name if own else picture.name,
+            name=photo.name,
             index=index,
             query=query,
             ranking=ranking,
             matches=matches,
             chosen=chosen,
             describe_tile=self._describe_tile,
-            tile=tile,
+            tile=compared,
             positive=ranking.positive(),
             errors_m=_errors_m(task, index, own),
-            source=source,
-            zoom=zoom,
-            pair_evidence=pair_evidence(query, tile, weights, request.correspondences, ranking.csls_of(chosen.index))
-            if request.evidence
+            source=photo.source,
+            zoom=photo.zoom,
+            pair_evidence=pair_evidence(
+                query, compared, weights, request.correspondences, ranking.csls_of(chosen.index)
+            )
+            if request.evidence and compared is not None
             else None,
             seconds=time.perf_counter() - started,
+        )
+
+    def _photo(self, task: Task, request: QueryRequest) -> _Photo:
+        """Read the query of a request, and say how it is changed."""
+        query = request.query
+        own, index = (query, None) if isinstance(query, OwnPicture) else (None, query)
+        if index is not None and not 0 <= index < len(task.queries):
+            raise InputError(f"There is no query {index}; queries have positions 0 to {len(task.queries) - 1}.")
+        picture = task.queries[index or 0]
+        key = own or (picture.path, picture.box)
+        source = self._source.get(
+            key, lambda: own.picture if own else images.crop(self._load(picture), picture.box, picture.name)
+        )
+        zoom = picture.zoom if own is None else self._zoom.get((own, task.key), lambda: self._own_zoom(task, own))
+        change = request.change.for_picture(picture, zoom)
+        return _Photo(
+            own, index, own.name if own else picture.name, source, change, zoom, (key, task.key, index, request.change)
         )
 
     def _own_zoom(self, task: Task, own: OwnPicture) -> float:
@@ -188,10 +240,16 @@ def describe_tile(task: Task, index: int, model: Model | None) -> DescribedPictu
     return retrieval.describe_picture(model.for_task(*task.views), picture, task.gallery_view)
 
 
-def _start_search(
+def start_search(
     task: Task, index: int | None, query: DescribedPicture, region: tuple[int, ...], weights: Float32Array
 ) -> RankUnderWeights:
-    """Compare the query, or the region that it is restricted to, with the gallery."""
+    """Compare a query with the gallery, by all of it or by a region.
+
+    Args:
+        index: the query's position; None for a picture that is none of the task's queries.
+        region: cells of the query's feature map, row by row; empty for all.
+        weights: part weights that sum to one, (n,); the descriptor of a region depends on them.
+    """
     if not region or query.trace is None:
         return task.start_search(index, query.descriptor)
     size = query.trace.size

@@ -17,9 +17,10 @@ from lpn.core.arrays import Float32Array, Float64Array, UInt8Array
 from lpn.core.errors import InputError
 from lpn.core.files import check_ending, printable, write_atomic
 from lpn.core.notebook_html import table
-from lpn.drawing import charts, overlays, pair_figure, verdicts
+from lpn.drawing import overlays, pair_figure, theme, verdicts
 from lpn.drawing.paper_figure import PAGE, FigureRow, PaperFigure
 from lpn.drawing.part_areas import PartAreas
+from lpn.drawing.theme import DARK
 from lpn.explain import Correspondences, Evidence
 from lpn.retrieval import DescribedPicture, Match, Ranking
 from lpn.tasks import verdict
@@ -29,6 +30,8 @@ from lpn.tasks.verdict import Verdict
 # Matches that a notebook shows.
 SHOWN = 5
 _THUMBNAIL = 96
+# A notebook may be light or dark; the colours of parts are those of dark ground.
+_GROUND = theme.css(DARK.background)
 _SIGNS = {True: "✓ ", False: "✗ ", None: ""}
 
 
@@ -182,7 +185,7 @@ class Answer:
         tile, evidence = self._pair(match)
         (one, first), (other, second) = self.drawn(self.query, 0), self.drawn(tile, 1)
         name = printable(self.task.gallery[match.index].name)
-        titles = f"Query, {views[0]}", f"Rank {rank} of {self.task.tiles:,}, {views[1]}: {name}"
+        titles = f"Photo, {views[0]}", f"Rank {rank} of {self.task.tiles:,}, {views[1]}: {name}"
         return PairPicture(pair_figure.draw(evidence, (one, other), titles, views, self.task.contract, (first, second)))
 
     def drawn(self, described: DescribedPicture, side: int) -> tuple[UInt8Array, PartAreas | None]:
@@ -295,7 +298,9 @@ class Answer:
             picture = _thumbnail(self.task.gallery[match.index].load())
             rows.append((match.rank, picture, printable(match.name), Markup(f"{match.distance2:.4f}"), shares))
         legend = Markup(", ").join(
-            Markup('<span style="border-bottom: .25em solid {}">{}</span>').format(charts.part_colour(part), name)
+            Markup('<span style="padding: 0 .4em; background: {}; color: {}">{}</span>').format(
+                _GROUND, theme.css(DARK.ink(theme.part_colour(part))), name
+            )
             for part, name in enumerate(names)
         )
         bars = Markup("contributions to d²: {}").format(legend) if len(names) > 1 else ""
@@ -309,12 +314,14 @@ def _bar(match: NamedMatch, full: float, names: Sequence[str]) -> Markup:
     segments = Markup().join(
         Markup('<i title="{}" style="background: {}; width: {}%"></i>').format(
             f"part {name}: {share:.4f}" if len(names) > 1 else f"{share:.4f}",
-            charts.part_colour(part),
+            theme.css(theme.part_colour(part)),
             round(100 * max(share, 0.0) / max(full, 1e-9), 2),
         )
         for part, (name, share) in enumerate(zip(names, match.contributions.tolist(), strict=True))
     )
-    return Markup('<div style="display: flex; width: 16em; height: 1em">{}</div>').format(segments)
+    return Markup('<div style="display: flex; width: 16em; height: 1em; background: {}">{}</div>').format(
+        _GROUND, segments
+    )
 
 
 def _thumbnail(picture: UInt8Array) -> Markup:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
-from lpn.core.numbers import distance, upper_bound
+from lpn.core.numbers import upper_bound
 from lpn.drawing.words import capitalised, plain
 from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord, checked_beside_middle
 from lpn.locate.tracks import TrackPoint, TrackState
@@ -19,8 +19,6 @@ TAG_RADIUS = 5.0
 SIGMAS = 3.0
 # A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
 TILT = 15.0
-# Metres from which on the decimals of a distance tell nothing.
-_FAR = 1000.0
 # The summary of a registration, which goes on with what contradicts it.
 PLACED = "Placed by its details"
 # Answers in plain words.
@@ -192,21 +190,6 @@ def tag_allowance(located: LocatedFrame) -> float:
     """Return the metres that a registration and its tag may lie apart, see `disagreements`."""
     answer = located.stages["registration"]
     return SIGMAS * math.hypot(answer.radius or 0.0, TAG_RADIUS) + (0.0 if answer.camera else _shift(located))
-
-
-def tag_figures(located: LocatedFrame, contradictions: Sequence[Disagreement]) -> tuple[str, str]:
-    """Return how far a registration lies from its tag, which it must have, and how far it may, as words with a unit.
-
-    Args:
-        contradictions: those of this frame.
-    """
-    assert located.tag is not None
-    against = next((one for one in contradictions if (one.one, one.other) == ("registration", "tag")), None)
-    metres = located.stages["registration"].distance(located.tag)
-    if against is None:
-        return distance(metres), f"{upper_bound(tag_allowance(located), 0)} m"
-    told, allowed = against.figures
-    return distance(metres) if metres >= _FAR else f"{told} m", f"{allowed} m"
 
 
 def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | None:

@@ -42,12 +42,6 @@ class MapPlace(msgspec.Struct, frozen=True, omit_defaults=True):
         return "" if self.day is not None else self.photographed
 
 
-def season_of(day: date, latitude: float) -> str:
-    """Return the meteorological season of a day, which begins with the month: spring is March to May north of the equator."""
-    shift = 0 if latitude >= 0 else 2
-    return SEASONS[((day.month - 3) // 3 + shift) % 4]
-
-
 def checked_place(place: MapPlace) -> MapPlace:
     """Return a place whose texts can be shown.
 

@@ -94,11 +94,6 @@ class Trace:
         total = self.part_totals
         return total[0] if len(total) == 1 else cast(Float32Array, (total * (self.cells[0] != 0)).sum(axis=0))
 
-    def activation_of(self, part: int) -> Float32Array:
-        """Return the channel sum of the map that a part takes its cells from, (h, w)."""
-        totals = self.part_totals
-        return cast(Float32Array, totals[part if len(totals) > 1 else 0])
-
     @property
     def part_totals(self) -> Float32Array:
         """The channel sum of the picture's map, (1, h, w), or of that of each part, (n, h, w)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
+import numpy as np
 from jinja2 import Environment
 from markupsafe import Markup
 
@@ -37,6 +38,9 @@ def thumbnail(picture: UInt8Array) -> str:
 def _environment() -> Environment:
     templates = environment("lpn.report")
     templates.globals["part_colour"] = charts.part_colour
+    key = np.linspace(0, 1, 64)[None], np.linspace(-1, 1, 64)[None]
+    heats = [overlays.heat_colours(values, bool(signed)) for signed, values in enumerate(key)]
+    templates.globals["heat_keys"] = [overlays.png_data_uri(heat) for heat in heats]
     templates.globals["evidence_colours"] = charts.EVIDENCE_COLOURS
     templates.filters["thousands"] = "{:,.0f}".format
     return templates

@@ -1,118 +1,30 @@
-"""The analysis of one query for a report, without its HTML."""
+"""The analysis of the queries of a report, without its HTML; each picture is read, and each pair of pictures described, once."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Generator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from functools import lru_cache
 
 from lpn.analysis.comparison import Comparison, effect_on
+from lpn.core import images
 from lpn.core.arrays import Float32Array, UInt8Array
 from lpn.core.errors import InputError
-from lpn.core.numbers import shown_difference
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.drawing.part_areas import PartAreas
 from lpn.explain import Evidence
 from lpn.explain.counterfactual import Effect
-from lpn.explain.part_activation import part_activation
-from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest, describe_tile
+from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest
 from lpn.library.answer import Answer, pair_evidence
-from lpn.retrieval import Match
+from lpn.report._rendering import thumbnail
+from lpn.report.said import Said
+from lpn.retrieval import DescribedPicture, Match, describe_pictures
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
 
-
-@dataclass(frozen=True)
-class SaidPicture:
-    """A picture by which a screen shows an answer.
-
-    Attributes:
-        caption: what it is.
-        name: its name or place.
-        source: a data URI.
-        sign: True if it is right, False if wrong; None if that is unknown.
-        turn: degrees clockwise by which it is turned to lie like the query.
-        doubted: it shows the place by a photo's details, which something contradicts.
-    """
-
-    caption: str
-    name: str
-    source: str
-    sign: bool | None = None
-    turn: float = 0.0
-    doubted: bool = False
-
-
-@dataclass(frozen=True)
-class DetailPin:
-    """A detail that photo and map show, by its number in both.
-
-    Attributes:
-        in_photo, on_map: per cent of the width and height of the pictures.
-        metres: from where the photo's place has it to where the map has it, two digits.
-    """
-
-    number: int
-    in_photo: tuple[float, float]
-    on_map: tuple[float, float]
-    metres: str
-
-
-@dataclass(frozen=True)
-class DetailsPair:
-    """A photo beside the map about it, with the same details numbered in both.
-
-    Attributes:
-        sentence: how many details agree, and how well.
-        photo, ground, laid: the photo, the map, and the photo laid over it, as data URIs.
-        size: their width and height in pixels.
-        frame: the photo's corners on the map, per cent of its width and height.
-        colour: of the frame, in CSS.
-        pins: the numbered details.
-        limit: metres within which a detail counts, as a number.
-        heading: what points up on the map, degrees clockwise from north, -180 up to 180.
-        scale: metres of the scale, and per cent of the map's width that it takes.
-    """
-
-    sentence: str
-    photo: str
-    ground: str
-    laid: str
-    size: tuple[int, int]
-    frame: list[tuple[float, float]]
-    colour: str
-    pins: list[DetailPin]
-    limit: str
-    heading: float
-    scale: tuple[float, float]
-
-
-@dataclass(frozen=True)
-class Said:
-    """The words and pictures by which a screen shows the answer that a report is about.
-
-    Attributes:
-        question: to which it is the answer.
-        headline: the verdict in some words.
-        sentences: paragraphs of text.
-        pictures: the photo, the answer, and the map with the ground that the photo shows.
-        photo: what the photo's file says of it, as names and values.
-        map: the files of the map and their digests, as names and values.
-        reasons: why this is the answer: each method, "" where it is the only one, and its sentences.
-        judged: sentences on how right and wrong are told apart and checked.
-        details: the numbered details by which the photo is placed; None without them.
-    """
-
-    question: str
-    headline: str
-    sentences: tuple[str, ...]
-    pictures: tuple[SaidPicture, ...] = ()
-    photo: tuple[tuple[str, str], ...] = ()
-    map: tuple[tuple[str, str], ...] = ()
-    reasons: tuple[tuple[str, tuple[str, ...]], ...] = ()
-    judged: tuple[str, ...] = ()
-    details: DetailsPair | None = None
+# Queries that are analysed together, and described tiles that are kept for later ones.
+_TOGETHER, _KEPT = 4, 64
 
 
 @dataclass(frozen=True)
@@ -143,22 +55,22 @@ class Options:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """A tile that is compared with the query.
+class Seen:
+    """A described picture as a report draws it.
 
     Attributes:
-        match: the tile's entry in the ranking.
-        picture: the tile's picture on which parts are drawn, see `Model.as_partitioned`.
+        picture: on which parts are drawn, (H, W, 3) uint8, see `Answer.drawn`.
         areas: of its parts; None if neither a partition nor its cells are known.
-        evidence: the evidence for the score; None without cells.
-        activation: of each part of the query and of the tile, (n, h, w) each, see `part_activation`; None without cells.
+        heat: its activation, (h, w), 0 to 1; None without cells.
+        match: the entry in the ranking of a tile; None for the query.
+        evidence: of the query's score with this tile; None for the query, and without cells.
     """
 
-    match: Match
     picture: UInt8Array
     areas: PartAreas | None
-    evidence: Evidence | None
-    activation: tuple[Float32Array, Float32Array] | None
+    heat: Float32Array | None
+    match: Match | None = None
+    evidence: Evidence | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,11 +80,11 @@ class Case:
     Attributes:
         doubtful: no tile is right for certain, so it is not graded.
         matches: the nearest tiles, then the nearest positive if it is not among them.
-        facts: names and values of the query's metadata.
-        picture: the query's picture on which parts are drawn, see `Answer.drawn`.
-        areas: of its parts; None if neither a partition nor its cells are known.
-        pairs: the compared tile, then its counterpart if there is one. The counterpart of a positive is the hardest
-            negative. The counterpart of another tile is the nearest positive.
+        thumbnails: of listed tiles by their positions, as data URIs.
+        facts: names and values of the query's metadata, or of the file of the user's own picture.
+        query: the query's picture.
+        tiles: the compared tile, then its rival if there is one: of a true tile the nearest wrong one, of another tile the
+            nearest true one, and of an answer whose truth is not known the next tile.
         comparison: of the nearest positive with a wrong tile; None if no positive is known, or no tile is wrong.
         effect: what the smallest change of weights does to all queries; None in a story.
     """
@@ -180,22 +92,16 @@ class Case:
     answer: Answer
     doubtful: bool
     matches: list[Match]
+    thumbnails: Mapping[int, str]
     facts: list[tuple[str, str]]
-    picture: UInt8Array
-    areas: PartAreas | None
-    pairs: tuple[Pair, ...]
+    query: Seen
+    tiles: list[Seen]
     comparison: Comparison | None
     effect: Effect | None
 
-    @property
-    def margin(self) -> float | None:
-        """The margin of the positive as it is shown beside both squared distances, see `shown_difference`."""
-        pair = self.comparison
-        return None if pair is None else shown_difference(pair.other.distance2, pair.followed.distance2)
-
 
 class Cases:
-    """Makes the cases of one report; caches described tiles across cases."""
+    """Makes the cases of one report."""
 
     def __init__(self, task: Task, options: Options) -> None:
         if task.model is None and options.change:
@@ -204,33 +110,78 @@ class Cases:
             )
         self._task, self._options = task, options
         self._graded = task.without_truth(options.doubtful)
-        tile = lru_cache(maxsize=64)(lambda index: describe_tile(task, index, task.model))
-        self._analyser = QueryAnalyser(task.model, lambda _, index: tile(index))
+        self._tiles: dict[int, DescribedPicture] = {}
+        self._thumbnails: dict[int, str] = {}
+        self._analyser = QueryAnalyser(task.model, lambda _, index: self._tiles[index])
 
-    def make(self, query: int | OwnPicture | Answer) -> Case:
-        """Answer one query, or take the answer that is given."""
-        task, options = self._task, self._options
-        if isinstance(query, Answer):
-            answer = query
-        else:
-            weights = None if task.weights is None else tuple(task.part_weights.tolist())
-            request = QueryRequest(query, options.change, weights)
-            answer = self._analyser.analyse(self._graded, request, options.matches)
-        ranking, chosen, positive = answer.ranking, answer.chosen, answer.positive
-        other = ranking.hardest_negative() if chosen.true else positive
-        comparison = None if positive is None else Comparison.of(ranking, chosen)
-        below = [] if positive is None or positive.rank <= options.matches else [positive]
-        picture, areas = answer.drawn(answer.query, 0)
-        index = answer.index
+    def make(self, queries: Sequence[int | OwnPicture | Answer]) -> Generator[Case]:
+        """Answer the queries, or take the answers that are given; while one is drawn, the next ones are described."""
+        together = [queries[start : start + _TOGETHER] for start in range(0, len(queries), _TOGETHER)]
+        with ThreadPoolExecutor(1, "report") as thread:
+            made = thread.submit(self._answer, together[0])
+            for following in [*together[1:], None]:
+                cases = made.result()
+                if following is not None:
+                    made = thread.submit(self._answer, following)
+                yield from cases
+
+    def _answer(self, queries: Sequence[int | OwnPicture | Answer]) -> list[Case]:
+        task, k = self._task, self._options.matches
+        weights = None if task.weights is None else tuple(task.part_weights.tolist())
+        requests = {
+            place: QueryRequest(query, self._options.change, weights)
+            for place, query in enumerate(queries)
+            if not isinstance(query, Answer)
+        }
+        self._analyser.describe_ahead(self._graded, list(requests.values()))
+        answers = [
+            query if isinstance(query, Answer) else self._analyser.analyse(self._graded, requests[place], k, tile=False)
+            for place, query in enumerate(queries)
+        ]
+        compared = [[answer.chosen, *_rival(answer)] for answer in answers]
+        listed = [self._listed(answer) for answer in answers]
+        own = {match.index for place in requests for match in compared[place]}
+        self._see({match.index for matches in (*listed, *compared) for match in matches}, own)
+        facts = [list(query.facts) if isinstance(query, OwnPicture) else [] for query in queries]
+        return [self._case(*each) for each in zip(answers, compared, listed, facts, strict=True)]
+
+    def _listed(self, answer: Answer) -> list[Match]:
+        """Return the nearest tiles, and the nearest positive behind them."""
+        k, positive = self._options.matches, answer.positive
+        return [*answer.ranking.top(k), *([] if positive is None or positive.rank <= k else [positive])]
+
+    def _see(self, listed: Collection[int], compared: Collection[int]) -> None:
+        """Draw the thumbnails of tiles, and describe those that are compared, in one batch."""
+        task, gallery, pictures = self._task, self._task.gallery, {}
+        self._tiles |= {index: self._tiles.pop(index) for index in compared if index in self._tiles}
+        for index in sorted(listed):
+            entry, wanted = gallery[index], index in compared and index not in self._tiles
+            if wanted or index not in self._thumbnails:
+                picture = entry.load()
+                self._thumbnails.setdefault(index, thumbnail(picture))
+                if wanted:
+                    pictures[index] = images.zoom(images.crop(picture, entry.box, entry.name), entry.zoom)
+        network = [] if task.model is None else [index for index in pictures if not gallery[index].missing]
+        if task.model is not None and network:
+            bound, seen = task.model.for_task(*task.views), [pictures.pop(index) for index in network]
+            self._tiles |= zip(network, describe_pictures(bound, seen, task.gallery_view), strict=True)
+        for index, picture in pictures.items():
+            self._tiles[index] = DescribedPicture(picture, task.gallery_descriptors[index], None, None)
+        for index in list(self._tiles)[: -max(_KEPT, len(compared))]:
+            del self._tiles[index]
+
+    def _case(self, answer: Answer, compared: list[Match], listed: list[Match], facts: list[tuple[str, str]]) -> Case:
+        options, task, index = self._options, self._task, answer.index
+        comparison = None if answer.positive is None else Comparison.of(answer.ranking, answer.chosen)
         placed = index is not None and (index in options.doubtful or task.truth is None or task.truth[index].known)
         return Case(
             answer=answer,
             doubtful=placed and answer.verdict.sign is None,
-            matches=[*ranking.top(options.matches), *below],
-            facts=[] if index is None or options.title else self._facts(index),
-            picture=picture,
-            areas=areas,
-            pairs=tuple(_pair(answer, match) for match in (chosen, other) if match is not None),
+            matches=listed,
+            thumbnails=self._thumbnails,
+            facts=facts if index is None or options.title else self._facts(index),
+            query=Seen(*answer.drawn(answer.query, 0), answer.query.activation),
+            tiles=[_seen(answer, match) for match in compared],
             comparison=comparison,
             effect=None if comparison is None or options.title else self._effect(comparison),
         )
@@ -246,18 +197,22 @@ class Cases:
         ]
 
     def _effect(self, comparison: Comparison) -> Effect | None:
-        task, change = self._graded, comparison.change
-        if comparison.followed.rank == 1 or change is None:
-            return None
-        return effect_on(task, change.weights)
+        change = comparison.change
+        return None if comparison.followed.rank == 1 or change is None else effect_on(self._graded, change.weights)
 
 
-def _pair(answer: Answer, match: Match) -> Pair:
-    query, tile, ranking = answer.query, answer.described(match), answer.ranking
-    evidence = None
+def _rival(answer: Answer) -> list[Match]:
+    """Return the tile that the compared one stands beside, if there is one."""
+    ranking, chosen = answer.ranking, answer.chosen
+    rival = ranking.hardest_negative() if chosen.true else answer.positive
+    if rival is None and chosen.true is None:
+        rival = next((match for match in ranking.top(2) if match.index != chosen.index), None)
+    return [] if rival is None else [rival]
+
+
+def _seen(answer: Answer, match: Match) -> Seen:
+    tile, ranking = answer.described(match), answer.ranking
+    pair = None
     if ranking.lengths is None:  # a search by a region has no evidence of the whole picture beside its shares
-        evidence = pair_evidence(query, tile, ranking.weights, csls=ranking.csls_of(match.index))
-    activation = None
-    if query.trace is not None and tile.trace is not None:
-        activation = part_activation(query.trace), part_activation(tile.trace)
-    return Pair(match, *answer.drawn(tile, 1), None if evidence is None else evidence.evidence, activation)
+        pair = pair_evidence(answer.query, tile, ranking.weights, csls=ranking.csls_of(match.index))
+    return Seen(*answer.drawn(tile, 1), tile.activation, match, None if pair is None else pair.evidence)

@@ -2,169 +2,230 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from itertools import chain
+from functools import lru_cache
+from itertools import chain, groupby
+from typing import NamedTuple
 
+import numpy as np
 from markupsafe import Markup
 
 from lpn.core import images
-from lpn.core.arrays import FloatingArray, UInt8Array
-from lpn.drawing import charts, heatmaps, overlays, verdicts
-from lpn.drawing.heatmaps import PictureActivation
+from lpn.core.arrays import Float32Array
+from lpn.core.numbers import rounded_to_sum, shown_difference
+from lpn.drawing import charts, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
-from lpn.explain import Evidence
-from lpn.report._rendering import render, thumbnail
-from lpn.report.cases import Case
-from lpn.retrieval import Match
+from lpn.report._rendering import render
+from lpn.report.cases import Case, Seen
 from lpn.tasks.task import Task
 
-# Widths of pictures in pixels; panoramas, which are stacked, are twice as wide.
-_LARGE, _MAP = 280, 220
-# A picture of at least this ratio of width to height is a panorama.
-_PANORAMA = 2.0
-_CHART_WIDTH = 940
+# Pixels of a picture's height.
+_HIGH = 320
+# A strip's crop, which is else a line, is at most this many times as wide as it is high.
+_MOST_WIDE = 2.5
+
+
+class _Outline(NamedTuple):
+    """A part of a picture 100 units high: its cells as a path, the box that its crop shows, and its strongest cell."""
+
+    path: str
+    left: float
+    top: float
+    width: float
+    height: float
+    strongest: tuple[float, float, float, float] | None
+
+
+@dataclass(frozen=True)
+class _Picture:
+    """A picture of the section.
+
+    Attributes:
+        title, name: what it is, and its name.
+        true: whether a tile is right; None for the query, and if that is unknown.
+        source: itself, a data URI.
+        width: in hundredths of its height.
+        heat: colours of its cells, a data URI; empty without cells.
+        straight: the boxes are the borders of the parts.
+    """
+
+    title: str
+    name: str
+    true: bool | None
+    source: str
+    width: float
+    heat: str
+    parts: list[_Outline]
+    straight: bool
 
 
 @dataclass(frozen=True)
 class _PairEvidence:
-    """The evidence of a pair: a sentence, the maps of query and tile, and a bar for each part."""
+    """The evidence of a pair: colours of the cells of query and tile as PNG, a sentence, and a bar for each part."""
 
-    values: Evidence
+    cells: tuple[str, str]
     sentence: str
-    maps: tuple[str, str]
+    weighted: list[float]
     bars: list[Markup]
+    score: float
+
+
+class _Row(NamedTuple):
+    """The shares of a part in the distances of the compared tiles, and the gain of the first over the second."""
+
+    shares: list[float]
+    gain: float | None
+    prefers: bool | None
 
 
 def section(case: Case, number: int) -> Markup:
     """Render everything about one query."""
-    task, ranking, pair = case.answer.task, case.answer.ranking, case.comparison
-    headline, reason = summary(case)
+    answer = case.answer
+    task, names = answer.task, answer.task.part_names
+    longest = max(match.distance2 for match in case.matches)
+    ranks_above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
     return render(
         "query.html.j2",
         number=number,
         case=case,
         task=task,
-        headline=headline,
-        sentences=[reason, *_sentences(case, task)],
-        wide=_is_panorama(task),
-        picture=_with_parts(case.picture, case.areas, task),
-        tiles=[
-            (pair.match, _role(case, pair.match), _with_parts(pair.picture, pair.areas, task)) for pair in case.pairs
+        noun=task.contract.part_noun,
+        headline=answer.verdict.headline,
+        sentences=[reason(case), *_sentences(case)],
+        pictures=[
+            _picture(case.query, f"Photo, {task.views[0]}", answer.name, None, task),
+            *(_picture(tile, _role(case, tile), _name(task, tile), _true(tile), task) for tile in case.tiles),
         ],
-        matches=_matches(case, task),
-        evidence=_evidence(case, task),
+        rows=_rows(case),
+        full=_full(case),
+        matches=[
+            (match, charts.share_bar(match.contributions, longest, names), match.rank > above + 1)
+            for above, match in zip(ranks_above, case.matches, strict=False)
+        ],
+        evidence=_evidence(case),
         limit=_limit(case),
-        claim=task.contract.claim,
-        lumps=verdicts.describe_lumps([task.part_names[part] for part in case.areas.lumps] if case.areas else []),
+        lumps=verdicts.describe_lumps([names[part] for part in case.query.areas.lumps] if case.query.areas else []),
         without_cells="" if task.model is None or task.contract.has_cells else verdicts.no_cells(task.contract),
-        scale=overlays.data_uri(overlays.evidence_scale(240, 20), 90),
-        heatmaps=_heatmaps(case, task),
-        heatmaps_note=heatmaps.note(len(task.part_names)),
-        steps=[]
-        if pair is None
-        else charts.waterfall(ranking.gains(pair.followed.index, pair.other.index), sum_shown=case.margin),
     )
 
 
-def summary(case: Case) -> tuple[str, str]:
-    """Return the headline of a case and the sentence that gives its reason."""
+def reason(case: Case) -> str:
+    """Return the sentence that gives the headline's reason."""
     said = case.answer.verdict
     if said.sign is not None:
-        return said.headline, said.sentence
+        return said.sentence
     why = "It is not graded, as no tile is right for certain" if case.doubtful else "Its true place is not known here"
-    return said.headline, f"{why}. {said.sentence}"
+    return f"{why}. {said.sentence}"
 
 
-def _sentences(case: Case, task: Task) -> list[str]:
+def _sentences(case: Case) -> list[str]:
     pair = case.comparison
-    if len(task.part_names) == 1 or pair is None or pair.followed.rank == 1:
+    if len(case.answer.task.part_names) == 1 or pair is None or pair.followed.rank == 1:
         return []
-    return [verdicts.describe_reweighting(pair.change, case.effect)]
+    return [verdicts.describe_reweighting(pair.change, case.effect, case.answer.task.contract.part_noun)]
 
 
-def _role(case: Case, match: Match) -> str:
+def _role(case: Case, tile: Seen) -> str:
     """Name the role of a tile in the comparison."""
+    match, ranking = tile.match, case.answer.ranking
+    assert match is not None
     if match.rank == 1:
-        return {True: "Top match, the true tile", False: "Top match, wrong", None: "Top match"}[match.true]
+        return "Answer"
     if match.true is None:
-        return "Tile looked at"
+        return "Next tile" if match.rank == 2 else "Chosen tile"
+    positive, negative = case.answer.positive, ranking.hardest_negative()
     if match.true:
-        positive = case.answer.positive
-        return "The true tile" if positive and match.index == positive.index else "Another true tile"
-    negative = case.answer.ranking.hardest_negative()
-    return "Best wrong tile" if negative and match.index == negative.index else "A wrong tile"
+        return "Truth" if positive and match.index == positive.index else "Another true tile"
+    return "Nearest wrong tile" if negative and match.index == negative.index else "Wrong tile"
 
 
-def _matches(case: Case, task: Task) -> list[tuple[Match, str, Markup, bool]]:
-    """List the nearest tiles: match, thumbnail, bar to a common scale, and whether ranks are left out above it."""
-    full = max(match.distance2 for match in case.matches)
-    ranks_above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
-    return [
-        (
-            match,
-            thumbnail(task.gallery[match.index].load()),
-            charts.share_bar(match.contributions, full, task.part_names),
-            match.rank > above + 1,
-        )
-        for above, match in zip(ranks_above, case.matches, strict=False)
-    ]
+def _name(task: Task, tile: Seen) -> str:
+    assert tile.match is not None
+    return task.gallery[tile.match.index].name
+
+
+def _true(tile: Seen) -> bool | None:
+    return None if tile.match is None else tile.match.true
+
+
+def _picture(seen: Seen, title: str, name: str, true: bool | None, task: Task) -> _Picture:
+    """Encode a picture once; the page crops its parts from it."""
+    height, width = task.contract.input_size
+    across, areas = 100 * width / height, seen.areas
+    picture = images.resize(seen.picture, _HIGH, round(_HIGH * width / height))
+    straight = areas is None or areas.straight
+    source = overlays.data_uri(picture if straight else overlays.with_parts(picture, areas), 70)
+    heat = "" if seen.heat is None else overlays.png_data_uri(overlays.heat_colours(seen.heat))
+    parts = [] if areas is None else [_outline(areas, part, across, seen.heat) for part in range(len(areas.inside))]
+    return _Picture(title, name, true, source, across, heat, parts, straight)
+
+
+def _outline(areas: PartAreas, part: int, across: float, heat: Float32Array | None) -> _Outline:
+    inside = areas.labels == part
+    rows, columns = inside.shape
+    x, y, strongest = across / columns, 100 / rows, None
+    if heat is not None and inside.any():
+        row, column = divmod(int(np.argmax(np.where(inside, images.enlarge(heat, rows, columns), -1))), columns)
+        strongest = column * x, row * y, x, y
+    left, top, right, bottom = areas.boxes[part]
+    width, height = (right - left) * across, 100 * (bottom - top)
+    cut = max(width - _MOST_WIDE * height, 0)
+    path = _path(inside.tobytes(), rows, columns, across)
+    return _Outline(path, left * across + cut / 2, 100 * top, width - cut, height, strongest)
+
+
+@lru_cache(maxsize=256)
+def _path(inside: bytes, rows: int, columns: int, across: float) -> str:
+    """Return cells as an SVG path: the runs of each row, as high as the rows below are alike."""
+    path, x, y, top = "", across / columns, 100 / rows, 0
+    for alike, cells in groupby(inside[row * columns : (row + 1) * columns] for row in range(rows)):
+        height = len(list(cells))
+        edges = np.flatnonzero(np.diff(np.frombuffer(alike, np.int8), prepend=0, append=0)).tolist()
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            wide = (end - begin) * x
+            path += f"M{begin * x:.4g} {top * y:.4g}h{wide:.4g}v{height * y:.4g}h{-wide:.4g}z"
+        top += height
+    return path
+
+
+def _rows(case: Case) -> list[_Row]:
+    """Return the row of each part, and that of the sum; the gains add up to the difference of the shown distances."""
+    matches = [tile.match for tile in case.tiles if tile.match is not None]
+    shares = [rounded_to_sum(match.contributions.tolist(), total=round(match.distance2, 3)) for match in matches]
+    sums = [match.distance2 for match in matches]
+    if len(matches) == 1:
+        return [_Row([share], None, None) for share in (*shares[0], *sums)]
+    first, rival = matches
+    lead = shown_difference(rival.distance2, first.distance2)
+    gains = rounded_to_sum((rival.contributions - first.contributions).tolist(), total=lead)
+    rows = zip([*map(list, zip(*shares, strict=True)), sums], [*gains, lead], strict=True)
+    return [_Row(each, gain, None if first.true is None else (gain > 0) == first.true) for each, gain in rows]
+
+
+def _full(case: Case) -> float:
+    """Return the end of the bars of shares, a tenth or more."""
+    shares = [tile.match.contributions.max() for tile in case.tiles if tile.match is not None]
+    return max(math.ceil(round(10 * float(max(shares)), 6)), 1) / 10
 
 
 def _limit(case: Case) -> float:
-    """Return the end of the colour scale that the maps of all pairs share; 0 without a network."""
-    maps = list(chain(*(pair.evidence.cell_maps() for pair in case.pairs if pair.evidence)))
+    """Return the end of the colour scale that the maps of all pairs share; 0 without cells."""
+    maps = list(chain(*(tile.evidence.cell_maps() for tile in case.tiles if tile.evidence)))
     return overlays.evidence_limit(*maps) if maps else 0.0
 
 
-def _evidence(case: Case, task: Task) -> list[_PairEvidence]:
-    """Draw the evidence of each pair; the list is empty without a network."""
-    limit, span = _limit(case), charts.evidence_span([pair.evidence for pair in case.pairs if pair.evidence])
-    drawn = []
-    for pair in case.pairs:
-        if pair.evidence is not None:
-            query_cells, tile_cells = pair.evidence.cell_maps()
-            maps = (
-                _with_evidence(case.picture, case.areas, query_cells, limit, task),
-                _with_evidence(pair.picture, pair.areas, tile_cells, limit, task),
-            )
-            sentence = verdicts.describe_evidence(pair.evidence, task.part_names, *task.views)
-            drawn.append(_PairEvidence(pair.evidence, sentence, maps, charts.evidence_bars(pair.evidence, span)))
+def _evidence(case: Case) -> list[_PairEvidence]:
+    """Draw the evidence of each pair; the list is empty without cells."""
+    limit, task = _limit(case), case.answer.task
+    pairs = [tile.evidence for tile in case.tiles if tile.evidence]
+    span, drawn = charts.evidence_span(pairs), []
+    for values in pairs:
+        query, tile = (
+            overlays.png_data_uri(overlays.heat_colours(cells / limit, signed=True)) for cells in values.cell_maps()
+        )
+        sentence = verdicts.describe_evidence(values, task.part_names, *task.views, task.contract.part_noun)
+        weighted = rounded_to_sum(values.weighted_cosines.tolist())
+        bars = charts.evidence_bars(values, span)
+        drawn.append(_PairEvidence((query, tile), sentence, weighted, bars, values.score))
     return drawn
-
-
-def _heatmaps(case: Case, task: Task) -> Markup | None:
-    """Draw the activation of each part of the query and of the first compared tile; None without a network."""
-    pair = case.pairs[0]
-    if pair.activation is None:
-        return None
-    drawn = _draw_parts(case.picture, case.areas, task), _draw_parts(pair.picture, pair.areas, task)
-    pictures = [
-        PictureActivation(name, maps, pixels)
-        for name, maps, pixels in zip(("query", "tile"), pair.activation, drawn, strict=True)
-    ]
-    return heatmaps.draw(pictures, task.part_names)
-
-
-def _with_parts(picture: UInt8Array, areas: PartAreas | None, task: Task) -> str:
-    return overlays.data_uri(_draw_parts(picture, areas, task), 70)
-
-
-def _draw_parts(picture: UInt8Array, areas: PartAreas | None, task: Task) -> UInt8Array:
-    return overlays.with_parts(images.resize(picture, *_size(task, _LARGE)), areas)
-
-
-def _with_evidence(picture: UInt8Array, areas: PartAreas | None, cells: FloatingArray, limit: float, task: Task) -> str:
-    drawn = overlays.with_evidence(images.resize(picture, *_size(task, _MAP)), cells, limit)
-    return overlays.data_uri(overlays.with_parts(drawn, areas), 66)
-
-
-def _size(task: Task, width: int) -> tuple[int, int]:
-    """Return the height and width at which a picture is shown."""
-    height, across = task.contract.input_size
-    width = 2 * width if _is_panorama(task) else width
-    return max(1, round(width * height / across)), width
-
-
-def _is_panorama(task: Task) -> bool:
-    height, width = task.contract.input_size
-    return width >= _PANORAMA * height

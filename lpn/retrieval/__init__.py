@@ -3,6 +3,6 @@
 It imports `core`, `datasets`, `models`, and `descriptors`.
 """
 
-from lpn.retrieval.gallery_search import DescribedPicture, Match, Ranking, describe_picture, rank
+from lpn.retrieval.gallery_search import DescribedPicture, Match, Ranking, describe_picture, describe_pictures, rank
 
-__all__ = ["DescribedPicture", "Match", "Ranking", "describe_picture", "rank"]
+__all__ = ["DescribedPicture", "Match", "Ranking", "describe_picture", "describe_pictures", "rank"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import cast
 
@@ -13,7 +14,7 @@ from lpn.core.views import View
 from lpn.datasets import Truth
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model, normalise, whitened
-from lpn.models.contract import check_parts
+from lpn.models.contract import ForwardPass, check_parts
 from lpn.models.trace import Trace
 from lpn.retrieval import scoring
 from lpn.retrieval.csls import CslsTerms
@@ -170,18 +171,35 @@ def describe_picture(
     Raises:
         InputError: when the change leaves nothing of the picture.
     """
-    change = change if isinstance(change, Change) else Change(rotate=change)
-    turned = change.apply(picture)
-    prepared = model.normalise(change.move(model.to_input_size(turned, view)))
-    outputs = model.run(model.with_mirror(prepared), view)
-    seen = turned if model.contract.unrolled(view) else change.show(turned, model.input_size)
-    if not model.contract.has_cells:
-        check_parts(model.contract, outputs.parts, len(outputs.parts))
-        raw = cast(Float32Array, outputs.parts.sum(axis=0))
+    return describe_pictures(model, [picture], view, [change if isinstance(change, Change) else Change(rotate=change)])[
+        0
+    ]
+
+
+def describe_pictures(
+    model: Model, pictures: Sequence[UInt8Array], view: View, changes: Sequence[Change] | None = None
+) -> list[DescribedPicture]:
+    """Change each picture and describe it together with its mirror, all in one batch; see `describe_picture`."""
+    seen, batch = [], []
+    for picture, change in zip(pictures, changes or [UNCHANGED] * len(pictures), strict=True):
+        turned = change.apply(picture)
+        batch.append(model.with_mirror(model.normalise(change.move(model.to_input_size(turned, view)))))
+        seen.append(turned if model.contract.unrolled(view) else change.show(turned, model.input_size))
+    outputs, passes = model.run(np.concatenate(batch), view), len(batch[0])
+    described = []
+    for i, picture in enumerate(seen):
+        own = slice(passes * i, passes * (i + 1))
+        one = ForwardPass._make(None if array is None else array[own] for array in outputs)
+        if model.contract.has_cells:
+            trace = Trace.from_pass(model, one, view)
+            activation = scoring.activation(trace.activation)
+            described.append(DescribedPicture(picture, normalise(trace.embedding), activation, trace))
+            continue
+        check_parts(model.contract, one.parts, passes)
+        raw = cast(Float32Array, one.parts.sum(axis=0))
         centred = whitened(raw + model.centring(raw, view), model.whitening)
-        return DescribedPicture(seen, normalise(centred), None, None)
-    trace = Trace.from_pass(model, outputs, view)
-    return DescribedPicture(seen, normalise(trace.embedding), scoring.activation(trace.activation), trace)
+        described.append(DescribedPicture(picture, normalise(centred), None, None))
+    return described
 
 
 def rank(

@@ -26,9 +26,6 @@ from lpn.retrieval import calibration as calibrations
 from lpn.retrieval.calibration import Calibration
 from lpn.tasks.task import Task
 
-# The turns of Table IV, in degrees counter-clockwise.
-PAPER_TURNS = (0.0, 45.0, 90.0, 180.0, 270.0)
-
 
 def why_not(task: Task) -> str:
     """Say why queries of a task are not changed, as a sentence about turned ones; empty if they can be."""

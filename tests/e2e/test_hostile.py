@@ -16,14 +16,14 @@ from urllib.parse import urlencode, urlsplit
 
 import onnx
 import pytest
+from explorer.stories import exported
+from explorer.stories.story import Step, Story
+from explorer.url_state import UrlState
 from PIL import ExifTags, Image, PngImagePlugin
 from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
 import lpn
 from explorer.opening import open_flight_over, open_model
-from explorer.stories import exported
-from explorer.stories.story import Step, Story
-from explorer.url_state import UrlState
 from lpn.cli import main
 from lpn.core.files import printable
 from lpn.locate.tracks import TrackPoint, write_track

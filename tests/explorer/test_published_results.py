@@ -8,17 +8,15 @@ import numpy as np
 import pytest
 
 from explorer.opening import open_model, open_source, open_tasks
-from explorer.panels import answer_text, pages
-from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import Workspace
 from lpn.core.errors import DataError, InputError
 from lpn.core.views import TaskName, views_of
 from lpn.datasets import open_dataset
-from lpn.library.analyser import OwnPicture
 from lpn.models.base import normalise
 from lpn.retrieval.saved import PublishedResult
 from lpn.sources import SourceOptions
 from lpn.tasks.saved import published_task
+from tests.explorer.conftest import TASK, RefusedError, answered
 from tools.fixtures import layouts, small_worlds
 from tools.fixtures.published_results import save_result
 
@@ -33,36 +31,34 @@ def workspace(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFac
 
 def test_a_saved_result_is_ranked_as_its_model_ranks(workspace: Workspace, data: Path, model_file: Path) -> None:
     live = open_model(data, model_file)
-    assert list(workspace.tasks) == ["drone-to-satellite"]
-    rankings = [opened.rankings["drone-to-satellite"] for opened in (workspace, live)]
+    assert list(workspace.tasks) == [TASK]
+    rankings = [opened.rankings[TASK] for opened in (workspace, live)]
     assert rankings[0].results == pytest.approx(rankings[1].results)
     np.testing.assert_array_equal(rankings[0].ranks, rankings[1].ranks)
     saved, task = (ranking.task for ranking in rankings)
     for query in (0, 5):
-        state = SessionState("drone-to-satellite", 4, query=query, enabled=(True, False, True, True))
-        one, other = (StateAnalyser(shown).analyse(shown.supported_state(state), 10) for shown in (workspace, live))
+        results = [answered(opened, query=query, weights=[1, 0, 1, 1]) for opened in (workspace, live)]
+        one, other = (result.analysis for result in results)
         assert [saved.gallery[m.index] for m in one.matches] == [task.gallery[m.index] for m in other.matches]
         for match, expected in zip(one.matches, other.matches, strict=True):
             np.testing.assert_allclose(match.contributions, expected.contributions, atol=1e-5)
             assert match.true == expected.true
         assert one.tile.activation is None
         np.testing.assert_array_equal(one.tile.picture, other.tile.picture)
-        assert answer_text.verdict(one, workspace)[:2] == answer_text.verdict(other, live)[:2]
+        shown, whole = (result.message() for result in results)
+        assert shown["headline"] == whole["headline"]
+        assert (shown["photo"]["heat"], whole["photo"]["heat"] is None) == (None, False)
 
 
-def test_what_needs_a_network_cannot_be_asked_for(workspace: Workspace, data: Path, model_file: Path) -> None:
-    upload = OwnPicture("mine", np.zeros((2, 2, 3), np.uint8))
-    wanted = SessionState("drone-to-satellite", 4, query=3, angle=20, heat=True, upload=upload)
-    got = workspace.supported_state(wanted)
-    assert (got.angle, got.heat, got.upload, got.query) == (0, False, None, 3)
-    assert open_model(data, model_file).supported_state(wanted) is wanted
-    assert "no network" in pages.header(workspace, workspace.tasks["drone-to-satellite"])
+def test_what_needs_a_network_is_refused(workspace: Workspace) -> None:
+    with pytest.raises(RefusedError, match="cannot describe a photo"):
+        answered(workspace, own=b"x")
 
 
 def test_pictures_of_equal_files_are_told_apart_by_their_query(workspace: Workspace) -> None:
-    analyser, state = StateAnalyser(workspace), SessionState("drone-to-satellite", 4)
-    first = analyser.analyse(state, 3)
-    assert analyser.analyse(replace(state, query=1), 3).query is not first.query
+    first, second = (answered(workspace, query=query).analysis for query in (0, 1))
+    assert first.query is not second.query
+    assert not np.array_equal(first.ranking.scores, second.ranking.scores)
 
 
 def test_results_that_cannot_be_explored_are_refused(data: Path, model_file: Path, tmp_path: Path) -> None:
@@ -91,7 +87,7 @@ def random_result(root: Path, task: TaskName, seed: int = 0) -> PublishedResult:
 @pytest.mark.parametrize(
     ("layout", "task"),
     [
-        (layouts.gta, "drone-to-satellite"),
+        (layouts.gta, TASK),
         (layouts.gta, "satellite-to-drone"),
         (layouts.vigor, "street-to-satellite"),
     ],
@@ -118,8 +114,7 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
         scores = (saved.gallery * saved.query[query]).sum(axis=(1, 2))
         order = np.argsort(-scores, kind="stable")
         assert ranking.ranks[query] == next(at for at, row in enumerate(order) if shown[row] in good)
-        state = SessionState(task, 2, query=query)
-        marks = {shown[match.index]: match.true for match in StateAnalyser(opened).analyse(state, 10).matches}
+        marks = {shown[match.index]: match.true for match in answered(opened, query=query).analysis.matches}
         assert marks == {name: name in good for name in marks}
     if task != "satellite-to-drone":  # several true tiles of a query, or half-true ones, are what labels cannot tell
         assert any(len(one.good) > 1 or len(one.semi) for one in lists)
@@ -127,7 +122,7 @@ def test_listed_true_tiles_grade_a_saved_result(layout: Callable[[Path], Path], 
 
 def test_a_gallery_picture_with_two_rows_is_refused_where_lists_tell_the_truth(tmp_path: Path) -> None:
     root = layouts.gta(tmp_path / "data")
-    saved = random_result(root, "drone-to-satellite")
+    saved = random_result(root, TASK)
     assert saved.gallery_paths is not None
     twice = replace(saved, gallery_paths=(saved.gallery_paths[1], *saved.gallery_paths[1:]))
     with pytest.raises(InputError, match="twice in its gallery"):

@@ -8,11 +8,11 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-
-from explorer.compute.background_jobs import ReportProgress
 from explorer.explain_window import window
 from explorer.explain_window.window import ExplainWindow
 from explorer.reports import Reporter
+
+from explorer.compute.background_jobs import ReportProgress
 from lpn.core.errors import InputError
 from lpn.drawing.words import Vocabulary
 from tools.fixtures.waiting import wait_until

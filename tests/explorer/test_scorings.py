@@ -2,45 +2,35 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
-from unittest.mock import MagicMock, Mock
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
+from explorer.compute.ranking_progress import RankingProgress
+from explorer.failure_lab.service import FailureLab
 
 import lpn
-from explorer import reports
 from explorer.compute import scorings
 from explorer.compute.ranking_job import RankingJob
-from explorer.compute.ranking_progress import RankingProgress
-from explorer.explain_window import evidence
-from explorer.failure_lab import table
-from explorer.failure_lab.service import FailureLab
-from explorer.failure_lab.state import LabState
 from explorer.opening import open_model
-from explorer.panels import answer_text, pages, shortcuts
-from explorer.panels.stage_controls import part_bars
-from explorer.session_state import SessionState
-from explorer.url_state import UrlState
-from explorer.workspace import LazyWorkspace, StateAnalyser, Workspace
+from explorer.screen import fields
+from explorer.workspace import LazyWorkspace, Workspace
+from lpn import report
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.progress import listening, report_progress
 from lpn.datasets import Picture, labels_of, open_dataset
-from lpn.drawing import verdicts
-from lpn.library.analyser import OwnPicture
 from lpn.retrieval.csls import NEIGHBOURS
 from lpn.tasks import opening
 from lpn.tasks.opening import new_calibration
-from lpn.tasks.task import SCORINGS, Scoring
+from lpn.tasks.task import SCORINGS, Scoring, scored_key
 from tests.conftest import MakeOnce
+from tests.explorer.conftest import TASK, RefusedError, answered
 from tools.fixtures import small_worlds
 from tools.fixtures.waiting import wait_until
 
-TASK = "drone-to-satellite"
 PATIENCE = 120.0
 
 
@@ -68,15 +58,11 @@ def workspace(wide: Path, model_file: Path) -> Workspace:
     return open_model(wide, model_file, calibrate=True)
 
 
-def state_of(workspace: Workspace, scoring: Scoring, **fields: object) -> SessionState:
-    return replace(SessionState(TASK, workspace.contract.n_parts, scoring=scoring), **fields)
-
-
 @pytest.mark.parametrize("scoring", SCORINGS)
 def test_figures_are_those_of_evaluate(workspace: Workspace, wide: Path, model_file: Path, scoring: Scoring) -> None:
     csls = NEIGHBOURS if scoring == "csls" else 0
     measured = lpn.evaluate(model_file, wide, TASK, calibrate=scoring != "plain", csls=csls)
-    ranking = workspace.rankings[state_of(workspace, scoring).ranking_key]
+    ranking = workspace.rankings[scored_key(TASK, scoring)]
     assert ranking.result is not None
     assert {f"recall@{k}": value for k, value in measured.recall.items()}.items() <= ranking.results.items()
     assert ranking.results["ap"] == pytest.approx(measured.ap)
@@ -89,84 +75,59 @@ def test_contributions_and_evidence_add_up_to_what_is_ranked(
     workspace: Workspace, scoring: Scoring, weights: tuple[float, ...]
 ) -> None:
     for query in range(5):
-        state = state_of(workspace, scoring, query=query, why=True, weights=weights)
-        analysis = StateAnalyser(workspace).analyse(state, 6)
-        assert analysis.pair_evidence is not None
-        evidence, chosen = analysis.pair_evidence.evidence, analysis.chosen
+        result = answered(workspace, query=query, scoring=scoring, heat="evidence", weights=list(weights))
+        analysis, pairs = result.analysis, result.evidence
         for match in analysis.matches:
             assert match.contributions.sum() == pytest.approx(match.distance2, abs=1e-5)
             own = float(match.cosines @ analysis.ranking.weights)
             assert own - sum(match.constants or ()) == pytest.approx(match.score, abs=1e-5)
         assert [match.score for match in analysis.matches] == sorted(
             (float(score) for score in analysis.ranking.scores), reverse=True
-        )[:6]
-        assert evidence.score == pytest.approx(chosen.score, abs=1e-5)
-        assert evidence.contributions == pytest.approx(chosen.contributions, abs=1e-5)
-        shares = evidence.query.score_map(evidence.weights).sum() + evidence.query.constants @ evidence.weights
-        assert shares + sum(evidence.csls_shares) == pytest.approx(chosen.score, abs=1e-5)
-        assert (chosen.constants is not None) == (scoring == "csls")
+        )[: len(analysis.matches)]
+        assert len(pairs) > 1
+        for index, evidence in pairs.items():
+            match = analysis.ranking.find(index)
+            assert evidence.score == pytest.approx(match.score, abs=1e-5)
+            assert evidence.contributions == pytest.approx(match.contributions, abs=1e-5)
+            shares = evidence.query.score_map(evidence.weights).sum() + evidence.query.constants @ evidence.weights
+            assert shares + sum(evidence.csls_shares) == pytest.approx(match.score, abs=1e-5)
+            assert (match.constants is not None) == (scoring == "csls")
 
 
 @pytest.mark.parametrize("scoring", SCORINGS)
 def test_a_search_the_whole_ranking_the_laboratory_and_the_report_agree(workspace: Workspace, scoring: Scoring) -> None:
-    key = state_of(workspace, scoring).ranking_key
+    key = scored_key(TASK, scoring)
     job = workspace.rankings[key]
     lab = FailureLab(workspace)
     assert lab.build(key, lab).wait(PATIENCE)
     findings = lab.findings(key)
     assert findings is not None
     for query in range(len(job.task.queries)):
-        analysis = StateAnalyser(workspace).analyse(state_of(workspace, scoring, query=query), 3)
+        analysis = answered(workspace, query=query, scoring=scoring).analysis
         assert analysis.positive is not None
         assert analysis.positive.rank == findings.table.columns["rank"].values[query]
         negative = analysis.ranking.hardest_negative()
         assert negative is not None
         margin = float(findings.outcomes.margin[query])
         assert negative.distance2 - analysis.positive.distance2 == pytest.approx(margin, abs=1e-5)
-    _, page = reports.of_selection(workspace, job.task, [0], "one query")
-    assert f"{job.results['recall@1']:.1f}" in page.decode()
-    assert ("(CSLS)" in page.decode()) == (scoring == "csls")
+    page = report.build(job.task, [0], report.Options()).decode()
+    assert f"{job.results['recall@1']:.1f}" in page
+    assert ("(CSLS)" in page) == (scoring == "csls")
 
 
-def test_figures_of_evidence_and_of_a_lead_add_up_as_they_are_shown(workspace: Workspace) -> None:
-    analyser, number = StateAnalyser(workspace), r"[+−]?\d\.\d{3}"
-
-    def figures(text: str) -> list[float]:
-        return [float(found.replace("−", "-")) for found in re.findall(number, text)]
-
+def test_shares_and_gains_add_up_as_they_are_shown(workspace: Workspace) -> None:
     for query in range(22):
-        analysis = analyser.analyse(state_of(workspace, "csls", query=query, why=True), 5)
-        html = evidence.page(analysis, workspace)
-        pair = analysis.pair_evidence
-        assert pair is not None
-        *_, total, taken = figures(
-            verdicts.describe_evidence(pair.evidence, workspace.part_names, "drone", "satellite")
-        )
-        table = [
-            figures(row)[-1] for row in re.findall("<tr.*?</tr>", html.partition('class="num sums"')[2], re.DOTALL)[1:8]
-        ]
-        shares, csls, score = table[:4], table[4:6], table[6]
-        assert round(sum(shares), 3) == total
-        assert round(-sum(csls), 3) == taken
-        assert round(total - taken, 3) == score
-        bars, lead, _ = part_bars(analysis, workspace.part_names)
-        assert lead is not None
-        first, other = (
-            next(match for match in analyser.analyse(analysis.state, 22).matches if match.index == index)
-            for index in (analysis.matches[0].index, lead.index)
-        )
-        shown = round(round(other.distance2, 3) - round(first.distance2, 3), 3)
-        assert lead.shown == (shown if lead.of_answer else -shown)
-        assert round(sum(figures(" ".join(bar.lead[0] for bar in bars if bar.lead))), 3) == lead.shown
-        _, _, sentence = answer_text.verdict(analysis, workspace)
-        assert figures(sentence)[0] == abs(lead.shown)
+        message = answered(workspace, query=query, scoring="csls").message()
+        tiles = message["tiles"]
+        for tile in tiles.values():
+            assert round(sum(tile["shares"]), 3) == float(tile["distance"])
+        gains = [(-1 if row["minus"] else 1) * float(row["gain"]) for row in message["rows"]]
+        lead = float(tiles[message["rival"]]["distance"]) - float(tiles[message["answer"]]["distance"])
+        assert round(sum(gains), 3) == round(lead, 3)
 
 
 def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Workspace) -> None:
-    analyses = [
-        StateAnalyser(workspace).analyse(state_of(workspace, one, query=1), 3) for one in ("calibrated", "csls")
-    ]
-    calibrated, csls = analyses
+    calibrated, csls = (answered(workspace, query=1, scoring=one).analysis for one in ("calibrated", "csls"))
     assert np.array_equal(calibrated.ranking.cosines, csls.ranking.cosines)
     terms = csls.ranking.csls
     assert terms is not None
@@ -175,35 +136,27 @@ def test_csls_alters_ranks_and_keeps_the_query_term_out_of_them(workspace: Works
     assert not np.array_equal(calibrated.ranking.scores, csls.ranking.scores)
 
 
-def test_a_region_is_searched_without_constants(workspace: Workspace) -> None:
-    some = state_of(workspace, "csls", region=tuple(range(8)))
-    by_csls, calibrated = (
-        StateAnalyser(workspace).analyse(replace(some, scoring=one), 3) for one in ("csls", "calibrated")
-    )
-    assert by_csls.ranking.csls is None
-    assert np.array_equal(by_csls.ranking.scores, calibrated.ranking.scores)
-
-
 def test_an_own_picture_is_described_as_the_task_is_calibrated(workspace: Workspace) -> None:
     task = workspace.tasks[TASK]
-    own = OwnPicture("mine", task.queries[3].load())
+    own = task.queries[3].path.read_bytes()
     for scoring in SCORINGS:
-        listed = StateAnalyser(workspace).analyse(state_of(workspace, scoring, query=3), 3)
-        mine = StateAnalyser(workspace).analyse(state_of(workspace, scoring, upload=own), 3)
+        listed = answered(workspace, query=3, scoring=scoring).analysis
+        mine = answered(workspace, f"?scoring={scoring}", own).analysis
         assert mine.zoom == pytest.approx(listed.zoom)
         assert mine.ranking.scores == pytest.approx(listed.ranking.scores, abs=1e-5)
 
 
-def test_links_bring_the_scoring_back_and_one_without_it_is_plain(workspace: Workspace) -> None:
-    links, start = UrlState(workspace), state_of(workspace, "plain")
+def test_links_bring_the_scoring_back(workspace: Workspace) -> None:
+    opened = workspace.default_scoring(TASK)
     for scoring in SCORINGS:
-        state = state_of(workspace, scoring, query=2)
-        address = links.write(state)
-        assert ("scoring" in address) == (scoring != "plain")
-        assert links.read(address, start) == (state, [])
-    kept, problems = links.read("scoring=best", start)
-    assert kept == start
-    assert problems == ["scoring=best: it is ranked plain or calibrated or csls here."]
+        state, problems = fields.changed(fields.opening(workspace), {"query": 2, "scoring": scoring}, workspace)
+        address = fields.to_address(state, workspace)
+        assert not problems
+        assert ("scoring" in address) == (scoring != opened)
+        assert fields.from_address(address, workspace) == (state, [])
+    kept, problems = fields.from_address("scoring=best", workspace)
+    assert kept.scoring == opened
+    assert problems == ["scoring: expected plain or calibrated or csls."]
 
 
 def is_query(pictures: Sequence[Picture]) -> bool:
@@ -226,7 +179,7 @@ def test_labels_never_choose_the_scoring_that_opens(
             )
             opened = open_model(wide, model_file, calibrate=calibrate, csls=csls)
         assert opened.default_scoring(TASK) == expected
-        shown = opened.rankings[state_of(opened, opened.default_scoring(TASK)).ranking_key]
+        shown = opened.rankings[scored_key(TASK, opened.default_scoring(TASK))]
         assert (shown.task.neighbours, shown.task.calibration is not None) == (csls, calibrate is True)
         recalls.append(shown.results["recall@1"])
     assert len(set(recalls)) > 1, "other labels, other figures"
@@ -246,21 +199,8 @@ def test_the_demo_opens_by_the_calibration_that_ships_whatever_the_labels(
     assert [one.ready for one in scorings.choices(reversed_labels.rankings, TASK)] == [True] * 3
 
 
-def test_the_switch_names_what_each_scoring_brings(workspace: Workspace) -> None:
-    offered = scorings.choices(workspace.rankings, TASK)
-    assert [(one.scoring, one.ready) for one in offered] == [(one, True) for one in SCORINGS]
-    recalls = {one.scoring: one.recall or 0 for one in offered}
-    for scoring in SCORINGS:
-        header = pages.header(workspace, workspace.rankings[state_of(workspace, scoring).ranking_key].task)
-        assert all(f"{recall:.1f} %" in header for recall in recalls.values())
-        assert header.count('<a class="chosen" ') >= 1
-        _, folded = header.split("<details", 1)
-        in_sight = folded.split("</details>")[1]
-        assert all(f"{recall:.1f} %" in in_sight for recall in recalls.values()), "before anything is pressed"
-
-
 def test_the_switch_waits_for_the_scorings_that_are_not_shown(workspace: Workspace) -> None:
-    shown = workspace.rankings[state_of(workspace, "calibrated").ranking_key]
+    shown = workspace.rankings[scored_key(TASK, "calibrated")]
     rankings = workspace.scored_rankings(shown.task)
     assert rankings[0] is shown
     assert {one.task.scoring for one in rankings} == set(SCORINGS)
@@ -278,27 +218,6 @@ def test_the_switch_waits_for_the_scorings_that_are_not_shown(workspace: Workspa
     assert len(drawn) == 1, "the figures of the others stand in its results alone"
 
 
-def test_the_palette_has_the_scorings_of_a_workspace_that_offers_them(workspace: Workspace) -> None:
-    gui, panels, shown = Mock(), MagicMock(), list[Scoring]()
-
-    def labels() -> dict[str, Mock]:
-        commands: dict[str, Mock] = {}
-        gui.add_command.side_effect = lambda label, **_: commands.setdefault(label, Mock())
-        shortcuts.add(gui, workspace, panels, Mock(), Mock(), [], shown.append)
-        return {label: one for label, one in commands.items() if label.startswith("Ranking: ")}
-
-    found = labels()
-    assert list(found) == ["Ranking: plain", "Ranking: calibrated", "Ranking: by CSLS"]
-    for command in found.values():
-        command.on_trigger.call_args.args[0](None)
-    assert shown == list(SCORINGS)
-    offered, workspace.scorings = workspace.scorings, scorings.Scorings("It is ranked as it is.")
-    try:
-        assert labels() == {}
-    finally:
-        workspace.scorings = offered
-
-
 def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
     workspace: Workspace, wide: Path, one_part_model_file: Path
 ) -> None:
@@ -306,16 +225,13 @@ def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
     workspace.beside = [second]
     try:
         assert second.open().wait(PATIENCE)
-        lab, key = FailureLab(workspace), state_of(workspace, "calibrated").ranking_key
+        lab, key = FailureLab(workspace), scored_key(TASK, "calibrated")
         assert lab.build(key, lab).wait(PATIENCE)
         wait_until(lambda: lab.join_second(key, lab).text == "")
         plain = lab.findings(key)
         assert plain is not None
         assert plain.second is not None
         assert (plain.second.scorings, plain.second.preparable) == (("calibrated", "plain"), True)
-        for preparing in (False, True):  # what was pressed is not offered again
-            shown = table.summary(plain, LabState(task=key), plain.table.rows(), preparing=preparing)
-            assert ("lab-second-scoring" in shown) != preparing
         # A failure is told, and the other ranks stay.
         assert second.workspace is not None
         failed = Mock(error="The disk is full.", cancelled=False, wait=lambda _: True)
@@ -334,7 +250,6 @@ def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
         assert both.second is not None
         assert both.second.scorings == ("calibrated", "calibrated")
         assert both.second.alike
-        assert "lab-second-scoring" not in table.summary(both, LabState(task=key), both.table.rows())
         assert second.workspace is not None
         ranked = second.workspace.rankings[key].result
         assert ranked is not None
@@ -362,25 +277,13 @@ def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(
     assert job is not None
     while not job.total:
         job.wait(0.01)
-    page = pages.header(opened, opened.tasks[TASK], job)
-    assert "3 of 22<progress " in page
-    assert 'value="3" max="22"' in page
-    assert "scoring-stop" in page
+    assert (job.done, job.total) == (3, 22)
     job.leave(client)
     assert job.wait(PATIENCE)
     assert job.cancelled
-    assert "scoring-stop" not in pages.header(opened, opened.tasks[TASK])
 
 
-def test_two_constants_are_named_beside_the_parts(workspace: Workspace) -> None:
-    analysis = StateAnalyser(workspace).analyse(state_of(workspace, "csls", why=True), 3)
-    table = pages.parts_table(analysis, workspace)
-    assert "half the query&#39;s mean" in table or "half the query's mean" in table
-    plain = StateAnalyser(workspace).analyse(state_of(workspace, "calibrated", why=True), 3)
-    assert "CSLS" not in pages.parts_table(plain, workspace)
-
-
-def test_few_pictures_are_ranked_plainly_and_the_page_says_why(tmp_path: Path, model_file: Path) -> None:
+def test_few_pictures_are_ranked_plainly(tmp_path: Path, model_file: Path) -> None:
     write_places(tmp_path / "few", 5)
     opened = open_model(tmp_path / "few", model_file)
     assert opened.default_scoring(TASK) == "plain"
@@ -388,8 +291,5 @@ def test_few_pictures_are_ranked_plainly_and_the_page_says_why(tmp_path: Path, m
         "A calibration takes 20 pictures of each view or more, and there are 5 drone"
     )
     assert opened.scorings.prepare(opened) is None
-    page = pages.header(opened, opened.tasks[TASK])
-    assert opened.scorings.why_not in page
-    assert "lpn-scorings" not in page.replace("lpn-no-scorings", "")
-    state = opened.supported_state(SessionState(TASK, 4, scoring="csls"))
-    assert state.scoring == "plain"
+    with pytest.raises(RefusedError, match="Scoring: expected plain"):
+        answered(opened, scoring="csls")

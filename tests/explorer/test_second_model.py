@@ -6,19 +6,18 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from explorer.failure_lab.service import FailureLab
 
 import explorer.app
 import explorer.cli
 import explorer.opening
 import lpn
 from explorer.cli import Explore
-from explorer.explain_window.window import ExplainWindow
-from explorer.failure_lab.service import FailureLab
 from explorer.opening import open_model
-from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import Workspace
 from lpn.cli.failures import FailuresCommand
 from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
 from lpn.datasets import open_dataset
@@ -27,8 +26,7 @@ from lpn.descriptors.weather import Weather
 from lpn.sources import ModelOptions
 from lpn.tasks.changes import changed
 from lpn.tasks.opening import lazy_task
-from lpn.tasks.task import Task
-from tests.explorer.explain_window.test_window import WindowGui, make_window
+from tests.explorer.conftest import TASK, answered
 from tools.fixtures import small_worlds
 from tools.fixtures.published_models import small_vector
 from tools.fixtures.small_contracts import RegionModel
@@ -112,26 +110,6 @@ def test_a_model_given_at_the_start_is_open(
     assert open_model(data, model_file).beside == []
 
 
-def test_the_tab_opens_the_model_and_compares(workspace: Workspace) -> None:
-    gui, tabs, errors = WindowGui(), [], []
-    window: ExplainWindow = make_window(workspace, gui, errors, tabs.append)
-    analysis = StateAnalyser(workspace).analyse(SessionState("drone-to-satellite", 4, why=True), 10)
-    window.announce()
-    window.show(analysis)
-    (second,) = workspace.beside
-    assert not gui.shown("lpn-model-comparison")
-    assert (second.workspace, second.opening) == (None, False)  # nothing is opened for those who look elsewhere
-    expanded = gui.expanded
-    window.compare_models()
-    assert tabs == ["Two models"]
-    assert gui.expanded == expanded + 1
-    wait_until(lambda: "Baseline" in gui.shown("lpn-model-comparison"))
-    page = gui.shown("lpn-model-comparison")
-    assert all(said in page for said in ("n = 4", "n = 1", "baseline.onnx"))
-    window.leave()
-    assert errors == []
-
-
 def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def lacking(_: Path) -> None:
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
@@ -143,14 +121,6 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
     )
-
-
-def test_another_task_begins_at_the_same_place(workspace: Workspace) -> None:
-    tasks: dict[str, Task] = workspace.tasks
-    label = int(tasks["drone-to-satellite"].query_labels[5])
-    state = SessionState("drone-to-satellite", 4, query=5)
-    query = workspace.same_place(state, "satellite-to-drone")
-    assert int(tasks["satellite-to-drone"].query_labels[query]) == label
 
 
 @pytest.mark.parametrize("there", [True, False])
@@ -242,12 +212,10 @@ def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
     first, last = workspace.beside
     wait_until(lambda: first.workspace is not None)
     assert (last.workspace, last.opening, last.progress) == (None, False, (0, 0))
-    state = SessionState("drone-to-satellite", 4)
-    assert [workspace.compared(replace(state, beside=i)) for i in (0, 1, 2)] == [first, last, None]
     assert last.open().wait(PATIENCE)
     assert last.workspace is not None
     assert last.workspace.contract.n_parts == 2
-    pictures = sum(len(side) for side in (workspace.tasks[state.task].queries, workspace.tasks[state.task].gallery))
+    pictures = len(workspace.tasks[TASK].queries) + len(workspace.tasks[TASK].gallery)
     assert last.progress[0] == last.progress[1] >= pictures
 
 
@@ -277,13 +245,11 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     dark = second.workspace
     assert dark is not None
     assert list(dark.tasks) == [name for name in workspace.tasks if not name.startswith("satellite")]
-    task = dark.tasks["drone-to-satellite"]
-    state = SessionState(task.name, 4, query=1)
+    task = dark.tasks[TASK]
     change = Change(weather=Weather("dark"))
-    analysis = StateAnalyser(dark).analyse(state, 3)
+    analysis = answered(workspace, model="1", query=1).analysis
     assert analysis.query.descriptor == pytest.approx(task.query_descriptors[1], abs=1e-5)
-    plain = StateAnalyser(workspace).analyse(replace(state, weather="dark"), 3)
-    assert [match.index for match in analysis.matches] == [match.index for match in plain.matches]
+    assert not np.allclose(analysis.query.descriptor, workspace.tasks[TASK].query_descriptors[1], atol=1e-2)
     result = changed(lazy_task(lpn.load(model_file), open_dataset(data), task.name), change).evaluate()
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
@@ -292,7 +258,7 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
 
 def test_the_laboratory_ranks_all_queries_in_the_weather(data: Path, model_file: Path) -> None:
     workspace = open_model(data, model_file, beside_weathers=["dark"])
-    name = "drone-to-satellite"
+    name = TASK
     laboratory, browser = FailureLab(workspace), object()
     assert laboratory.build(name, browser).wait(PATIENCE)
     laboratory.open_second()

@@ -3,22 +3,27 @@
 import { connect, tab } from "./channel.js";
 import { Commands } from "./commands.js";
 import { angleAt, drawCurve } from "./curve.js";
-import { find, findAll, isPhone, make, onPicture, variable, wrap } from "./dom.js";
-import { paintKey, partAt } from "./heat.js";
+import { find, isPhone, make, onPicture, wrap } from "./dom.js";
+import { drawHead, drawHeadline, drawPictures, drawTurn, focusPictures, shownTile } from "./draw.js";
+import { partAt } from "./heat.js";
+import { OwnSender } from "./own.js";
 import { Panels } from "./panels.js";
-import { markFocus, photoTurn, rollPicture, showPicture } from "./pictures.js";
-import { RailList } from "./rail.js";
-import { showRows, showStrip, showSums, sign } from "./rows.js";
+import { markFocus } from "./pictures.js";
+import { RailList, showYours } from "./rail.js";
+import { showRows, showStrip, showSums } from "./rows.js";
 import { SceneFrame } from "./scene.js";
 import "./terms.js";
 import { makeTurnable } from "./turn.js";
 
 const STEP = 15; // degrees of a key
-const MOST = 30_000_000; // bytes of a photo
+const NOTED = 8000; // ms of a note
 const KEPT = "lpn-theme";
 
-/** @type {{page: any, state: any, result: any, rail: any, curve: any, angle: number, focus: number, truth: boolean, colour: boolean, waiting: boolean, said: string, lost: boolean}} */
-const view = { page: null, state: null, result: null, rail: null, curve: null, angle: 0, focus: -1, truth: false, colour: false, waiting: false, said: "", lost: false };
+/**
+ * `said` is a sentence in the headline's place: one that is `busy` goes with the next result, another with the next act.
+ * @type {{page: any, state: any, result: any, rail: any, curve: any, yours: any, mark: any, angle: number, focus: number, truth: boolean, colour: boolean, said: {text: string, busy: boolean, result: any} | null, note: string, lost: boolean}}
+ */
+const view = { page: null, state: null, result: null, rail: null, curve: null, yours: { photos: [], thumbnails: "" }, mark: null, angle: 0, focus: -1, truth: false, colour: false, said: null, note: "", lost: false };
 const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#curve", "#strip", "#sum"].map((one) => find(one));
 const list = new RailList(find("#list"));
 
@@ -37,7 +42,8 @@ const channel = connect(
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
       view.state = state;
-      if (moved) view.angle = state.angle;
+      if (moved || sent === null) view.angle = state.angle;
+      showYours(find("#yours"), view.yours, state.own);
       setTheme(state.theme);
       history.replaceState(null, "", state.address ? `?${state.address}` : location.pathname);
       soon();
@@ -49,16 +55,28 @@ const channel = connect(
       soon();
     },
     result: (result) => {
-      [view.result, view.said] = [result, ""];
+      view.result = result;
+      if (view.said?.busy) view.said = null;
       if (view.curve?.sequence !== result.curve) view.curve = null;
       arrived();
       soon();
     },
     curve: (points) => {
-      view.curve = points;
+      if (points.sequence === view.result?.curve) view.curve = points;
+      soon();
+    },
+    yours: (yours) => {
+      view.yours = yours;
+      own.received(yours.taken);
+      showYours(find("#yours"), yours, view.state.own);
+      commands.draw();
+    },
+    mark: (mark) => {
+      view.mark = mark;
       soon();
     },
     scene: () => scene.ready(),
+    still: (address) => scene.still(address),
     picked: (found) => scene.picked(found),
     occlusion: ({ number, done, squares, photo: covered }) => {
       if (view.result?.number !== number) return;
@@ -66,7 +84,9 @@ const channel = connect(
       soon();
     },
     panel: ({ name, message }) => panels.receive(name, message),
-    busy: (text) => say(text),
+    note: (text) => note(text),
+    download: ({ address, name }) => make("a", { href: address, download: name }).click(),
+    busy: (text) => say(text, true),
     error: (text) => {
       say(text);
       arrived();
@@ -86,13 +106,28 @@ const channel = connect(
   () => {
     view.lost = true;
     arrived();
-    say("Connection lost. Trying again.");
+    own.lost();
+    scene.away();
+    say("Connection lost. Trying again.", true);
   },
 );
 
-/** Say something in the headline's place; the last result stays, faded. */
-const say = (text) => {
-  view.said = text;
+/** Say something in the headline's place; the result that is shown stays, faded. */
+const say = (text, busy = false) => {
+  if (text || view.said?.busy === busy) view.said = text ? { text, busy, result: view.result } : null;
+  soon();
+};
+const act = (name, args = {}) => {
+  say("");
+  channel.act(name, args);
+};
+
+/** Note something in place of the headline's reason, which comes back after a while. */
+let noted = 0;
+const note = (text) => {
+  view.note = text;
+  clearTimeout(noted);
+  noted = setTimeout(() => note(""), NOTED);
   soon();
 };
 
@@ -100,6 +135,7 @@ const say = (text) => {
 let sent = null;
 const turnTo = (angle) => {
   if (!view.result || !view.page.turns) return;
+  say("");
   view.angle = Math.round(wrap(angle) * 10) / 10;
   view.focus = -1;
   if (sent === null && view.angle !== view.state.angle) sendAngle(); // the server answers a change only
@@ -114,7 +150,10 @@ const arrived = () => {
   sent = null;
   if (before !== null && before !== view.angle && !view.lost) sendAngle();
 };
-const set = (values) => channel.set(values);
+const set = (values) => {
+  say("");
+  channel.set(values);
+};
 const dragged = makeTurnable(photo, { photo: () => (view.page?.turns ? view.result?.photo : null), angle: () => view.angle, turn: turnTo, end: () => turnTo(view.angle) });
 
 const setTheme = (theme) => {
@@ -141,94 +180,40 @@ onPicture(() => {
   loaded++;
   soon();
 });
-// What pictures, rows, and strip were drawn from: a turn of the photo alone leaves them as they are.
-let drawn = [];
+// What each part of the page was drawn from: it is drawn anew when that changes.
+const drawnFrom = new Map();
+const redraw = (part, from, draws) => {
+  const before = drawnFrom.get(part);
+  drawnFrom.set(part, from);
+  if (!before || from.some((one, at) => one !== before[at])) draws();
+};
 
 const draw = () => {
   due = 0;
   const { page, state, result } = view;
   document.body.classList.toggle("wait", !result);
-  document.body.classList.toggle("down", Boolean(view.said && result));
-  if (!page || !state) return drawHeadline();
-  drawHead();
-  drawHeadline();
+  document.body.classList.toggle("down", Boolean(view.said && result && view.said.result === result));
+  drawHeadline(view);
+  if (!page || !state) return;
+  drawHead(view);
   panels.show(page.panels, state.panel);
-  if (!result) return;
+  if (!result) return drawTurn(view);
   const stale = isStale();
   document.body.classList.toggle("turning", stale);
   document.body.classList.toggle("color", view.colour);
-  const from = [result, state.theme, view.colour, view.truth, view.focus, loaded, innerWidth];
-  if (from.some((one, at) => one !== drawn[at])) {
-    drawn = from;
-    drawPictures();
-    showRows(rows, page, result, view.colour);
+  const from = [result, state.theme, innerWidth, innerHeight];
+  redraw("pictures", [...from, view.truth, view.focus, view.mark], () => drawPictures(view));
+  redraw("rows", [...from, view.colour, loaded], () => showRows(rows, page, result, view.colour));
+  redraw("sum", from, () => {
     showSums(sum, result);
     showStrip(strip, result);
-    for (const one of [rows, strip, sum]) markFocus(one, view.focus);
-  }
-  drawTurn();
-  scene.show(result.scene, state.view, page.place);
+  });
+  for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  drawTurn(view);
+  scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`);
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
-};
-
-const drawHead = () => {
-  const { page, state, rail } = view;
-  find("#about").textContent = page.parts === 1 ? "The baseline compares whole pictures: one part." : `Photo and tile are cut into ${page.word}s; their distances add up.`;
-  const model = find("#model");
-  model.textContent = `Model: ${page.models[Number(state.model)].replace(/\.onnx$/, "")}`;
-  model.hidden = page.models.length < 2;
-  for (const button of findAll("#rail .filter button")) button.setAttribute("aria-pressed", String(button.dataset.filter === state.filter));
-  find("#rail .filter [data-filter=missed]").title = rail ? `${rail.missed} of ${rail.queries} missed (M)` : "";
-};
-
-const drawHeadline = () => {
-  const [title, reason] = [find("#headline h1"), find("#headline p")];
-  const { result, page } = view;
-  if (view.said) {
-    title.textContent = view.said;
-    reason.textContent = "";
-  } else if (!result) {
-    title.textContent = page ? `Comparing with ${page.tiles.toLocaleString("en")} tiles` : "Opening";
-    reason.textContent = "";
-  } else {
-    const { found, title: rest, reason: why } = result.headline;
-    if (found === null) title.textContent = rest;
-    else title.replaceChildren(make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : "✗ Missed" }), `, ${rest}`);
-    reason.textContent = why;
-  }
-};
-
-const drawTurn = () => {
-  const frame = find(".frame", photo);
-  rollPicture(photo, view.result.photo, view.angle);
-  frame.setAttribute("aria-valuenow", String(view.angle));
-  frame.setAttribute("aria-valuetext", `${view.angle} degrees`);
-  find("#degrees").textContent = `${Math.round(view.angle)}°`;
-};
-
-const drawPictures = () => {
-  const { page, result } = view;
-  const own = result.photo;
-  showPicture(photo, own, view.focus, page.parts, photoTurn(own, view.angle), `${own.name}`);
-  find(".frame", photo).classList.toggle("fixed", !page.turns);
-  find("figcaption b", photo).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
-  find("figcaption .hint", photo).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
-  find("figcaption .key", photo).hidden = !own.heat;
-  paintKey(find(".key canvas", photo), own.signed);
-  findAll(".key u", photo).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
-  if (result.measured) find(".key u", photo).textContent = result.measured;
-  const shown = view.truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer;
-  const answer = result.tiles[shown];
-  const role = shown === result.answer ? "Answer" : shown === result.truth ? "Truth" : "Pinned";
-  const colour = answer.true === null ? "--line" : role === "Pinned" ? "--ink" : answer.true ? "--right" : "--wrong";
-  tile.style.setProperty("--verdict", variable(colour));
-  find("figcaption b", tile).replaceChildren(role, " ", sign(answer.true));
-  find("figcaption .name", tile).textContent = answer.name;
-  find("figcaption .marks", tile).replaceChildren(...result.marks.filter(Boolean).map((one) => make("i", { text: `${{ true: "✓", false: "✗", null: "?" }[one.sign]} ${one.text}` })));
-  find("figcaption .key", tile).textContent = role === "Pinned" ? `rank ${answer.rank} · Esc` : "";
-  showPicture(tile, answer, view.focus, page.parts, `rotate(${-90 * answer.quarter}deg)`, `Tile ${answer.name}`);
 };
 
 // One part is lit wherever it is drawn; never in a drag.
@@ -236,20 +221,15 @@ const focusOn = (part) => {
   if (part === view.focus || dragged() || !view.result || view.page.parts === 1 || isStale()) return;
   view.focus = part;
   channel.act("hover", { part });
-  const { result } = view;
-  const shown = view.truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer;
   for (const one of [rows, strip, sum]) markFocus(one, part);
-  for (const [figure, described] of [[photo, result.photo], [tile, result.tiles[shown]]])
-    showPicture(figure, described, part, view.page.parts, find(".picture", figure).style.transform, "");
+  focusPictures(view, part);
 };
 for (const figure of [photo, tile]) {
   const frame = find(".frame", figure);
   frame.addEventListener("pointermove", (event) => {
     if (!view.result || dragged()) return;
     const box = find(".pan", figure).getBoundingClientRect();
-    const { result } = view;
-    const shown = view.truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer;
-    const { parts } = figure === photo ? result.photo : result.tiles[shown];
+    const { parts } = figure === photo ? view.result.photo : view.result.tiles[shownTile(view)];
     focusOn(partAt(parts, (event.clientX - box.left) / box.width, (event.clientY - box.top) / box.height));
   });
   frame.addEventListener("pointerleave", () => focusOn(-1));
@@ -290,23 +270,28 @@ curve.addEventListener("pointerdown", (event) => {
   turnTo(angleAt(canvas, event.clientX - canvas.getBoundingClientRect().left));
 });
 document.addEventListener("click", (event) => {
-  const target = /** @type {Element} */ (event.target);
-  const query = /** @type {any} */ (target.closest("[data-query]"));
-  if (query) set({ query: Number(query.dataset.query), own: "" });
-  const seen = /** @type {any} */ (target.closest("[data-view]"));
-  if (seen) set({ view: seen.dataset.view });
-  const filter = /** @type {any} */ (target.closest("[data-filter]"));
-  if (filter) set({ filter: filter.dataset.filter });
+  const chosen = /** @type {any} */ (event.target).closest("[data-query], [data-own], [data-view], [data-filter], [data-back]");
+  const { query, own: mine, view: seen, filter, back } = chosen?.dataset ?? {};
+  if (query) set({ query: Number(query), own: "" });
+  if (mine) set({ own: mine });
+  if (seen) set({ view: seen });
+  if (filter) set({ filter });
+  if (back) say("");
 });
-const step = (by) => channel.act("step", { by });
+const step = (by) => act("step", { by });
 find("#previous").onclick = () => step(-1);
 find("#next").onclick = () => step(1);
-find("#random").onclick = () => channel.act("random");
-find("#find").onclick = () => commands.open();
-find("#palette").onclick = () => commands.open();
+find("#random").onclick = () => act("random");
+find("#find").onclick = () => commands.open("photos");
+find("#palette").onclick = () => commands.open("commands");
 find("#model").onclick = () => set({ model: String((Number(view.state.model) + 1) % view.page.models.length) });
+find("#models").onchange = (event) => {
+  set({ model: event.target.value });
+  event.target.blur(); // keys are the page's again
+};
+find("#headline h1 button").onclick = () => openPanel("why");
 find("#scene .enlarge").onclick = () => enlarge();
-find("#own").onclick = () => find("#file").click();
+find("#own").onclick = () => own.choose();
 const key = find(".key", photo);
 key.addEventListener("pointerenter", () => show({ colour: true }));
 key.addEventListener("pointerleave", () => show({ colour: false }));
@@ -315,65 +300,69 @@ const show = (values) => {
   soon();
 };
 
-// A photo of one's own: chosen, or dropped anywhere.
-const sendPhoto = (file) => {
-  if (!file) return;
-  if (file.size > MOST) say(`${file.name} has ${Math.round(file.size / 1e6)} MB; up to 30 MB are taken.`);
-  else channel.sendFile(file);
-};
-find("#file").addEventListener("change", (event) => {
-  sendPhoto(event.target.files[0]);
-  event.target.value = "";
-});
-addEventListener("dragover", (event) => {
-  event.preventDefault();
-  document.body.classList.add("drop");
-});
-addEventListener("dragleave", (event) => {
-  if (!event.relatedTarget) document.body.classList.remove("drop");
-});
-addEventListener("drop", (event) => {
-  event.preventDefault();
-  document.body.classList.remove("drop");
-  sendPhoto(event.dataTransfer.files[0]);
-});
+const own = new OwnSender(channel, say);
 
-// Commands and keys.
-const commands = new Commands(find("#commands"), list, () => {
-  const { page, state } = view;
+// Commands and keys: one table.
+const HEATS = ["activation", "evidence", "occlusion"];
+const commandsNow = () => {
+  const { page, state, result } = view;
   const others = (name, values, label) => values.filter((one) => one !== state[name]).map((one) => ({ label: label(one), act: () => set({ [name]: one }) }));
+  const scenes = result?.scene ?? [];
   return [
-    { label: state.filter === "all" ? "Missed only, worst first" : "All photos", key: "M", act: toggleFilter },
-    { label: "Random photo", key: "R", act: () => channel.act("random") },
-    { label: "Your photo", act: () => find("#file").click() },
-    ...(state.own ? [{ label: "Forget your photo", act: () => channel.act("forget") }] : []),
-    ...page.models.map((label, number) => ({ label: `Model: ${label}`, act: () => set({ model: String(number) }) })).filter((_, number) => String(number) !== state.model),
-    ...(view.result?.photo.heat ? others("heat", HEATS, (one) => `Heat: ${one}`) : []),
+    { label: "Next photo", key: "N ↓", keys: ["n", "arrowdown"], act: () => step(1), hidden: true },
+    { label: "Previous photo", key: "P ↑", keys: ["p", "arrowup"], act: () => step(-1), hidden: true },
+    { label: "Random photo", key: "R", keys: ["r"], act: () => act("random") },
+    { label: state.filter === "all" ? "Missed only, worst first" : "All photos", key: "M", keys: ["m"], act: () => set({ filter: state.filter === "all" ? "missed" : "all" }) },
+    { label: "Search photos", key: "/", keys: ["/"], act: () => commands.open("photos"), hidden: true },
+    ...(page.turns ? [{ label: "Your photos", act: () => own.choose() }, { label: "Your photos: a folder", act: () => own.choose(true) }] : []),
+    ...(view.yours.photos.length ? [{ label: "Forget your photos", act: () => act("forget") }] : []),
+    ...page.commands.map((one) => ({ label: one.title, key: one.key.toUpperCase(), keys: [one.key], act: () => act(one.name) })),
+    { label: "Copy the link", act: copyLink },
+    ...page.panels.map((one) => ({ label: one.title, key: one.key.toUpperCase(), keys: [one.key], act: () => openPanel(one.name) })),
+    ...(page.turns
+      ? [
+          { label: "Turn left by 15°", key: "J ←", keys: ["j", "arrowleft"], act: () => turnTo(view.angle + STEP), hidden: true },
+          { label: "Turn right by 15°", key: "L →", keys: ["l", "arrowright"], act: () => turnTo(view.angle - STEP), hidden: true },
+          { label: "Upright", key: "0", keys: ["0"], act: () => turnTo(0), hidden: true },
+        ]
+      : []),
+    ...(page.parts > 1 ? [{ label: "One part alone", key: `1 to ${Math.min(page.parts, 9)}`, act: () => {}, hidden: true }] : []),
+    ...(result?.photo.heat
+      ? [...others("heat", HEATS, (one) => `Heat: ${one}`), { label: "Next kind of heat", key: "E", keys: ["e"], act: () => set({ heat: HEATS[(HEATS.indexOf(state.heat) + 1) % HEATS.length] }), hidden: true }]
+      : []),
+    { label: "Full colour, while held", key: "F", keys: ["f"], act: () => show({ colour: true }), hidden: true },
+    { label: "True tile, while held", key: "T", keys: ["t"], act: () => show({ truth: true }), hidden: true },
     ...(state.weights.length ? [{ label: "Equal weights", act: () => set({ weights: [] }) }] : []),
+    ...page.models.map((label, number) => ({ label: `Model: ${label}`, act: () => set({ model: String(number) }) })).filter((_, number) => String(number) !== state.model),
     ...others("task", page.tasks, (one) => `Task: ${one}`),
+    ...(page.calibrates ? [{ label: "Ranking: calibrate", act: () => act("calibrate") }] : []),
     ...others("scoring", page.scorings, (one) => `Ranking: ${one}`),
     ...others("place", Object.keys(page.places), (one) => `Place: ${page.places[one]}`),
-    ...(view.result?.scene.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : view.page.place, key: "X", act: () => KEYS.x() }] : []),
-    ...page.panels.map((one) => ({ label: one.title, key: one.key.toUpperCase(), act: () => openPanel(one.name) })),
-    { label: state.theme === "dark" ? "Light" : "Dark", key: "D", act: flipTheme },
-    { label: "Former page: laboratory, map, flight, stories", href: `classic/?${classicAddress()}` },
+    ...(scenes.length > 1 ? [{ label: state.view === "city" ? "Rings apart" : page.place, key: "X", keys: ["x"], act: () => set({ view: state.view === "city" ? "apart" : "city" }) }] : []),
+    ...(scenes.length ? [{ label: "Large scene", key: "G", keys: ["g"], act: () => enlarge() }] : []),
+    { label: state.theme === "dark" ? "Light" : "Dark", key: "D", keys: ["d"], act: flipTheme },
+    { label: "Keys", key: "?", keys: ["?"], act: () => commands.open("keys") },
+    { label: "All commands", key: "Ctrl K", act: () => commands.open("commands"), hidden: true },
+    { label: "Back", key: "Esc", keys: ["escape"], act: escape, hidden: true },
   ];
-}, (text) => set({ find: text.slice(0, 200) }));
-
-/** The former page's address of the same photo. */
-const classicAddress = () => {
-  const { state } = view;
-  return new URLSearchParams({ show: state.place, task: state.task, query: state.query_name, angle: String(state.angle), screen: "all" });
 };
+const commands = new Commands(find("#commands"), list, commandsNow, () => view.yours, (text) => channel.set({ find: text.slice(0, 200) }));
+
+const copyLink = () =>
+  Promise.resolve(navigator.clipboard?.writeText(location.href)).then(
+    () => note(navigator.clipboard ? "The link is copied." : "The address bar has the link."),
+    () => note("The address bar has the link."),
+  );
 
 const openPanel = (name) => set({ panel: view.state.panel === name ? "" : name });
-const panels = new Panels(find("#panel"), { set, act: channel.act, say, view });
+/** Show the state of an address. */
+const go = (search) => channel.act("open", { search });
+const panels = new Panels(find("#panel"), { set, go, act, say, view });
 
-const toggleFilter = () => set({ filter: view.state.filter === "all" ? "missed" : "all" });
 const escape = () => {
   if (view.state.panel) panels.close();
   else if (document.body.classList.contains("large")) enlarge(false);
-  else if (view.said && view.result) say("");
+  else if (view.said) say("");
   else if (view.result?.pinned) set({ compare: null });
   else if (view.state.filter !== "all") set({ filter: "all" });
 };
@@ -385,32 +374,23 @@ const enlarge = (large = !document.body.classList.contains("large")) => {
   button.setAttribute("aria-label", large ? "Close" : "Enlarge");
   scene.resized();
 };
-const HEATS = ["activation", "evidence", "occlusion"];
-const KEYS = {
-  x: () => set({ view: view.state.view === "city" ? "apart" : "city" }), g: () => enlarge(),
-  n: () => step(1), arrowdown: () => step(1), p: () => step(-1), arrowup: () => step(-1),
-  r: () => channel.act("random"), m: toggleFilter, d: flipTheme, escape,
-  j: () => turnTo(view.angle + STEP), arrowleft: () => turnTo(view.angle + STEP),
-  l: () => turnTo(view.angle - STEP), arrowright: () => turnTo(view.angle - STEP), 0: () => turnTo(0),
-  e: () => view.result?.photo.heat && set({ heat: HEATS[(HEATS.indexOf(view.state.heat) + 1) % HEATS.length] }),
-  "/": () => commands.open(), t: () => show({ truth: true }), f: () => show({ colour: true }),
-};
+const HELD = "tf";
 export const press = (event) => {
   const name = event.key.toLowerCase();
+  if (!view.page || !view.state) return;
   if ((event.ctrlKey || event.metaKey) && name === "k") {
     event.preventDefault();
-    commands.open();
+    commands.open("commands");
   }
-  if (event.ctrlKey || event.metaKey || event.altKey || find("#commands").open || !view.state) return;
+  if (event.ctrlKey || event.metaKey || event.altKey || find("#commands").open) return;
   const typing = /** @type {any} */ (event.target)?.closest?.("input, textarea, select, [contenteditable]");
   if (typing && name !== "escape") return;
   const part = Number(name) - 1;
-  const panel = view.page?.panels.find((one) => one.key === name);
-  if (name.length === 1 && part >= 0 && part < (view.page?.parts ?? 0)) focusOn(view.focus === part ? -1 : part);
-  else if (panel && !event.repeat) openPanel(panel.name);
-  else if (KEYS[name] && !(event.repeat && "tf".includes(name))) {
+  const command = commandsNow().find((one) => one.keys?.includes(name));
+  if (name.length === 1 && part >= 0 && part < view.page.parts) focusOn(view.focus === part ? -1 : part);
+  else if (command && !(event.repeat && (HELD.includes(name) || [...view.page.panels, ...view.page.commands].some((one) => one.key === name)))) {
     event.preventDefault();
-    KEYS[name]();
+    command.act();
   }
 };
 addEventListener("keydown", press);

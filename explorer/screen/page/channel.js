@@ -2,6 +2,7 @@
 
 const PART = 512 * 1024;
 const AGAIN = 2000; // ms
+const MOST = 30_000_000; // bytes of a photo
 
 /** The name of this tab, by which the server knows its scene. */
 export const tab = [...crypto.getRandomValues(new Uint8Array(8))].map((one) => one.toString(16).padStart(2, "0")).join("");
@@ -33,10 +34,13 @@ export const connect = (receive, opened, lost) => {
   return {
     set: (values) => send({ set: values }),
     act: (name, args = {}) => send({ do: name, args }),
-    /** Send a file in parts. */
-    sendFile: async (file) => {
-      send({ do: "upload", args: { name: file.name, size: file.size } });
-      for (let start = 0; start < file.size; start += PART) socket.send(await file.slice(start, start + PART).arrayBuffer());
+    /** Send a file in parts; the server refuses one that is too large by its size alone. */
+    sendFile: async (file, first) => {
+      send({ do: "upload", args: { name: file.name, size: file.size, first } });
+      for (let start = 0; start < file.size && file.size <= MOST; start += PART) {
+        const part = await file.slice(start, start + PART).arrayBuffer();
+        if (socket?.readyState === WebSocket.OPEN) socket.send(part);
+      }
     },
   };
 };

@@ -1,19 +1,29 @@
-// The dialog of photos and commands: `/` and Ctrl K open it, Enter takes the first.
+// The dialog of photos and commands: `/` opens it for photos, Ctrl K for commands, `?` for keys; Enter takes the first.
 
 import { find, make } from "./dom.js";
-import { queryButton } from "./rail.js";
+import { ownButton, queryButton } from "./rail.js";
 
 const SHOWN = 40;
 
+/**
+ * @typedef {{label: string, act: () => void, key?: string, keys?: string[], hidden?: boolean}} Command
+ * What a person can do: `key` is shown, `keys` do it, and a hidden one stands among the keys alone.
+ */
+
 export class Commands {
   /**
-   * @param {() => any[]} commands label, key, and what to do (a function, or an address) of each
+   * @param {any} dialog
+   * @param {any} list the rail's
+   * @param {() => Command[]} commands
+   * @param {() => any} yours the own photos
    * @param {(text: string) => void} search has the server list the photos of a text
    */
-  constructor(dialog, list, commands, search) {
+  constructor(dialog, list, commands, yours, search) {
     this.dialog = dialog;
     this.list = list;
     this.commands = commands;
+    this.yours = yours;
+    /** @type {Command[]} */
     this.shown = [];
     this.input = find("input", dialog);
     this.input.addEventListener("input", () => {
@@ -23,10 +33,20 @@ export class Commands {
     this.input.addEventListener("keydown", (event) => {
       if (event.key !== "Enter") return;
       event.preventDefault();
-      find(".actions :is(button, a), .photos button", dialog)?.click();
+      const first = this.dialog.dataset.for === "photos" ? ".photos button" : ".actions button";
+      (find(first, dialog) ?? find(":is(.photos, .actions) button", dialog))?.click();
+    });
+    dialog.addEventListener("keydown", (event) => {
+      const buttons = [this.input, ...dialog.querySelectorAll("button")];
+      const by = { ArrowDown: 1, ArrowUp: -1 }[event.key];
+      if (!by) return;
+      event.preventDefault();
+      buttons[(buttons.indexOf(document.activeElement) + by + buttons.length) % buttons.length].focus();
     });
     dialog.addEventListener("click", (event) => {
       const chosen = event.target.closest("button");
+      if (chosen?.dataset.for) return this.open(chosen.dataset.for);
+      if (chosen?.dataset.filter) return;
       if (event.target === dialog || chosen) dialog.close();
       if (chosen?.dataset.number) this.shown[chosen.dataset.number].act();
     });
@@ -35,8 +55,10 @@ export class Commands {
     });
   }
 
-  open(text = "") {
-    this.input.value = text;
+  /** Open the dialog for "photos", "commands", or "keys". */
+  open(what) {
+    this.input.value = "";
+    this.dialog.dataset.for = what;
     if (!this.dialog.open) this.dialog.showModal();
     this.draw();
     this.input.focus();
@@ -45,13 +67,17 @@ export class Commands {
   /** Draw the commands whose labels contain the text, and the photos that the server lists. */
   async draw() {
     if (!this.dialog.open) return;
+    const keys = this.dialog.dataset.for === "keys";
     const text = this.input.value.trim().toLowerCase();
-    this.shown = text ? this.commands().filter((one) => one.label.toLowerCase().includes(text)) : this.commands();
-    find(".actions", this.dialog).replaceChildren(...this.shown.map((one, number) => {
-      const content = [make("span", { text: one.label }), make("kbd", { text: one.key ?? "" })];
-      return one.href ? make("a", { href: one.href }, ...content) : make("button", { "data-number": number }, ...content);
-    }));
-    const entries = this.list.rail ? await this.list.piece(0) : [];
-    find(".photos", this.dialog).replaceChildren(...entries.slice(0, SHOWN).map((entry) => queryButton(this.list.rail, entry, this.list.query, true)));
+    const of = this.commands().filter((one) => (keys ? one.key : !one.hidden));
+    this.shown = of.filter((one) => one.label.toLowerCase().includes(text));
+    find(".actions", this.dialog).replaceChildren(...this.shown.map((one, number) =>
+      make("button", { "data-number": number }, make("span", { text: one.label }), make("kbd", { text: one.key ?? "" }))));
+    const entries = this.list.rail && !keys ? await this.list.piece(0) : [];
+    const { photos, thumbnails } = this.yours();
+    const yours = keys ? [] : photos.filter((photo) => photo[2].toLowerCase().includes(text));
+    find(".photos", this.dialog).replaceChildren(
+      ...yours.map((photo) => ownButton(thumbnails, photo, "", true)),
+      ...entries.slice(0, SHOWN).map((entry) => queryButton(this.list.rail, entry, this.list.query, true)));
   }
 }

@@ -1,14 +1,14 @@
 // Panels beside or over the rings. The server says which there are; the module and the style sheet of one are loaded when it opens.
 //
 // A panel's module has `open(box, context)`, which returns `{receive(message), draw(view), close()}`: `receive` takes what its
-// Python sends, `draw` is called after each change of the view. `context` is `{set, act, say, view}`.
+// Python sends, `draw` is called after each change of the view. `context` is `{set, go, act, say, view}`; `go` shows an address.
 
 import { find, make } from "./dom.js";
 
 export class Panels {
   /**
    * @param {any} box
-   * @param {{set: (values: any) => void, act: (name: string, args?: any) => void, say: (text: string) => void, view: any}} context
+   * @param {{set: (values: any) => void, go: (search: string) => void, act: (name: string, args?: any) => void, say: (text: string) => void, view: any}} context
    */
   constructor(box, context) {
     this.box = box;
@@ -46,8 +46,8 @@ export class Panels {
     await addStyle(`screen/panels/${name}/${name}.css`);
     const { open } = await import(`../panels/${name}/${name}.js`);
     if (name !== this.name) return;
-    const { set, say, view } = this.context;
-    this.panel = open(content, { set, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
+    const { set, go, say, view } = this.context;
+    this.panel = open(content, { set, go, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
     for (const { message } of this.waiting.splice(0)) this.panel.receive(message);
     this.panel.draw(view);
   }

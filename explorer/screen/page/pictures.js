@@ -1,6 +1,6 @@
 // The two large pictures with their rings, and the crops of one ring.
 
-import { find, inkOn, isPhone, makeSvg, partColour, picture, variable } from "./dom.js";
+import { find, inkOn, isPhone, make, makeSvg, partColour, picture, variable } from "./dom.js";
 import { boxOf, cellsOf, isLight, paintHeat } from "./heat.js";
 
 const HEAT_SIDE = 320;
@@ -8,6 +8,12 @@ const MOST_WIDE = 2.5; // of a strip's crop, which is else a line
 
 /** The CSS turn of the photo, which the page turns itself, as the server does. */
 export const photoTurn = (photo, angle) => (photo.around ? "none" : `rotate(${-angle}deg) scale(${photo.zoom})`);
+
+/** @returns {any} a figure for `showPicture`, as wide as its place */
+export const makePicture = () => {
+  const layers = [make("div", { class: "picture", role: "img" }), make("canvas", { class: "heat", "aria-hidden": "true" }), makeSvg("svg", { "aria-hidden": "true" })];
+  return make("figure", { class: "fitted" }, make("div", { class: "frame" }, make("div", { class: "pan" }, ...layers)));
+};
 
 const drawnParts = new WeakMap();
 
@@ -84,7 +90,18 @@ export const markFocus = (element, focus) => {
   for (const one of element.querySelectorAll("[data-part]")) one.classList.toggle("on", Number(one.dataset.part) === focus);
 };
 
-const layer = document.createElement("canvas");
+// The heat of a picture is painted once for all of its crops.
+const layers = new WeakMap();
+const heatLayer = (described, aspect) => {
+  const known = layers.get(described);
+  if (known?.light === isLight()) return known.canvas;
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [Math.round(160 * aspect), 160];
+  paintHeat(canvas.getContext("2d"), canvas.width, canvas.height, described);
+  layers.set(described, { light: isLight(), canvas });
+  return canvas;
+};
+
 /**
  * Draw one part of a picture, enlarged to fill the canvas: grey under its heat, or in full colour.
  * @param {number} turn degrees clockwise by which the picture is turned
@@ -129,9 +146,7 @@ export const drawCrop = (canvas, described, part, count, turn, colour, angle = 0
     pen.globalCompositeOperation = "source-over";
     pen.fillStyle = isLight() ? "#ffffff66" : "#00000073";
     pen.fillRect(0, 0, width, height);
-    [layer.width, layer.height] = [Math.round(160 * aspect), 160];
-    paintHeat(layer.getContext("2d"), layer.width, layer.height, described);
-    pen.drawImage(layer, 0, 0, width, height);
+    pen.drawImage(heatLayer(described, aspect), 0, 0, width, height);
   }
   pen.restore();
   pen.strokeStyle = count === 1 ? variable("--soft") : partColour(part, count);

@@ -11,6 +11,18 @@ export const queryButton = (rail, [query, name, rank], chosen, title = false) =>
     rank ? make("b", { class: rank === 1 ? "right" : "wrong", text: rank === 1 ? "✓" : rank }) : "",
     title ? make("span", { text: name }) : "");
 
+/** Show the own photos above the list, if there are any. */
+export const showYours = (box, { photos, thumbnails }, chosen) => {
+  box.hidden = !photos.length;
+  find(".items", box).replaceChildren(...photos.map((photo) => ownButton(thumbnails, photo, chosen)));
+  find("[aria-current=true]", box)?.scrollIntoView({ block: "nearest" });
+};
+
+/** An own photo's button. */
+export const ownButton = (thumbnails, [number, own, name], chosen, title = false) =>
+  make("button", { class: "query", "data-own": own, title: name, "aria-label": name, "aria-current": String(own === chosen), style: { "background-image": `url("${thumbnails}${number}")` } },
+    title ? make("span", { text: name }) : "");
+
 export class RailList {
   constructor(list) {
     this.list = list;

@@ -8,7 +8,7 @@ const CROP = 132;
 export const sign = (true_) => (true_ === null ? "" : make("i", { class: true_ ? "right" : "wrong", text: true_ ? "✓" : "✗" }));
 
 /** The stacked shares of a tile, as segments as wide as their shares on the one scale. */
-const stack = (tile, total, least) => {
+export const stack = (tile, total, least) => {
   const count = tile.shares.length;
   const segments = tile.shares.map((share, part) => {
     const width = (100 * Math.max(share, 0)) / total;

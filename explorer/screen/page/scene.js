@@ -29,17 +29,27 @@ export class SceneFrame {
     this.frame = null;
     this.asked = "";
     this.waiting = 0;
+    this.key = "";
     addEventListener("resize", () => this.resized());
   }
 
-  /** Make the frame, or hide the box of a task that has no place, which is called a city or a map. */
-  show(views, view, place) {
+  /**
+   * Make the frame, or hide the box of a task that has no place, which is called a city or a map.
+   * @param {string} key of what is to be seen; without WebGL a still of it is asked for
+   */
+  show(views, view, place, key) {
     find("[data-view=city]", this.box).textContent = place;
-    this.box.hidden = !views.length || !drawsInDepth();
+    const live = drawsInDepth();
+    this.box.hidden = live ? !views.length : !views.includes("city");
     for (const button of findAll("[data-view]", this.box)) {
-      button.hidden = !views.includes(button.dataset.view);
+      button.hidden = !views.includes(button.dataset.view) || !live;
       button.setAttribute("aria-pressed", String(button.dataset.view === (views.includes(view) ? view : views[0])));
     }
+    if (!live && !this.box.hidden && key !== this.key) {
+      this.key = key;
+      this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
+    }
+    if (!live) return;
     if (this.frame || this.box.hidden) return;
     this.frame = make("iframe", { title: "The place in 3-D", tabindex: -1 });
     const begin = () => {
@@ -51,14 +61,24 @@ export class SceneFrame {
     else setTimeout(begin, PATIENCE);
   }
 
+  /** A still has been drawn, in place of the frame. */
+  still(address) {
+    const image = find("img", this.box) ?? this.box.appendChild(make("img", { alt: "The place, with the nearest tiles" }));
+    image.src = address;
+  }
+
   /** The server has drawn in the frame. */
   ready() {
     this.box.classList.add("ready");
   }
 
+  /** The connection is lost: what viser's page says of its own is not shown. */
+  away() {
+    this.box.classList.remove("ready");
+  }
+
   /** viser's page connects again by itself only while it has the focus, which this page keeps. */
   reload() {
-    this.box.classList.remove("ready");
     this.frame?.contentWindow?.location.reload();
   }
 
@@ -101,6 +121,7 @@ export class SceneFrame {
 
   resized() {
     clearTimeout(this.waiting);
+    this.key = "";
     this.waiting = setTimeout(() => this.channel.act("scene"), SETTLED);
   }
 }

@@ -17,8 +17,10 @@ def _found() -> dict[str, Panel]:
     names = [module.name for module in pkgutil.iter_modules(__path__)]
     panels = [import_module(f"{__name__}.{name}").PANEL for name in sorted(names)]
     panels += [point.load() for point in entry_points(group=GROUP)]
+    keys = [one.key for panel in panels for one in (panel, *panel.commands) if one.key]
+    assert len(set(keys)) == len(keys), keys
     for panel in panels:
-        fields.add_panel(panel.name, panel.fields)
+        fields.add_panel(panel.name, panel.fields, panel.part is not None)
     return {panel.name: panel for panel in panels}
 
 
@@ -26,9 +28,9 @@ PANELS: dict[str, Panel] = _found()
 
 
 def folder(name: str) -> Path | None:
-    """Return the folder of a panel's module and style sheet; None for an unknown name."""
+    """Return the folder of a panel's module and style sheet; None for an unknown name, and for one that does not open."""
     panel = PANELS.get(name)
-    if panel is None:
+    if panel is None or panel.part is None:
         return None
     source = import_module(panel.part.__module__).__file__
     assert source is not None

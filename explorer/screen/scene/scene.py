@@ -11,22 +11,14 @@ import viser
 import viser.transforms as tf
 
 from explorer.screen.result import ScreenResult
-from explorer.screen.scene import plan, shapes
+from explorer.screen.scene import city, plan, shapes
 from lpn.core.arrays import Float64Array, UInt8Array
-from lpn.core.numbers import distance, rounded_to_sum
-from lpn.datasets import geo
+from lpn.core.numbers import rounded_to_sum
 from lpn.drawing.theme import Colour
-from lpn.retrieval import Match
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
-# Vertical fields of view in radians: of the city, and of the rings, which are seen from far away.
-_CITY_FOV, _APART_FOV = math.radians(38), math.radians(16)
-# Metres above the ground at which frames of tiles lie, and the depth of the camera's picture.
-_LIFT, _DEPTH = 3.0, 34.0
-# The view of the city: degrees beside the photo's heading, and below the horizon.
-_BESIDE, _BELOW = 35.0, -38.0
-# Ranked tiles that have frames.
-_FRAMES = 3
+# Vertical field of view in radians of the rings, which are seen from far away; metres from the drone's camera to its picture.
+_APART_FOV, _DEPTH = math.radians(16), 34.0
 # Pixels of a picture of the scene; the tallest stack of rings, its distance from the middle, and its turn.
 _PIXELS, _TALL, _APART, _TURN = 256, 2.3, 3.1, math.radians(33)
 
@@ -45,8 +37,8 @@ class Scene:
         self._city = client.scene.add_frame("/city", show_axes=False)
         self._apart = client.scene.add_frame("/apart", show_axes=False, visible=False)
         self._task: object = None
-        # What the pointer can hit: in the city, gallery positions with middle, half side, and height; else the layers.
-        self._tiles: list[tuple[int, Float64Array, float, float]] = []
+        # What the pointer can hit: in the city gallery positions with middle and half side, else the layers.
+        self._tiles: list[tuple[int, Float64Array, float]] = []
         self._layers: list[tuple[float, float, float]] = []
         client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         client.gui.main_panel.dock_right()
@@ -89,8 +81,8 @@ class Scene:
         camera = self._client.camera
         axes, origin = np.asarray(tf.SO3(camera.wxyz).as_matrix(), np.float64), np.asarray(camera.position)
         direction = shapes.ray(axes, camera.fov, camera.aspect, x, y)
-        for index, middle, half, z in self._tiles:
-            hit = shapes.on_level(origin, direction, z)
+        for index, middle, half in self._tiles:
+            hit = shapes.on_level(origin, direction, city.LIFT)
             if hit is not None and np.abs(hit[:2] - middle).max() <= half:
                 return {"tile": index}
         for part, (z, half, hole) in sorted(enumerate(self._layers), key=lambda layer: -layer[1][0]):
@@ -110,21 +102,20 @@ class Scene:
         if self._task is not result.task:
             self._task = result.task
             self._build_city(result, places)
-        shown = [*result.analysis.matches[:_FRAMES]]
-        truth = result.analysis.positive
-        if truth is not None and all(truth.index != match.index for match in shown):
-            shown.append(truth)
-        marked = [match for match in shown if np.isfinite(places.ground[match.index]).all()]
-        pose = self._show_camera(result, places, dark)
-        heading = 0.0 if pose is None else pose[1]
-        axes = shapes.camera_axes(heading + _BESIDE, _BELOW)
-        corners = [] if pose is None else [pose[0]]
-        for match in reversed(marked):
-            framed = self._show_frame(match, result, places, axes, dark)
-            corners += framed if match.index == result.first.index or match.true else []
-        self._show_way(result, places, dark)
-        points = np.array(corners or [np.zeros(3)])
-        self._look(points, axes, _CITY_FOV, 0.5, 6000.0, 0.8)
+        laid = city.lay(result, places, self._client.camera.aspect, dark)
+        if laid.photo is not None:
+            self._show_photo(result, laid.photo, dark)
+        for name, lines in laid.lines.items():
+            self._lines(f"/city/{name}", lines.segments, lines.colour, lines.thickness)
+        for name, badge in laid.badges.items():
+            self._image(f"/city/{name}", badge.pixels, badge.size, badge.middle, laid.axes)
+        if laid.metres is not None:
+            text, place = laid.metres
+            self.nodes["/city/metres"] = self._client.scene.add_label(
+                "/city/metres", text, position=place, anchor="bottom-center"
+            )
+        self._tiles = laid.tiles
+        self._look(laid.position, laid.target, city.FOV, 0.5, 6000.0)
 
     def _build_city(self, result: ScreenResult, places: GalleryGeometry) -> None:
         """Lay the ground, and the buildings where a plan has them, once for each task."""
@@ -155,52 +146,11 @@ class Scene:
                 receive_shadow=False,
             )
 
-    def _show_frame(
-        self, match: Match, result: ScreenResult, places: GalleryGeometry, axes: Float64Array, dark: bool
-    ) -> list[Float64Array]:
-        """Frame a tile with its rank, and return its corners, and the badge's outer one."""
-        middle, half = places.ground[match.index], (places.tiles[match.index].width or places.width) / 2
-        first = match.index == result.first.index
-        colour = (
-            shapes.RIGHT[dark]
-            if match.true
-            else shapes.WRONG[dark]
-            if first and match.true is False
-            else shapes.INK[dark]
-        )
-        name = f"/city/tile{match.index}"
-        self._lines(name, shapes.rectangle(middle.tolist(), half, _LIFT), colour, 3 if match.true or first else 2)
-        corner = middle + half * np.sign(axes[:2, 0] - axes[:2, 2])
-        self._image(
-            f"{name}/rank",
-            shapes.badge(str(match.rank), colour),
-            (0.24 * 2 * half, 0.135 * 2 * half),
-            np.array([*corner, 0.2 * half]),
-            axes,
-        )
-        self._tiles.insert(0, (match.index, middle, half, _LIFT))
-        outer = np.array([*corner, 0.2 * half]) + axes[:, 0] * 0.3 * half
-        return [
-            outer,
-            *(np.array([middle[0] + x * half, middle[1] + y * half, _LIFT]) for x in (-1, 1) for y in (-1, 1)),
-        ]
-
-    def _show_camera(
-        self, result: ScreenResult, places: GalleryGeometry, dark: bool
-    ) -> tuple[Float64Array, float] | None:
-        """Show the photo's camera with its picture and the ground that it sees; return its position and heading."""
-        place = None if result.state.own else places.queries[result.state.query]
-        stands = None if place is None else geo.camera(place, places.origin)
-        if place is None or stands is None:
-            return None
-        heading, tilt = place.heading or 0.0, -90.0 if place.tilt is None else place.tilt
-        fov = math.radians(place.fov or 40.0)
-        axes = shapes.camera_axes(heading, tilt)
-        # The photo is turned counter-clockwise, so its camera is turned about its axis the other way.
-        axes = axes @ tf.SO3.from_z_radians(math.radians(result.state.angle)).as_matrix()
+    def _show_photo(self, result: ScreenResult, photo: city.PhotoCamera, dark: bool) -> None:
+        """Show the drone's camera with its photo."""
         self.nodes["/city/camera"] = self._client.scene.add_camera_frustum(
             "/city/camera",
-            fov=fov,
+            fov=photo.fov,
             aspect=1.0,
             scale=_DEPTH,
             thickness=1.5,
@@ -209,32 +159,10 @@ class Scene:
             image=shapes.square(result.analysis.query.picture, _PIXELS),
             format="jpeg",
             jpeg_quality=85,
-            position=stands,
-            wxyz=tf.SO3.from_matrix(axes).wxyz,
+            position=photo.place,
+            wxyz=tf.SO3.from_matrix(photo.axes).wxyz,
             cast_shadow=False,
             receive_shadow=False,
-        )
-        across = math.tan(fov / 2)
-        rays = [axes @ np.array([x * across, y * across, 1.0]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
-        hits = [shapes.on_level(stands, direction, _LIFT) for direction in rays]
-        if all(hit is not None for hit in hits):
-            ground = np.array(hits)
-            way = np.stack([np.repeat(stands[None], 4, axis=0), ground], axis=1)
-            self._lines("/city/footprint", np.concatenate([shapes.sides(ground), way]), shapes.INK[dark], 1)
-        return stands, heading
-
-    def _show_way(self, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
-        """Draw a dashed line with its metres from a wrong answer to the truth."""
-        truth = result.analysis.positive
-        if result.first.true is not False or truth is None:
-            return
-        ends = [np.array([*places.ground[index], _LIFT]) for index in (result.first.index, truth.index)]
-        if not np.isfinite(ends).all():
-            return
-        length = float(np.linalg.norm(ends[1] - ends[0]))
-        self._lines("/city/way", shapes.dashes(ends[0], ends[1], 18, 12), shapes.WRONG[dark], 2)
-        self.nodes["/city/metres"] = self._client.scene.add_label(
-            "/city/metres", distance(length), position=(ends[0] + ends[1]) / 2, anchor="bottom-center"
         )
 
     # The rings apart.
@@ -277,7 +205,8 @@ class Scene:
         axes = shapes.camera_axes(0.0, -26.0)
         reach = _APART + math.sqrt(2) * max(halves)
         points = np.array([(x, y, z) for x in (-reach, reach) for y in (-1.2, 1.2) for z in (-0.1, _TALL)])
-        self._look(points, axes, _APART_FOV, 0.1, 200.0, 0.96)
+        position, target = shapes.fitting(points, axes, _APART_FOV, self._client.camera.aspect, 0.96)
+        self._look(position, target, _APART_FOV, 0.1, 200.0)
 
     # Nodes.
 
@@ -308,9 +237,8 @@ class Scene:
             receive_shadow=False,
         )
 
-    def _look(self, points: Float64Array, axes: Float64Array, fov: float, near: float, far: float, room: float) -> None:
+    def _look(self, position: Float64Array, target: Float64Array, fov: float, near: float, far: float) -> None:
         camera = self._client.camera
-        position, target = shapes.fitting(points, axes, fov, camera.aspect, room)
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.position, camera.look_at = position, target
         camera.fov, camera.near, camera.far = fov, near, far

@@ -34,6 +34,8 @@ _OPACITY = {True: (0, 0.4, 0.74, 0.88, 0.95, 1), False: (0, 0.6, 0.9, 0.95, 0.97
 _BARE = 0.3
 # Pixels of a ribbon's picture for a unit of the scene, and how much finer it is drawn before it is shrunk.
 _RIBBON, _FINER = 160, 2
+# Strokes of the signs on badges, in pixels.
+_CHECK, _CROSS = [[(0, 24), (16, 40), (44, 2)]], [[(2, 2), (40, 40)], [(40, 2), (2, 40)]]
 # Width of a ribbon for a share of 1, in units of the scene.
 _WIDTH = 1.5
 
@@ -131,12 +133,18 @@ def ribbon(
     return np.asarray(small), height
 
 
-def badge(text: str, colour: Colour) -> UInt8Array:
-    """Draw a text on a rounded patch, RGBA."""
-    image = Image.new("RGBA", (192, 108), (*colour, 0))
+def badge(text: str, colour: Colour, sign: bool | None) -> UInt8Array:
+    """Draw a text on a rounded patch as wide as it, RGBA: with a check for True, a cross for False."""
+    font, ink = captions.font(64), (*_ink_on(colour), 255)
+    wide = round(ImageDraw.Draw(Image.new("L", (1, 1))).textlength(text, font))
+    image = Image.new("RGBA", (max(wide + 48 + (0 if sign is None else 60), 96), 96), (*colour, 0))
     draw = ImageDraw.Draw(image)
-    draw.rounded_rectangle((0, 0, 191, 107), 14, fill=(*colour, 255))
-    draw.text((96, 54), text, (*_ink_on(colour), 255), captions.font(72 if len(text) < 4 else 54), anchor="mm")
+    draw.rounded_rectangle((0, 0, image.width - 1, 95), 14, fill=(*colour, 255))
+    draw.text((24 if sign is not None else (image.width - wide) // 2, 48), text, ink, font, anchor="lm")
+    left = image.width - 66
+    if sign is not None:
+        for stroke in _CHECK if sign else _CROSS:
+            draw.line([(left + x, 27 + y) for x, y in stroke], fill=ink, width=9, joint="curve")
     return np.asarray(image)
 
 

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from explorer.browse.feeds import CHUNK, Feeds
+from explorer.feeds import CHUNK, Feeds
 from explorer.browse.messages import BrowseMessage, PickQuery
 from explorer.browse.query_list import QueryList, position_of, publish
 from explorer.opening import open_model

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.failure_lab import map_data, messages
 from explorer.failure_lab import service as lab_service
 from explorer.failure_lab.map_layout import MapRoom, map_room

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.compute import ranking_job
 from explorer.failure_lab import map_data, messages, state, table
 from explorer.failure_lab.map_page import MapPage

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from explorer.browse.feeds import Feeds
+from explorer.feeds import Feeds
 from explorer.flight import pictures as pictures_module
 from explorer.flight.pictures import TILE, FlightPicturesFeed, TilePyramid, ground_window, tile
 from explorer.server.picture_route import PREFIX

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from websockets.exceptions import ConnectionClosed
-from websockets.sync.client import connect
 
 from explorer.app import App
 from explorer.opening import open_model
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
 from tools.fixtures import small_worlds
-from tools.fixtures.waiting import TIMEOUT
+from tools.fixtures.screen_tab import ScreenTab
 
 TAB = "0123456789abcdef"
 
@@ -49,57 +45,14 @@ def app(workspace: Workspace) -> Iterator[App]:
     served.close()
 
 
-class Tab:
-    """A page's end of the channel.
-
-    Attributes:
-        last: the newest message of each kind.
-    """
+class Tab(ScreenTab):
+    """A tab of an app in this process."""
 
     def __init__(self, app: App, tab: str = TAB, protocol: str = "lpn-json", **options: Any) -> None:
-        address = f"ws://127.0.0.1:{app.server.get_port()}/api/{tab}"
-        protocols: Any = [protocol]
-        self.socket = connect(address, subprotocols=protocols, max_size=None, **options)
-        self.last: dict[str, Any] = {}
-
-    def send(self, message: object) -> None:
-        self.socket.send(json.dumps(message))
-
-    def act(self, action: str, /, **arguments: object) -> None:
-        self.send({"do": action, "args": arguments})
-
-    def until(self, holds: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-        """Receive until the newest messages fulfil a condition, and return them."""
-        deadline = time.monotonic() + TIMEOUT
-        while not holds(self.last):
-            assert time.monotonic() < deadline, f"only {list(self.last)} came"
-            self.last |= json.loads(self.socket.recv(TIMEOUT))
-        return self.last
-
-    def result(self, **state: object) -> dict[str, Any]:
-        """Return the newest result once it is that of a state with these values."""
-        found = self.until(
-            lambda last: "result" in last and all(last["result"]["state"][name] == one for name, one in state.items())
-        )
-        result: dict[str, Any] = found["result"]
-        return result
-
-    def open(self, search: str = "") -> dict[str, Any]:
-        """Open the page of an address, and return its first result."""
-        self.act("open", search=search)
-        return self.result()
-
-    def closed(self) -> bool:
-        """Return whether the server closes the connection."""
-        try:
-            while True:
-                self.socket.recv(TIMEOUT)
-        except ConnectionClosed:
-            return True
+        super().__init__(f"http://127.0.0.1:{app.server.get_port()}", tab, protocol, **options)
 
 
 @pytest.fixture
 def tab(app: App) -> Iterator[Tab]:
-    connected = Tab(app)
-    yield connected
-    connected.socket.close()
+    with Tab(app) as connected:
+        yield connected

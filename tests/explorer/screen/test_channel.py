@@ -8,20 +8,27 @@ import http.client
 import json
 import threading
 from base64 import b64decode
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from websockets.exceptions import InvalidStatus
 
 from explorer.app import App
+from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
+from explorer.screen.own import HeldBytes
+from explorer.screen.scene import shapes
+from explorer.screen.terms import term
 from explorer.server.auth import Authenticator
-from explorer.web.terms import term
 from explorer.workspace import Workspace
 from lpn.core import images
+from lpn.core.errors import DataError
 from lpn.explain.occlusion import occlude
+from lpn.library.analyser import OwnPicture
 from tests.explorer.screen.conftest import TAB, Tab
 from tools.fixtures.waiting import TIMEOUT, wait_until
 
@@ -49,7 +56,8 @@ def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_
         assert get(app, f"/screen/page/{name}")[0] == 200
     assert get(app, "/screen/page/nothing.js")[0] == 404
     assert get(app, "/screen/page/../session.py")[0] == 404
-    assert b"viser" in get(app, "/classic/")[2].lower()
+    assert b"viser" in get(app, f"/scene/{TAB}/")[2].lower()
+    assert b"viser" not in get(app, "/classic/")[2].lower()
 
 
 def test_the_page_gets_the_meanings_of_terms_and_panels_name_no_others(app: App) -> None:
@@ -157,52 +165,159 @@ def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> 
     assert other["state"]["place"] == "data"
 
 
-def test_an_own_photo_is_ranked_and_forgotten(app: App, tab: Tab, workspace: Workspace) -> None:
+def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(
+    app: App, tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tab.open("?query=0006")
+    tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)
+    other = Tab(app, TAB[::-1])
+    with monkeypatch.context() as patch:
+        patch.setattr(workspace.inference, "run", lambda *_: pytest.fail("a pass"))
+        for one in (tab, other):
+            result = one.open("?query=0006&angle=45")
+            assert result["angle"] == 45
+            assert result["photo"]["heat"]
+    tab.send({"set": {"angle": 46}})
+    assert tab.result(angle=46)["photo"]["heat"] != result["photo"]["heat"]
+    other.socket.close()
+
+
+def send_file(tab: Tab, name: str, content: bytes, first: bool = True) -> int:
+    """Send a file as the page does, and return how many the server has taken or left out once this one is among them."""
+    before = tab.until(lambda last: "yours" in last)["yours"]["taken"]
+    tab.act("upload", name=name, size=len(content), first=first)
+    for start in range(0, len(content), 5000):
+        tab.socket.send(content[start : start + 5000])
+    taken: int = tab.until(lambda last: last["yours"]["taken"] > before)["yours"]["taken"]
+    return taken
+
+
+def test_own_photos_are_listed_ranked_stepped_through_and_forgotten(app: App, tab: Tab, workspace: Workspace) -> None:
     tab.open()
-    file = workspace.tasks["drone-to-satellite"].queries[3].path.read_bytes()
-    tab.act("upload", name="mine.png", size=len(file))
-    tab.socket.send(file[:1000])
-    tab.socket.send(file[1000:])
-    result = tab.until(lambda last: last["result"]["state"]["own"])["result"]
-    assert result["photo"]["own"]
-    assert result["headline"]["found"] is None
-    assert get(app, "/" + result["photo"]["src"])[0] == 200
+    queries = workspace.tasks["drone-to-satellite"].queries
+    assert send_file(tab, "one.png", queries[3].path.read_bytes()) == 1
+    first = tab.until(lambda last: last["result"]["state"]["own"])["result"]
+    assert first["photo"]["own"]
+    assert first["headline"]["found"] is None
+    assert get(app, "/" + first["photo"]["src"])[0] == 200
     assert "query" not in tab.last["state"]["address"]
+    assert send_file(tab, "notes.txt", b"words", first=False) == 2
+    assert "notes.txt is not a picture" in tab.until(lambda last: "error" in last)["error"]
+    assert send_file(tab, "two.png", queries[5].path.read_bytes(), first=False) == 3
+    yours = tab.last["yours"]
+    assert [name for _, _, name in yours["photos"]] == ["one.png", "two.png"]
+    for number, _, _ in yours["photos"]:
+        status, headers, _ = get(app, f"/{yours['thumbnails']}{number}")
+        assert (status, headers.get_content_type()) == (200, "image/jpeg")
+    (_, one, _), (_, two, _) = yours["photos"]
+    assert tab.last["state"]["own"] == one, "the first of several is shown"
+    tab.act("step", by=1)
+    second = tab.result(own=two)
+    tab.act("step", by=-1)
+    again = tab.result(own=one)
+    assert again["photo"]["heat"] == first["photo"]["heat"]
+    assert [again["tiles"][str(index)]["distance"] for index in again["strip"]] == [
+        first["tiles"][str(index)]["distance"] for index in first["strip"]
+    ]
+    assert second["photo"]["heat"] != first["photo"]["heat"]
+    tab.act("step", by=-1)
+    tab.send({"set": {"own": two}})
+    tab.result(own=two)
+    tab.act("step", by=1)
+    tab.result(own="", query=0)
     tab.act("forget")
-    tab.result(own="")
+    tab.until(lambda last: not last["yours"]["photos"])
+    tab.send({"set": {"own": two, "angle": 7}})
+    tab.result(own="", angle=7)
 
 
-def test_a_file_that_is_no_picture_or_too_large_is_refused_in_a_sentence(tab: Tab) -> None:
+def test_files_that_are_no_pictures_or_too_large_are_refused_in_one_sentence(tab: Tab) -> None:
     tab.open()
-    tab.act("upload", name="notes.txt", size=5)
-    tab.socket.send(b"words")
+    send_file(tab, "notes.txt", b"words")
     assert "notes.txt is not a picture" in tab.until(lambda last: "error" in last)["error"]
     del tab.last["error"]
+    tab.act("upload", name="large.jpg", size=40_000_000, first=False)
+    told = tab.until(lambda last: "error" in last)["error"]
+    assert told == "2 files are no photos that can be read: notes.txt, large.jpg."
     tab.act("upload", name="large.jpg", size=40_000_000)
-    assert "large.jpg has 40 MB; up to 30 MB" in tab.until(lambda last: "error" in last)["error"]
+    assert "large.jpg has 40 MB; up to 30 MB" in tab.until(lambda last: last["error"] != told)["error"]
     tab.socket.send(b"these bytes belong to nothing")
     tab.send({"set": {"angle": 9}})
     tab.result(angle=9)
 
 
-def test_the_server_holds_a_bounded_number_of_own_photos(
-    app: App, tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
+    app: App, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(app._channel._screens, "own", threading.BoundedSemaphore(1))
     file = workspace.tasks["drone-to-satellite"].queries[3].path.read_bytes()
-    other = Tab(app, TAB[::-1])
-    for one in (tab, other):
-        one.open()
-        one.act("upload", name="mine.png", size=len(file))
-        one.socket.send(file)
-        one.until(lambda last: last["result"]["state"]["own"] or "error" in last)
-    assert "which is the most" in other.last["error"]
-    tab.act("forget")
-    tab.result(own="")
-    other.act("upload", name="mine.png", size=len(file))
-    other.socket.send(file)
+    monkeypatch.setattr(app._channel._screens, "own", HeldBytes(len(file) + 20_000))
+    one, other = (Tab(app, name * 16) for name in "ab")
+    one.open()
+    other.open()
+    send_file(one, "mine.png", file)
+    one.until(lambda last: last["result"]["state"]["own"])
+    send_file(other, "mine.png", file)
+    assert "mine.png finds no room" in other.until(lambda last: "error" in last)["error"]
+    one.act("forget")
+    one.result(own="")
+    send_file(other, "mine.png", file)
     other.until(lambda last: last["result"]["state"]["own"])
-    other.socket.close()
+    for tab_ in (one, other):
+        tab_.socket.close()
+
+
+def test_a_browser_without_webgl_gets_a_still_of_the_city(app: App, tab: Tab) -> None:
+    tab.open()
+    tab.act("still", width=360, height=240)
+    address = tab.until(lambda last: "still" in last)["still"]
+    status, headers, body = get(app, f"/{address}")
+    assert (status, headers.get_content_type()) == (200, "image/jpeg")
+    shown = images.decode_picture(body, "still")
+    assert shown.shape == (240, 360, 3)
+    gold = np.abs(shown.astype(int) - shapes.RIGHT[True]).max(axis=2) < 40
+    assert gold.sum() > 300, "the answer's frame and its badge"
+    tab.act("still", width="wide", height=10**9)
+    tab.send({"set": {"angle": 4}})
+    assert tab.result(angle=4)
+
+
+class _Checked:
+    """A map's jobs: each is the one that a test gives."""
+
+    def __init__(self, job: Any) -> None:
+        self.job, self.shown = job, True
+
+    def join(self, picture: OwnPicture, windows: Sequence[object], client: object) -> Any:  # noqa: ARG002
+        assert picture.picture.size
+        return self.job
+
+    def show_none(self, client: object) -> None:  # noqa: ARG002
+        self.shown = False
+
+
+def test_the_check_of_an_own_photo_comes_as_a_mark(
+    tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+
+    def work(report: Callable[[int, int], None]) -> object:
+        report(1, 8)
+        go_on.wait(TIMEOUT)
+        raise DataError("The map cannot be read.")
+
+    jobs = _Checked(BackgroundJob(work, tab))
+    monkeypatch.setattr(workspace, "own_photos", jobs)
+    tab.open()
+    send_file(tab, "one.png", workspace.tasks["drone-to-satellite"].queries[3].path.read_bytes())
+    key = tab.until(lambda last: last["result"]["state"]["own"])["result"]["state"]["own"]
+    going = tab.until(lambda last: "1 of 8" in last.get("mark", {}).get("text", ""))["mark"]
+    assert (going["own"], going["sign"]) == (key, None)
+    go_on.set()
+    ended = tab.until(lambda last: last["mark"]["text"] == "not checked")["mark"]
+    assert ended["why"] == "The map cannot be read."
+    tab.send({"set": {"query": 2, "own": ""}})
+    tab.result(own="", query=2)
+    wait_until(lambda: not jobs.shown)
 
 
 @pytest.mark.parametrize(
@@ -242,7 +357,7 @@ def test_a_session_ends_with_its_connection(app: App) -> None:
     tab = Tab(app, "fedcba9876543210")
     tab.open()
     session = app._channel.sessions["fedcba9876543210"]
-    contexts = [opened.requests for opened in session._opened.values()]
+    contexts = [opened.requests for opened in session._access._opened.values()]
     tab.socket.close()
     wait_until(lambda: "fedcba9876543210" not in app._channel.sessions and all(one.closed for one in contexts))
 

@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from explorer.client.services import WorkspaceServices
 from explorer.screen import fields, result
 from explorer.screen.fields import ScreenState
 from explorer.screen.result import STRIP, ScreenResult, measured_scale
-from explorer.screen.session import _as_session_state
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.services import WorkspaceServices
+from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn import explain
 from lpn.core import images
 from lpn.core.numbers import rounded_to_sum
@@ -23,9 +22,9 @@ from lpn.retrieval import scoring
 
 def result_of(workspace: Workspace, **values: Any) -> ScreenResult:
     state: ScreenState = replace(fields.opening(workspace), **values)
-    analysis = StateAnalyser(workspace).analyse(_as_session_state(state, workspace, None), STRIP)
+    analysis = WorkspaceAnalyser(workspace).analyse(workspace.tasks[state.task], state.question(), STRIP)
     feeds = WorkspaceServices.of(workspace).feeds
-    return ScreenResult(workspace, feeds, state, analysis, measured_scale(analysis.task), "photo.jpg")
+    return ScreenResult(workspace, feeds, state, state.question(), analysis, measured_scale(analysis.task), "photo.jpg")
 
 
 @pytest.mark.parametrize("query", range(8))

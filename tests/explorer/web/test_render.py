@@ -7,9 +7,8 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import pytest
-
 import explorer.web
+import pytest
 from explorer.panels import pages
 from explorer.web.render import press, progress_bar, render, send
 

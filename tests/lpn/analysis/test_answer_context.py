@@ -66,6 +66,16 @@ def test_answers_of_a_like_gap_are_counted() -> None:
     assert answer_context.answers_alike(retrieval(ranking.first[:200], gap[:200]), 100.1) == AlikeAnswers(50, 0)
 
 
+def test_queries_of_like_leads_are_counted_in_equal_groups() -> None:
+    gap = np.arange(200.0)[::-1].copy()
+    gap[7] = np.nan
+    groups = answer_context.found_by_lead(retrieval(np.where(gap >= 100, 0, 2), gap))
+    assert [one.queries for one in groups] == [20] * 9 + [19]
+    assert [one.found for one in groups] == [0] * 5 + [20] * 4 + [19]
+    assert groups[0].lead == 9.5
+    assert not answer_context.found_by_lead(retrieval(np.zeros(200, int), gap), np.arange(200) < 90)
+
+
 def test_too_few_answers_have_none_alike() -> None:
     gap = np.arange(120) / 120.0
     ranking = retrieval(np.zeros(120, np.int64), gap)

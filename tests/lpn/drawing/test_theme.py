@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import cv2
 import numpy as np
@@ -22,8 +22,8 @@ VISION = {
         [[1.255528, -0.076749, -0.178779], [-0.078411, 0.930809, 0.147602], [0.004733, 0.691367, 0.303900]]
     ),
 }
-# The colours that meet over the workbench's pair, with four rings, and in the window of a flight.
-WORKBENCH = ("part-0", "part-1", "part-2", "part-3", "right", "wrong", "unknown", "for", "against", "accent")
+# The colours that meet on the screen and in a report, and in the window of a flight.
+SCREEN = ("part-0", "part-1", "part-2", "part-3", "right", "wrong", "unknown", "for", "against")
 FLIGHT = ("tag", "retrieval", "sequence", "registration", "contradicted", "right", "unknown", "by-hand", "accent")
 
 
@@ -40,35 +40,60 @@ def _lab(colour: theme.Colour, vision: str) -> Float64Array:
     return np.asarray(cv2.cvtColor(again.astype(np.float32)[None, None], cv2.COLOR_RGB2LAB)[0, 0], np.float64)
 
 
-def test_no_two_meanings_share_a_colour() -> None:
-    for one, other in combinations(theme.COLOURS, 2):
-        assert delta_e(theme.COLOURS[one], theme.COLOURS[other], "normal") > 18, (one, other)
+GROUNDS = pytest.mark.parametrize("palette", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
+
+
+@GROUNDS
+def test_no_two_meanings_that_meet_share_a_colour(palette: theme.Palette) -> None:
+    for one, other in combinations(SCREEN, 2):
+        assert delta_e(palette.colours[one], palette.colours[other], "normal") > 17, (one, other)
+
+
+@GROUNDS
+@pytest.mark.parametrize(
+    ("vision", "least"), [("normal", 53), ("protanopia", 49), ("deuteranopia", 46), ("tritanopia", 25)]
+)
+def test_neighbouring_rings_differ_for_any_vision(palette: theme.Palette, vision: str, least: float) -> None:
+    rings = [theme.part_colour(part, palette) for part in range(5)]
+    for one, other in pairwise(rings):
+        assert delta_e(one, other, vision) >= least
+        assert round(theme.contrast(one, other), 1) >= 2.2
+        assert theme.contrast(one, palette.track) >= 3
+
+
+@GROUNDS
+@pytest.mark.parametrize("vision", VISION)
+def test_right_and_wrong_and_for_and_against_differ_for_any_vision(palette: theme.Palette, vision: str) -> None:
+    right, wrong = (theme.verdict_colour(true, palette) for true in (True, False))
+    assert delta_e(right, wrong, vision) > 17, "a sign and a word stand with them"
+    assert min(theme.contrast(colour, palette.background) for colour in (right, wrong)) >= theme.MIN_CONTRAST
+    assert delta_e(palette.colours["for"], palette.colours["against"], vision) > 40
+
+
+@pytest.mark.parametrize("vision", ["normal", "deuteranopia"])
+@pytest.mark.parametrize("ramp", [theme.HEAT, theme.HEAT_AGAINST], ids=["for", "against"])
+def test_heat_is_lighter_in_even_steps(ramp: tuple[tuple[float, ...], ...], vision: str) -> None:
+    lightness = [_lab((round(red), round(green), round(blue)), vision)[0] for red, green, blue, _ in ramp]
+    assert all(10 < high - low < 27 for low, high in pairwise(lightness))
+    assert [stop[3] for stop in ramp] == sorted(stop[3] for stop in ramp), "weak heat shows the picture"
 
 
 @pytest.mark.parametrize("vision", VISION)
-def test_colours_that_are_compared_differ_for_any_vision(vision: str) -> None:
-    parts = [theme.part_colour(part) for part in range(8)]
-    assert min(delta_e(*pair, vision) for pair in combinations(parts, 2)) > 18
-    assert min(delta_e(*pair, vision) for pair in combinations(parts[:4], 2)) > 24
+def test_the_stages_of_a_flight_differ_for_any_vision(vision: str) -> None:
     stages = [theme.COLOURS[name] for name in ("tag", "retrieval", "sequence", "registration", "contradicted")]
     assert min(delta_e(*pair, vision) for pair in combinations(stages, 2)) > 18
-    assert delta_e(theme.TRUE_COLOUR, theme.FALSE_COLOUR, vision) > 60
-    assert delta_e(theme.FOR, theme.AGAINST, vision) > 60
-
-
-@pytest.mark.parametrize("vision", VISION)
-@pytest.mark.parametrize("screen", [WORKBENCH, FLIGHT], ids=["workbench", "flight"])
-def test_colours_that_meet_on_one_screen_differ_for_any_vision(screen: tuple[str, ...], vision: str) -> None:
-    for one, other in combinations(screen, 2):
+    for one, other in combinations(FLIGHT, 2):
         assert delta_e(theme.COLOURS[one], theme.COLOURS[other], vision) > 15, (one, other)
 
 
-@pytest.mark.parametrize("palette", [theme.DARK, theme.LIGHT], ids=["dark", "light"])
-def test_bars_stand_out_on_their_ground_and_still_differ(palette: theme.Palette) -> None:
-    marks = {name: palette.mark(colour) for name, colour in theme.COLOURS.items()}
-    assert all(theme.contrast(mark, palette.background) >= theme.MARK_CONTRAST for mark in marks.values())
-    parts = [marks[f"part-{part}"] for part in range(4)]
-    for vision in VISION:
-        for one, other in combinations(WORKBENCH, 2):
-            assert delta_e(marks[one], marks[other], vision) > 9, (one, other, vision)
-        assert min(delta_e(*pair, vision) for pair in combinations(parts, 2)) > 15, vision
+@pytest.mark.parametrize("vision", VISION)
+def test_the_values_of_a_column_differ_for_any_vision(vision: str) -> None:
+    values = [theme.category_colour(code) for code in range(8)]
+    assert min(delta_e(*pair, vision) for pair in combinations(values, 2)) > 18
+    assert min(delta_e(*pair, vision) for pair in combinations(values[:4], 2)) > 24
+
+
+@GROUNDS
+def test_bars_stand_out_on_their_ground(palette: theme.Palette) -> None:
+    marks = [palette.mark(colour) for colour in palette.colours.values()]
+    assert all(theme.contrast(mark, palette.background) >= theme.MARK_CONTRAST for mark in marks)

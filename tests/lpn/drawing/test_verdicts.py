@@ -16,7 +16,7 @@ from lpn.retrieval.scoring import part_weights
 def test_reweighting_states_its_effect_on_all_queries() -> None:
     change = Reweighting(np.array([0.7, 0.3], np.float32))
     none = np.zeros(0, np.int64)
-    assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the true tile first."
+    assert verdicts.describe_reweighting(None, None) == "No choice of part weights would put the truth first."
     helped = verdicts.describe_reweighting(change, Effect(50.0, 52.0, np.arange(3), np.arange(1), 100))
     assert "70 : 30 %; over all 100 queries it helps: 3 gained, 1 lost, R@1 50.0 to 52.0 %." in helped
     assert "it harms" in verdicts.describe_reweighting(change, Effect(50.0, 49.0, none, np.arange(1), 100))
@@ -102,7 +102,7 @@ def test_the_sentence_names_the_part_that_adds_most_and_one_that_speaks_against(
     found = Evidence(np.array([-0.2, 0.8]), part_weights(2), side, side)
     said = verdicts.describe_evidence(found, ["1 centre", "2 outer"], "drone", "satellite")
     assert said == (
-        "Part 2 outer adds most to the score (+0.400 of +0.300), where the query's upper right agrees with the tile's "
+        "Part 2 outer adds most to the score (+0.400 of +0.300), where the photo's upper right agrees with the tile's "
         "north-east. Part 1 centre speaks against the pair (−0.100)."
     )
 
@@ -119,6 +119,6 @@ def test_cells_on_no_side_are_told_as_places_all_over_the_pictures() -> None:
     ]
     assert said == [
         "The score is +0.800, mainly from places all over both pictures.",
-        "The score is +0.800, mainly from where places all over the query agree with the tile's east.",
-        "The score is +0.800, mainly from where the query's right agrees with places all over the tile.",
+        "The score is +0.800, mainly from where places all over the photo agree with the tile's east.",
+        "The score is +0.800, mainly from where the photo's right agrees with places all over the tile.",
     ]

@@ -102,6 +102,10 @@ def test_cells_and_constants_add_up_to_each_cosine_on_both_sides(name: str) -> N
     spread = explain.spread_constants(found.query, query.trace)
     np.testing.assert_allclose(spread.sum(axis=(1, 2)), cosines, atol=1e-5)
     assert not spread[(query.trace.cells == 0).all(axis=0)].any(), "a cell outside a part has no share of it"
+    lead = explain.lead_cells(query.trace, found.weights, tile.descriptor, -tile.descriptor)
+    assert lead.sum() == pytest.approx(4 * float(found.weights @ found.cosines), abs=1e-4), (
+        "d² of one less that of the other"
+    )
     assert found.score == pytest.approx(float(cosines @ weights), abs=1e-5)
     assert found.query.score_map(weights).sum() + found.query.constants @ weights == pytest.approx(
         found.score, abs=1e-5

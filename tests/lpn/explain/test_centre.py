@@ -10,9 +10,9 @@ import pytest
 import lpn
 from lpn import retrieval
 from lpn.datasets import open_dataset
-from lpn.explain.centre import centre_box, centre_share, centre_shares, has_centre
+from lpn.explain.centre import centre_box, centre_share, centre_shares
 from lpn.models.partition import Partition
-from tools.fixtures.small_contracts import GateModel, PartsModel, RegionModel
+from tools.fixtures.small_contracts import GateModel
 
 
 def test_activation_in_the_centre_is_a_share_of_the_map() -> None:
@@ -44,11 +44,3 @@ def test_maps_of_each_part_are_summed_over_the_parts(data: Path) -> None:
     trace = retrieval.describe_picture(model, picture.load(), "drone").trace
     assert trace is not None
     assert list(centre_shares(model, [picture], "drone")) == pytest.approx([centre_share(trace.activation)])
-
-
-def test_a_picture_has_a_centre_where_its_target_is_in_the_middle_and_the_model_has_cells(model_file: Path) -> None:
-    contract = lpn.load(model_file).contract
-    assert has_centre(contract, "drone")
-    assert has_centre(contract, "satellite")
-    assert not has_centre(contract, "street")
-    assert not has_centre(PartsModel(RegionModel()).contract, "drone")

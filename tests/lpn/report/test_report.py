@@ -24,7 +24,7 @@ from lpn.core.arrays import Float32Array
 from lpn.core.errors import InputError
 from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.core.texts import ordinal
-from lpn.datasets import open_dataset
+from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.report import Options, OwnPicture, Said, SaidPicture, _rendering
@@ -35,7 +35,7 @@ from lpn.tasks.task import Task
 from lpn.tasks.verdict import judge
 from tools.fixtures import small_worlds
 
-VOID = {"meta", "img", "br", "line", "rect", "circle", "polyline"}
+VOID = {"meta", "img", "br", "line", "rect", "circle", "polyline", "use", "image", "path", "fecolormatrix"}
 SVG_VOID = VOID - {"meta", "img", "br"}
 
 
@@ -102,14 +102,19 @@ def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
             assert (attributes.get(name) or "#").startswith(("#", "data:image/jpeg;base64,", "data:image/png;base64,"))
     assert "url(" not in page.text
     assert "@import" not in page.text
-    pictures = page.all("img")
-    # Four parts' activation of query and compared tile, of two queries.
-    assert len([picture for picture in pictures if picture.get("class") == "cells"]) == 2 * 2 * 4
-    # Query and two tiles, each pair's two maps, and the scale, of two queries; thumbnails beside them.
-    assert len(pictures) >= 2 * (3 + 4 + 1 + 5)
-    for picture in pictures:
-        data = base64.b64decode((picture["src"] or "").partition(",")[2])
+    # Of two queries: photo and two tiles once each, their heat, and the evidence of each pair; thumbnails beside them.
+    assert len(page.all("image")) == 2 * (3 + 3 + 4)
+    assert len(page.all("img")) >= 2 * (5 + 2 + 2)
+    for source in [*(one["src"] for one in page.all("img")), *(one["href"] for one in page.all("image"))]:
+        data = base64.b64decode((source or "").partition(",")[2])
         assert cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR) is not None
+    # Four rings of the three pictures are cropped from them.
+    assert len(page.all("clippath")) == 2 * 3 * 4
+    named = {attributes["id"] for _, attributes in page.elements if attributes.get("id")}
+    assert {(use["href"] or "")[1:] for use in page.all("use")} <= named
+    clips = [attributes["clip-path"] or "" for _, attributes in page.elements if "clip-path" in attributes]
+    assert len(clips) == 2 * 3 * 4
+    assert {clip.removeprefix("url(#").removesuffix(")") for clip in clips} <= named
     assert [section["id"] for section in page.all("section")] == ["q1", "q2"]
     links = {link["href"] for link in page.all("a")}
     assert {"#q1", "#q2", "#top"} == links
@@ -117,19 +122,22 @@ def test_a_report_is_one_file_that_loads_nothing_else(task: Task) -> None:
         assert text in page.text
 
 
-def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) -> None:
+def test_it_begins_with_what_was_found_and_figures_of_the_field_follow(task: Task) -> None:
     queries = range(len(task.queries))
-    several, _, experts = Page(report.build(task, queries)).text.partition("For experts")
+    several, _, measured = Page(report.build(task, queries)).text.partition("How it was measured")
     right = round(task.metrics["recall@1"] / 100 * len(queries))
-    assert "Report on 14 pictures" in several
-    assert f"{len(task.gallery)} satellite pictures and takes the most alike for its place." in several
-    assert f"That is right for {right} of the 14 pictures whose place is known." in several
-    for term in ("R@1", "d²", "tile", "Contents"):
+    assert "Report on 14 photos" in several
+    assert f"{len(task.gallery)} satellite pictures, ring by ring. The nearest is the answer." in several
+    assert f"That is right for {right} of the 14 photos whose place is known." in several
+    for term in ("R@1", "d²", "squared"):
         assert term not in several
-        assert term in experts
-    few, _, _ = Page(report.build(task, [1, 2], Options(selection="the worst of 3"))).text.partition("For experts")
+        assert term in measured
+    few, _, _ = Page(report.build(task, [1, 2], Options(selection="the worst of 3"))).text.partition("measured")
     assert "That is right for" not in few, "the share of chosen pictures is no accuracy"
-    assert "The pictures in this report are chosen: the worst of 3." in few
+    assert "The photos of this report are chosen: the worst of 3." in few
+
+
+def test_the_words_of_a_screen_stand_first(task: Task) -> None:
     picture = SaidPicture("The answer", "on <the> map", "data:image/png;base64,", True, turn=-30.0)
     said = Said(
         "Where was it taken?",
@@ -161,7 +169,39 @@ def test_it_begins_in_plain_words_and_figures_of_the_field_follow(task: Task) ->
     assert "R@1" in experts
     folded = page.all("details")
     assert [(fold.get("class"), fold.get("open")) for fold in folded] == [("said", None), ("experts", None)]
-    assert "Contents" not in experts, "it would have one line"
+    assert not any(table.get("class") == "contents" for table in page.all("table")), "it would have one line"
+
+
+def test_each_picture_is_described_and_each_tile_is_read_once(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert task.model is not None
+    described, read, run, load = [], [], type(task.model).run, Picture.load
+    monkeypatch.setattr(
+        type(task.model), "run", lambda model, images, view: described.append(len(images)) or run(model, images, view)
+    )
+    monkeypatch.setattr(Picture, "load", lambda picture: read.append(picture.path) or load(picture))
+    queries = range(4)
+    report.build(task, queries)
+    found = [rank(task, task.query_descriptors[query], query) for query in queries]
+    tiles = {
+        match.index for one in found for match in (one.match(0), one.match(0).true and one.hardest_negative()) if match
+    }
+    tiles |= {one.positive().index for one in found if not one.match(0).true}  # type: ignore[union-attr]
+    assert sum(described) == 2 * (len(queries) + len(tiles)), "picture and mirror"
+    assert len(described) == 2, "all queries together, and all tiles"
+    assert len(read) == len(set(read))
+
+
+def test_pictures_that_are_described_together_are_described_as_alone(task: Task) -> None:
+    assert task.model is not None
+    pictures, changes = [picture.load() for picture in task.queries[:3]], [Change(rotate=turn) for turn in (0, 30, 90)]
+    together = retrieval.describe_pictures(task.model, pictures, "drone", changes)
+    for picture, change, one in zip(pictures, changes, together, strict=True):
+        alone = retrieval.describe_picture(task.model, picture, "drone", change)
+        np.testing.assert_array_equal(one.picture, alone.picture)
+        np.testing.assert_allclose(one.descriptor, alone.descriptor, atol=1e-6)
+        assert one.trace is not None
+        assert alone.trace is not None
+        np.testing.assert_allclose(one.trace.features, alone.trace.features, atol=1e-4)
 
 
 def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
@@ -169,7 +209,7 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     outcomes = task.outcomes
     text = Page(report.build(task, [query])).text
     assert outcomes.rank[query] > 0
-    shares = [float(value) for value in re.findall(r"part [^:\n]*: ([\d.]+)", text)]
+    shares = [float(value) for value in re.findall(r"part [^:\n]*: ([\d.]{6})", text)]
     listed = min(5, len(task.gallery)) + (outcomes.rank[query] >= 5)
     sums = np.array(shares).reshape(listed, 4).sum(axis=1)
     ranking = rank(task, task.query_descriptors[query], query)
@@ -177,8 +217,9 @@ def test_shares_and_margins_equal_the_outcomes_and_add_up(task: Task) -> None:
     np.testing.assert_allclose(sums[:5], expected, atol=5e-4)
     positive = next(match for match in ranking.top(len(task.gallery)) if match.true)
     total = shown_difference(ranking.top(1)[0].distance2, positive.distance2)
-    for step in (*rounded_to_sum(outcomes.parts[query].tolist(), total=total), total):
-        assert signed(step) in text
+    # The row of a ring has by how much the answer is nearer.
+    for gain in (*rounded_to_sum((-outcomes.parts[query]).tolist(), total=-total), -total):
+        assert signed(gain) in text
     assert f"The nearest true tile is {ordinal(positive.rank)}, {-total:.3f} behind the answer" in text
     assert f"{task.metrics['recall@1']:.1f} %" in text
     assert judge(ranking, task.part_names, "ring").headline in text
@@ -228,15 +269,16 @@ def test_an_own_picture_has_no_verdict_and_a_chosen_tile_is_compared(task: Task)
     picture = images.load_picture(task.queries[2].path)
     text = Page(report.build(task, [OwnPicture("mine.jpg", picture)])).text
     assert "Its true place is not known here" in text
-    assert "against wrong tile" not in text
+    assert "Truth" not in text
+    assert "Next tile" in text
     analyser = QueryAnalyser(task.model, lambda of, index: describe_tile(of, index, of.model))
     own = analyser.analyse(task, QueryRequest(OwnPicture("mine.jpg", picture), compare=5), 5)
     text = Page(report.build(task, [own])).text
-    assert "Tile looked at" in text or "Top match" in text
+    assert "Chosen tile" in text or own.chosen.rank <= 2
     assert task.gallery[5].name in text
     answer = analyser.analyse(task, QueryRequest(2, compare=5), 5)
     again = Page(report.build(task, [answer], Options(title="A story", captions=[["What it <shows>", "Turned"]]))).text
-    assert f"against wrong tile {task.gallery[5].name}" in again
+    assert f"{task.gallery[5].name}, rank {answer.chosen.rank}" in again
     assert "A story" in again
     assert "What it <shows>" in again
     assert "R@1" not in again, "a story has no figures of all queries"
@@ -246,7 +288,7 @@ def test_saved_descriptors_are_reported_without_evidence(task: Task) -> None:
     saved = replace(task, model=None, model_name="result.mat")
     page = Page(report.build(saved, [worst(task)]))
     assert "Evidence for and against" not in page.text
-    assert "against wrong tile" in page.text
+    assert "Truth" in page.text
     with pytest.raises(InputError, match="no network"):
         report.build(saved, [0], Options(change=Change(rotate=30)))
     with pytest.raises(InputError, match="choose a query of the data set"):
@@ -275,7 +317,7 @@ def test_changes_of_queries_and_part_weights_are_stated(task: Task) -> None:
     picture = images.load_picture(task.queries[1].path)
     assert task.model is not None
     seen = retrieval.describe_picture(task.model, picture, "drone", Change(rotate=30))
-    assert f"d² {rank(weighted, seen.descriptor, 1).match(0).distance2:.3f}" in text
+    assert f"distance {rank(weighted, seen.descriptor, 1).match(0).distance2:.3f}" in text
 
 
 @pytest.mark.parametrize("queries", [[], [99], [-1], [0] * 201])
@@ -295,14 +337,14 @@ def test_the_worst_failures_come_first(
     assert run(data, model_file, "--failures", 2, "--out", out) == 0
     page = Page(out.read_bytes())
     order = [task.queries[i].name for i in np.argsort(task.outcomes.margin, kind="stable")[:2]]
-    assert re.findall(r" Query (\S+)", page.text) == order
+    assert re.findall(r" (?:Found|Missed): (\S+)", page.text) == order
     assert f"the worst of {int(task.outcomes.failed.sum())} failures" in page.text
     assert "2 queries" in capsys.readouterr().out
     assert list(out.parent.iterdir()) == [out]
     assert run(data, model_file, "--where", f"name = {order[1]}", "--out", out) == 0
-    assert re.findall(r" Query (\S+)", Page(out.read_bytes()).text) == [order[1]]
+    assert re.findall(r" (?:Found|Missed): (\S+)", Page(out.read_bytes()).text) == [order[1]]
     assert run(data, model_file, "--query", order[1], order[0], order[1], "--matches", 2, "--out", out) == 0
-    assert re.findall(r" Query (\S+)", Page(out.read_bytes()).text) == [order[1], order[0]]
+    assert re.findall(r" (?:Found|Missed): (\S+)", Page(out.read_bytes()).text) == [order[1], order[0]]
 
 
 @pytest.mark.parametrize(

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from explorer.session_state import SessionState
 from safetensors import safe_open
 
 import lpn
 from explorer.opening import open_model
-from explorer.session_state import SessionState
 from explorer.workspace import StateAnalyser
 from lpn import report
 from lpn.cli.main import main
@@ -232,9 +232,9 @@ def test_a_report_shows_ones_own_picture_as_the_app_does(model: Model, wide: Pat
     dataset = open_dataset(wide)
     task = describe_task(model, "model.onnx", dataset, TASK, calibration=new_calibration(model, dataset))
     own = OwnPicture("mine", task.queries[0].load())
-    case = Cases(task, Options()).make(own)
-    np.testing.assert_array_equal(case.picture, task.queries[0].load_zoomed())
-    assert case.answer.ranking.order.tolist() == Cases(task, Options()).make(0).answer.ranking.order.tolist()
+    case, of_query = Cases(task, Options()).make([own, 0])
+    np.testing.assert_array_equal(case.query.picture, task.queries[0].load_zoomed())
+    assert case.answer.ranking.order.tolist() == of_query.answer.ranking.order.tolist()
     assert b"calibrated without labels on 48 drone and 48 satellite pictures" in report.build(task, [0])
 
 

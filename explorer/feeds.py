@@ -1,0 +1,161 @@
+"""Lists and arrays that a page fetches piece by piece, and thumbnails, at addresses of the picture route."""
+
+from __future__ import annotations
+
+import json
+import re
+import secrets
+import threading
+from collections import OrderedDict, deque
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal
+from weakref import WeakSet
+
+from explorer.server.picture_route import PREFIX, EncodedPicture
+from explorer.workspace import Workspace
+from lpn.core.templates import shown
+from lpn.tasks.task import Task
+
+# Entries of a list in one piece.
+CHUNK = 100
+# Feeds of one owner and name that are served: a page may still ask for the pieces of the one before.
+_KEPT = 2
+# Keys that are remembered of feeds that are served no more.
+_ENDED = 1000
+_PIECE = re.compile(r"([0-9a-f]{16})/(\d{1,7})", re.ASCII)
+_THUMBNAIL = re.compile(r"(thumb|picture)/(\d{1,3})/(query|tile)/(\d{1,10})", re.ASCII)
+# Returns a piece of a feed by its number, None if there is no such piece.
+Piece = Callable[[int], EncodedPicture | None]
+Side = Literal["query", "tile"]
+
+
+class Feeds:
+    """The feeds of a workspace's browsers, and the thumbnails of its tasks; thread-safe.
+
+    Attributes:
+        address: the folder of all of them, relative to the page; it is another one each time that the app starts.
+    """
+
+    def __init__(self, workspace: Workspace | None = None) -> None:
+        self._workspace, self._name = workspace, secrets.token_hex(4)
+        self.address = f"{PREFIX.lstrip('/')}{self._name}/"
+        self._lock = threading.Lock()
+        self._feeds: dict[str, Piece] = {}
+        self._owned: dict[tuple[object, str], OrderedDict[str, None]] = {}
+        self._left: WeakSet[Any] = WeakSet()
+        # Keys of feeds that are served no more; a page may still ask for their pieces.
+        self._ended: deque[str] = deque(maxlen=_ENDED)
+        self._tasks = {name: number for number, name in enumerate(workspace.tasks if workspace else ())}
+
+    def publish(self, owner: object, name: str, piece: Piece) -> str:
+        """Serve a feed until the owner publishes two others of this name, or leaves; nothing for one that has left.
+
+        Returns:
+            The folder of its pieces below `address`.
+        """
+        key = secrets.token_hex(8)
+        with self._lock:
+            if owner in self._left:  # its thread still ran
+                self._ended.append(key)
+                return f"{key}/"
+            owned = self._owned.setdefault((owner, name), OrderedDict())
+            owned[key] = None
+            self._feeds[key] = piece
+            while len(owned) > _KEPT:
+                self._end(owned.popitem(last=False)[0])
+        return f"{key}/"
+
+    def publish_list(self, owner: object, name: str, total: int, entries: Callable[[int, int], Sequence[Any]]) -> str:
+        """Serve a list of `total` entries in pieces of `CHUNK` of them, as JSON.
+
+        Args:
+            entries: returns those from a position to another.
+        """
+
+        def piece(number: int) -> EncodedPicture | None:
+            start = number * CHUNK
+            return as_json(entries(start, min(start + CHUNK, total))) if start < total else None
+
+        return self.publish(owner, name, piece)
+
+    def publish_bytes(
+        self, owner: object, name: str, make: Callable[[], bytes], media_type: str = "application/octet-stream"
+    ) -> str:
+        """Serve bytes as the feed's piece 0."""
+        return self.publish(owner, name, lambda number: None if number else EncodedPicture(make(), media_type))
+
+    def leave(self, owner: object) -> None:
+        """Stop serving an owner's feeds, for good."""
+        with self._lock:
+            self._left.add(owner)
+            for of in [of for of in self._owned if of[0] is owner]:
+                for key in self._owned.pop(of):
+                    self._end(key)
+
+    def _end(self, key: str) -> None:
+        del self._feeds[key]
+        self._ended.append(key)
+
+    def thumbnail(self, task: Task, side: Side, index: int) -> str:
+        """Return the address of a query's or a tile's thumbnail, relative to the page."""
+        return f"{self.thumbnails(task, side)}{index}"
+
+    def thumbnails(self, task: Task, side: Side) -> str:
+        """Return the folder of the thumbnails of a task's queries or tiles, relative to the page."""
+        return f"{self.address}thumb/{self._tasks[task.name]}/{side}/"
+
+    def pictures(self, task: Task, side: Side) -> str:
+        """Return the folder of the pictures of a task's queries or tiles as the parts are drawn on them, relative to the page."""
+        return f"{self.address}picture/{self._tasks[task.name]}/{side}/"
+
+    def find(self, path: str) -> Callable[[], EncodedPicture] | None:
+        """Return what computes the piece or the thumbnail of a path; None if there is none. The path is untrusted.
+
+        A piece of a feed that is served no more is empty.
+        """
+        name, _, rest = path.partition("/")
+        if name != self._name:
+            return None
+        if match := _THUMBNAIL.fullmatch(rest):
+            return self._find_thumbnail(int(match[2]), match[3] == "query", int(match[4]), match[1] == "picture")
+        if not (match := _PIECE.fullmatch(rest)):
+            return None
+        with self._lock:
+            feed = self._feeds.get(match[1])
+            if match[1] in self._ended:
+                return lambda: EncodedPicture(b"", "application/json")
+        number = int(match[2])
+        return None if feed is None else lambda: feed(number) or _NOTHING
+
+    def _find_thumbnail(
+        self, task: int, of_query: bool, index: int, large: bool
+    ) -> Callable[[], EncodedPicture] | None:
+        workspace = self._workspace
+        tasks = [] if workspace is None else list(workspace.tasks.values())
+        if workspace is None or task >= len(tasks):
+            return None
+        pictures = tasks[task].queries if of_query else tasks[task].gallery
+        if index >= len(pictures):
+            return None
+        view = tasks[task].query_view if of_query else tasks[task].gallery_view
+        if large:
+            return lambda: EncodedPicture(workspace.picture_file(pictures[index], view, not of_query), "image/jpeg")
+        return lambda: EncodedPicture(workspace.thumbnail_file(pictures[index]), "image/jpeg")
+
+
+_NOTHING = EncodedPicture(b"[]", "application/json")
+
+
+def as_json(value: Any) -> EncodedPicture:
+    """Return a value as JSON, without control characters in its texts."""
+    return EncodedPicture(json.dumps(shown_json(value), separators=(",", ":")).encode("ascii"), "application/json")
+
+
+def shown_json(value: object) -> object:
+    """Return a value of JSON whose texts hold no control characters."""
+    match value:
+        case Mapping():
+            return {key: shown_json(entry) for key, entry in value.items()}
+        case list() | tuple():
+            return [shown_json(entry) for entry in value]
+    return shown(str(value) if isinstance(value, str) else value)

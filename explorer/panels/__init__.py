@@ -1,1 +1,0 @@
-"""The panels beside the stage: query, parts, answer, and the command palette."""

@@ -1,0 +1,102 @@
+"""One tab's access to what its state names: the place's services, the model's workspace, the network, and the ranking."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from explorer.compute.background_jobs import BackgroundJob
+from explorer.compute.ranking_job import RankingJob
+from explorer.compute.request_context import RequestContext
+from explorer.screen.fields import ScreenState
+from explorer.screen.result import STRIP
+from explorer.services import WorkspaceServices
+from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
+from lpn.core.errors import LPNError
+from lpn.library.analyser import QueryRequest
+from lpn.library.answer import Answer
+
+# Seconds between two looks at a workspace that is being opened.
+_POLL = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Opened:
+    """A model's workspace with this tab's access to its network.
+
+    Attributes:
+        requests: of the answer that a person waits for.
+        background: of all that goes on behind it.
+    """
+
+    workspace: Workspace
+    requests: RequestContext
+    background: RequestContext
+    analyser: WorkspaceAnalyser
+
+
+class Access:
+    """Finds what states name.
+
+    Args:
+        services: opens a place by its key; LPNError if that fails.
+    """
+
+    def __init__(self, services: Callable[[str], WorkspaceServices]) -> None:
+        self._services, self._lock = services, threading.Lock()
+        self._opened: dict[Workspace, Opened] = {}
+        self._closed = False
+
+    def services(self, state: ScreenState) -> WorkspaceServices:
+        """Return what a state's place offers, which is open."""
+        return self._services(state.place)
+
+    def workspace(self, state: ScreenState) -> Workspace:
+        """Return the workspace of the state's model, or that of the place until it is open."""
+        beside = self._beside(state)
+        return self.services(state).workspace if beside is None or beside.workspace is None else beside.workspace
+
+    def ranking(self, state: ScreenState) -> RankingJob:
+        """Return the ranking of the state's task, model, and scoring; another one where the model has none of these."""
+        workspace = self.workspace(state)
+        name = state.task if state.task in workspace.tasks else next(iter(workspace.tasks))
+        return workspace.ranking(name, state.scoring)
+
+    def opened(self, state: ScreenState) -> Opened:
+        """Return the workspace of the state's model with access to its network."""
+        workspace = self.workspace(state)
+        with self._lock:
+            if workspace not in self._opened:
+                requests, background = RequestContext(workspace.inference), RequestContext(workspace.inference)
+                analyser = WorkspaceAnalyser(workspace, requests.queued(workspace.model))
+                self._opened[workspace] = Opened(workspace, requests, background, analyser)
+            return self._opened[workspace]
+
+    def analyse(self, state: ScreenState, question: QueryRequest) -> Answer:
+        """Answer a question about the state's task under its model."""
+        return self.opened(state).analyser.analyse(self.ranking(state).task, question, STRIP)
+
+    def open_model(self, state: ScreenState, say: Callable[[str], None]) -> None:
+        """Wait until the state's model is open; LPNError if it cannot be."""
+        beside = self._beside(state)
+        if beside is None or beside.workspace is not None:
+            return
+        job: BackgroundJob[Workspace] = beside.open()
+        while not job.wait(_POLL) and not self._closed:
+            done = f": {job.done:,} of {job.total:,} pictures" if job.total else ""
+            say(f"Opening {beside.label}{done}")
+        if beside.workspace is None:
+            raise LPNError(beside.error)
+
+    def close(self) -> None:
+        """Cancel what the tab has asked for."""
+        self._closed = True
+        with self._lock:
+            for opened in self._opened.values():
+                opened.requests.close()
+                opened.background.close()
+
+    def _beside(self, state: ScreenState) -> LazyWorkspace | None:
+        number = int(state.model)
+        return self.services(state).workspace.beside[number - 1] if number else None

@@ -1,0 +1,64 @@
+"""Files that take long to make: one at a time for each tab, with progress in the reason's place, then saved by the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from explorer.compute.background_jobs import BackgroundJob, ReportProgress, WorkCancelledError
+from explorer.feeds import Feeds
+from explorer.screen.loop import ScreenMessage
+from lpn.core.errors import LPNError
+
+# Makes a file while it reports its progress, and returns the file's name and contents.
+MakeFile = Callable[[ReportProgress], tuple[str, bytes]]
+
+
+class Downloads:
+    """The files of one tab.
+
+    Args:
+        send: hands a message to the page.
+    """
+
+    def __init__(self, send: Callable[[ScreenMessage], None]) -> None:
+        self._send = send
+        self._job: BackgroundJob[None] | None = None
+
+    def make(self, title: str, make: MakeFile, feeds: Feeds, owner: object) -> None:
+        """Begin a file; while one is being made, cancel that instead.
+
+        Args:
+            title: what is made, for the notes: "Report".
+            feeds: serves the file.
+            owner: of the feed.
+        """
+        if self._job is not None and not self._job.wait(0):
+            self.close()
+            return
+        self._job = BackgroundJob(lambda report: self._make(title, make, report, feeds, owner), self)
+
+    def close(self) -> None:
+        """Cancel the file that is being made."""
+        if self._job is not None:
+            self._job.leave(self)
+
+    def _make(self, title: str, make: MakeFile, report: ReportProgress, feeds: Feeds, owner: object) -> None:
+        def note(done: int, total: int) -> None:
+            report(done, total)
+            count = f"{done:,} of {total:,}" if total else "begun"
+            self._send({"note": f"{title}: {count}. Choose it again to cancel."})
+
+        try:
+            note(0, 0)
+            name, content = make(note)
+        except Exception as error:
+            text = f"{title}: it failed; the server's log has the details."
+            if isinstance(error, (LPNError, WorkCancelledError)):
+                text = str(error) or f"{title}: cancelled."
+            self._job = None  # the next one need not wait for the end of this thread
+            self._send({"note": text})
+            raise
+        address = feeds.address + feeds.publish_bytes(owner, "file", lambda: content) + "0"
+        self._job = None
+        self._send({"download": {"address": address, "name": name}})
+        self._send({"note": f"The browser saves {name}."})

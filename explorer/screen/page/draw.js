@@ -1,0 +1,89 @@
+// Head, headline, and the two large pictures, drawn from the view.
+
+import { find, findAll, make, variable } from "./dom.js";
+import { paintKey } from "./heat.js";
+import { photoTurn, rollPicture, showPicture } from "./pictures.js";
+import { sign } from "./rows.js";
+
+const [photo, tile] = ["#photo", "#tile"].map((one) => find(one));
+
+/** @returns {number} the tile that stands beside the photo: the truth while T is held, the pinned one, or the answer */
+export const shownTile = ({ result, truth }) => (truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer);
+
+export const drawHead = ({ page, state, rail }) => {
+  find("#about").textContent = page.parts === 1 ? "The baseline compares whole pictures: one part." : `Photo and tile are cut into ${page.word}s; their distances add up.`;
+  const [model, models] = [find("#model"), find("#models")];
+  const names = page.models.map((label) => `Model: ${label.replace(/\.onnx$/, "")}`);
+  model.textContent = names[Number(state.model)];
+  [model.hidden, models.hidden] = [names.length !== 2, names.length < 3];
+  if (models.length !== names.length) models.replaceChildren(...names.map((text, value) => make("option", { text, value })));
+  models.value = state.model;
+  for (const button of findAll("[data-filter]")) button.setAttribute("aria-pressed", String(button.dataset.filter === state.filter));
+  find("#rail .filter [data-filter=missed]").title = rail ? `${rail.missed} of ${rail.queries} missed (M)` : "";
+};
+
+export const drawHeadline = ({ said, note, page, result }) => {
+  const [title, reason] = [find("#headline h1 button"), find("#headline p")];
+  title.disabled = Boolean(said) || !result;
+  if (said) {
+    title.textContent = said.text;
+    reason.replaceChildren(...(said.busy || !result ? [] : [make("button", { class: "button", "data-back": true, text: "Back" })]));
+  } else if (!result) {
+    title.textContent = page ? `Comparing with ${page.tiles.toLocaleString("en")} tiles` : "Opening";
+    reason.textContent = "";
+  } else {
+    const { found, title: rest, reason: why } = result.headline;
+    const judged = found === null ? [] : [make("b", { class: found ? "right" : "wrong", text: found ? "✓ Found" : "✗ Missed" }), ", "];
+    title.replaceChildren(...judged, rest, make("i", { class: "more", "aria-hidden": "true", text: "?" }));
+    reason.textContent = note || why;
+  }
+};
+
+/** Show the photo of the state, which may be there before its result. */
+export const drawTurn = ({ state, result, angle }) => {
+  const frame = find(".frame", photo);
+  const coming = !result || state.photo !== result.photo.src;
+  photo.classList.toggle("coming", coming);
+  if (coming) {
+    find(".picture", photo).style.backgroundImage = `url("${state.photo}")`;
+    if (!result) return;
+  }
+  rollPicture(photo, result.photo, angle);
+  frame.setAttribute("aria-valuenow", String(angle));
+  frame.setAttribute("aria-valuetext", `${angle} degrees`);
+  find("#degrees").textContent = `${Math.round(angle)}°`;
+};
+
+export const drawPictures = (view) => {
+  const { page, result, mark, focus, angle } = view;
+  const own = result.photo;
+  showPicture(photo, own, focus, page.parts, photoTurn(own, angle), `${own.name}`);
+  find(".frame", photo).classList.toggle("fixed", !page.turns);
+  find("figcaption b", photo).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
+  find("figcaption .hint", photo).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
+  find("figcaption .key", photo).hidden = !own.heat;
+  paintKey(find(".key canvas", photo), own.signed);
+  findAll(".key u", photo).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
+  if (result.measured) find(".key u", photo).textContent = result.measured;
+  const shown = shownTile(view);
+  const answer = result.tiles[shown];
+  const role = shown === result.answer ? "Answer" : shown === result.truth ? "Truth" : "Pinned";
+  const colour = answer.true === null ? "--line" : role === "Pinned" ? "--ink" : answer.true ? "--right" : "--wrong";
+  tile.style.setProperty("--verdict", variable(colour));
+  find("figcaption b", tile).replaceChildren(role, " ", sign(answer.true));
+  find("figcaption .name", tile).textContent = answer.name;
+  find("figcaption .key", tile).textContent = role === "Pinned" ? `rank ${answer.rank} · Esc` : "";
+  const checked = mark?.own === result.state.own ? mark : null;
+  const marks = role === "Answer" ? [...result.marks, checked].filter(Boolean) : [];
+  const place = find("figcaption .mark", tile);
+  place.replaceChildren(...marks.flatMap((one) => [sign(one.sign), ` ${one.text}`]));
+  place.title = marks.map((one) => one.why ?? "").join(" ");
+  showPicture(tile, answer, focus, page.parts, `rotate(${-90 * answer.quarter}deg)`, `Tile ${answer.name}`);
+};
+
+/** Light one part in both pictures. */
+export const focusPictures = (view, part) => {
+  const { page, result } = view;
+  for (const [figure, described] of [[photo, result.photo], [tile, result.tiles[shownTile(view)]]])
+    showPicture(figure, described, part, page.parts, find(".picture", figure).style.transform, "");
+};

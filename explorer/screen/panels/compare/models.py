@@ -1,0 +1,202 @@
+"""A second model's answer to the same photo beside the first one's, and how both do on all photos."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from explorer.compute.background_jobs import WorkCancelledError
+from explorer.compute.ranking_job import RankingJob
+from explorer.compute.request_context import RequestContext
+from explorer.screen.fields import OneOf, PanelField, ScreenState
+from explorer.screen.panel import Tab
+from explorer.screen.result import ScreenResult
+from explorer.workspace import Workspace, WorkspaceAnalyser
+from lpn.core.arrays import BoolArray, Int64Array
+from lpn.core.errors import LPNError
+from lpn.core.numbers import rounded_to_sum
+from lpn.core.texts import ordinal
+from lpn.library.analyser import QueryRequest
+from lpn.library.answer import Answer
+from lpn.tasks.task import Task
+
+# The model beside the screen's own; empty for the first other one.
+OTHER = PanelField("compare_model", OneOf("models"), "", "beside")
+# Tiles of a column, photos of a list, and seconds between two looks at what goes on.
+_TILES, _PHOTOS, _INTERVAL = 5, 4, 0.5
+
+
+@dataclass(frozen=True)
+class ModelsMessage:
+    """The section of both models.
+
+    Attributes:
+        values: as JSON takes them; None without a second model.
+        again: seconds until something may have changed; None if nothing goes on.
+    """
+
+    values: dict[str, Any] | None
+    again: float | None = None
+
+
+class SecondModel:
+    """Opens the second model of one tab, analyses the shown photo by it, and ranks all photos by both."""
+
+    def __init__(self, tab: Tab) -> None:
+        self._tab = tab
+        self._opened: dict[Workspace, tuple[RequestContext, WorkspaceAnalyser]] = {}
+        self._joined: list[RankingJob] = []
+
+    def open_again(self) -> None:
+        """Open the second model once more, after it failed."""
+        number = self._number(self._tab.state)
+        if number:
+            self._tab.services.workspace.beside[number - 1].open()
+            self._tab.set({})
+
+    def close(self) -> None:
+        """End what goes on for the tab."""
+        self._join([])
+        for requests, _ in self._opened.values():
+            requests.close()
+
+    def message(self, result: ScreenResult) -> ModelsMessage:
+        """Return the columns of both models, or what the second one waits for."""
+        base, number = self._tab.services.workspace, self._number(result.state)
+        if not base.beside:
+            return ModelsMessage(None)
+        labels = [label.removesuffix(".onnx") for label in (base.model_name, *(one.label for one in base.beside))]
+        shown = {"labels": labels, "own": int(result.state.model), "other": number, "text": "", "again": False}
+        lazy = base.beside[number - 1] if number else None
+        if lazy is not None and not lazy.asked:
+            lazy.open()
+        other = base if lazy is None else lazy.workspace
+        if lazy is not None and other is None:
+            if lazy.error:
+                return ModelsMessage(shown | {"text": lazy.error, "again": True})
+            done, total = lazy.progress
+            counted = f": {done:,} of {total:,} pictures described" if total else ""
+            return ModelsMessage(shown | {"text": f"Opening {lazy.label}{counted}."}, _INTERVAL)
+        assert other is not None
+        if result.task.name not in other.tasks:
+            return ModelsMessage(shown | {"text": f"{labels[number]} does not know the views of this task."})
+        try:
+            return self._both(result, other, shown)
+        except (LPNError, WorkCancelledError) as error:
+            return ModelsMessage(shown | {"text": str(error)})
+
+    def _both(self, result: ScreenResult, other: Workspace, shown: dict[str, Any]) -> ModelsMessage:
+        own = result.workspace
+        task = own.shared_task(result.task, [other])
+        question, analysis = replace(result.question, compare=None), result.analysis
+        if task.key != result.task.key:
+            analysis = self._analyse(own, task, question)
+        theirs = self._analyse(other, other.ranking(task.name, task.scoring).task, replace(question, weights=None))
+        rankings = [ranking for one in (own, other) if (ranking := one.ranked_as(task)) is not None]
+        waits = [ranking for ranking in rankings if ranking.result is None and not ranking.error]
+        self._join(waits[:1])
+        unlike = (
+            ""
+            if task.key == result.task.key
+            else f"Compared by {task.scoring} distances: not both models have {result.task.scoring} ones."
+        )
+        columns = [
+            self._column(result, one, of_one, ranking)
+            for (one, of_one), ranking in zip(((own, analysis), (other, theirs)), rankings, strict=True)
+        ]
+        values = shown | {"columns": columns, "unlike": unlike, **self._changes(result, rankings)}
+        return ModelsMessage(values, _INTERVAL if waits else None)
+
+    def _column(
+        self, result: ScreenResult, workspace: Workspace, analysis: Answer, ranking: RankingJob
+    ) -> dict[str, Any]:
+        truth, verdict = analysis.positive, analysis.verdict
+        graded = workspace.graded(ranking)
+        recall = None if ranking.result is None or not graded.any() else ranking.result.measured(graded)["recall@1"]
+        matches = analysis.matches[:_TILES]
+        if truth is not None and truth.index not in [match.index for match in matches]:
+            matches = [*matches[:-1], truth]
+        address = result.feeds.pictures(result.task, "tile")
+        tiles = [
+            {
+                "index": match.index,
+                "name": analysis.task.gallery[match.index].title,
+                "src": f"{address}{match.index}" if _same(analysis.task, result.task, match.index) else "",
+                "rank": match.rank,
+                "true": match.true,
+                "distance": f"{match.distance2:.3f}",
+                "shares": rounded_to_sum(match.contributions.tolist(), total=match.distance2),
+            }
+            for match in matches
+        ]
+        n = workspace.contract.n_parts
+        return {
+            "model": workspace.model_name.removesuffix(".onnx"),
+            "parts": f"{n} {workspace.contract.part_noun}s" if n > 1 else "one part",
+            "recall": "" if recall is None else f"{recall:.1f} %",
+            "sign": verdict.sign,
+            "rank": "" if truth is None else ordinal(truth.rank),
+            "headline": f"{verdict.headline}.",
+            "tiles": tiles,
+        }
+
+    def _changes(self, result: ScreenResult, rankings: list[RankingJob]) -> dict[str, Any]:
+        """Return how many photos one model alone finds, and those whose ranks differ most."""
+        if any(ranking.result is None for ranking in rankings):
+            return {"alone": None}
+        first, second = (ranking.ranks for ranking in rankings)
+        graded = result.workspace.graded(rankings[0])
+        alone, better, worse = changes(first, second, graded, _PHOTOS)
+        address, names = result.feeds.thumbnails(result.task, "query"), result.task.query_names
+        listed = [
+            [{"query": query, "name": names[query], "src": f"{address}{query}", "ranks": ranks} for query, *ranks in of]
+            for of in (better, worse)
+        ]
+        return {"alone": [int(graded.sum()), *alone], "better": listed[0], "worse": listed[1]}
+
+    def _analyse(self, workspace: Workspace, task: Task, question: QueryRequest) -> Answer:
+        if workspace not in self._opened:
+            requests = RequestContext(workspace.inference)
+            model = requests.queued(workspace.model, background=True)
+            self._opened[workspace] = requests, WorkspaceAnalyser(workspace, model, cancellable=False)
+        return self._opened[workspace][1].analyse(task, question, _TILES)
+
+    def _number(self, state: ScreenState) -> int:
+        """Return the number of the second model, which is not the screen's own."""
+        own, chosen = int(state.model), state[OTHER]
+        return int(chosen) if chosen and int(chosen) != own else 0 if own else 1
+
+    def _join(self, wanted: list[RankingJob]) -> None:
+        for job in self._joined:
+            if job not in wanted:
+                job.leave(self)
+        self._joined = wanted
+        for job in wanted:
+            job.join(self)
+
+
+def changes(
+    first: Int64Array, second: Int64Array, graded: BoolArray, most: int
+) -> tuple[tuple[int, int], list[tuple[int, int, int]], list[tuple[int, int, int]]]:
+    """Compare two models' 0-based ranks, (Q,), -1 without a truth.
+
+    Returns:
+        How many graded photos each model alone finds; then the photos that the second one ranks most higher, and most lower, each
+        with both ranks from 1.
+    """
+    known = graded & (first >= 0) & (second >= 0)
+    alone = int((graded & (first == 0) & (second != 0)).sum()), int((graded & (second == 0) & (first != 0)).sum())
+    gain = np.where(known, first - second, 0)
+    order = np.argsort(-gain, kind="stable")
+    better, worse = (
+        [(query, int(first[query]) + 1, int(second[query]) + 1) for query in rows.tolist() if gain[query]]
+        for rows in (order[gain[order] > 0][:most], order[gain[order] < 0][::-1][:most])
+    )
+    return alone, better, worse
+
+
+def _same(one: Task, other: Task, index: int) -> bool:
+    """Return whether a position means the same tile in two galleries; a data set that changed in between has others."""
+    return index < len(other.gallery) and one.gallery[index].path == other.gallery[index].path

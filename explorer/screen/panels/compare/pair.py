@@ -1,0 +1,150 @@
+"""The two tiles of the verdict: ranks without each part, the smallest change of weights, and the places that decide."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from explorer.screen.fields import MAX_WEIGHT
+from explorer.screen.result import ScreenResult
+from lpn.analysis.comparison import Comparison
+from lpn.core.numbers import rounded_to_sum, shown_difference, signed
+from lpn.core.texts import ordinal
+from lpn.explain import lead_cells
+from lpn.explain.counterfactual import Effect
+from lpn.retrieval import Match, scoring
+
+# The lead is that of rounded distances, and differs from the cells' sum by less than this.
+_ROUNDED = 0.002
+# The screen's weights have two digits: each factor goes a little further along the change, until rounded ones do.
+_FURTHER = (1.0, 1.01, 1.03, 1.1, 1.25, 1.5, 2.0)
+
+
+@dataclass(eq=False)
+class TilePair:
+    """The comparison of the true tile with another one, or of the answer with the next where the truth is not known.
+
+    Attributes:
+        comparison: None where there is no other tile.
+        usable: weights as the screen takes them that put the truth first; none if it is first, or if no weights do.
+        effect: of these weights on all photos; None until it is computed.
+    """
+
+    result: ScreenResult
+    comparison: Comparison | None
+    usable: Sequence[float] = ()
+    effect: Effect | None = None
+
+    @classmethod
+    def of(cls, result: ScreenResult) -> TilePair:
+        """Compare the tiles of a result's verdict."""
+        comparison = Comparison.of(result.analysis.ranking, result.first)
+        return cls(result, comparison, () if comparison is None else _usable(result, comparison))
+
+    def message(self, trying: bool) -> dict[str, Any]:
+        """Return the comparison as JSON takes it.
+
+        Args:
+            trying: the effect on all photos is being computed.
+        """
+        compared = self.comparison
+        if compared is None:
+            return {"said": ["There is no other tile to compare the answer with."], "rows": []}
+        painted = self._painted(compared)
+        return {
+            "said": [self._lead(compared)],
+            "rows": self._rows(compared),
+            "change": self._change(compared),
+            "weights": list(self.usable),
+            "effect": _described(self.effect),
+            "trying": trying,
+            **painted,
+        }
+
+    def _name(self, match: Match) -> str:
+        first = self.result.first
+        role = "answer" if match.index == first.index else "truth" if match.true else "next tile"
+        role = "nearest wrong tile" if match.true is False and first.true else role
+        return f"the {role} {self.result.task.gallery[match.index].title}"
+
+    def _lead(self, compared: Comparison) -> str:
+        followed, other = compared.followed, compared.other
+        lead = shown_difference(other.distance2, followed.distance2)
+        verb = f"leads {self._name(other)} by {lead:.3f}" if lead >= 0 else f"is {-lead:.3f} behind {self._name(other)}"
+        name = self._name(followed)
+        return f"{name[:1].upper()}{name[1:]}, {ordinal(followed.rank)} of {self.result.task.tiles:,}, {verb}."
+
+    def _rows(self, compared: Comparison) -> list[dict[str, Any]]:
+        """Return for each part its gain as the screen's rows show it, the truth's ranks, and the weights before and after."""
+        without, change = compared.without, compared.change
+        n = self.result.workspace.contract.n_parts
+        now = 100 * self.result.analysis.ranking.weights
+        then = None if change is None or compared.followed.rank == 1 else 100 * change.weights
+        gains = self.result.rows(self.result.rival, False)
+        return [
+            gains[part]
+            | {
+                "name": self.result.workspace.part_names[part],
+                "without": None if without is None else without.without[part],
+                "alone": None if without is None else without.alone[part],
+                "now": f"{now[part]:.1f}",
+                "then": "" if then is None else f"{then[part]:.1f}",
+            }
+            for part in range(n)
+        ]
+
+    def _change(self, compared: Comparison) -> str:
+        followed = "truth" if compared.followed.true else "answer"
+        if self.result.workspace.contract.n_parts == 1:
+            return ""
+        if compared.followed.rank == 1:
+            return f"The {followed} is first already, so no weights need to change."
+        if compared.change is None:
+            return f"No part weights at all put the {followed} first."
+        fine = "" if self.usable else " It is finer than the screen's weights."
+        return f"The smallest change of part weights that puts the {followed} first is in the last column.{fine}"
+
+    def _painted(self, compared: Comparison) -> dict[str, Any]:
+        """Return the photo's cells by what they add to the truth's lead, and how much of the lead has a place."""
+        analysis = self.result.analysis
+        if analysis.query.trace is None:
+            return {"photo": None}
+        tiles = (analysis.task.gallery_descriptors[one.index] for one in (compared.followed, compared.other))
+        cells = lead_cells(analysis.query.trace, analysis.ranking.weights, *tiles)
+        lead = shown_difference(compared.other.distance2, compared.followed.distance2)
+        at, nowhere = rounded_to_sum([float(cells.sum()), lead - float(cells.sum())], total=lead)
+        if abs(nowhere) < _ROUNDED:
+            at = lead
+        rest = f" {signed(nowhere)} has no place, such as CSLS." if at != lead else ""
+        said = f"Magenta places speak for the {'truth' if compared.followed.true else 'answer'}, green for the other tile: "
+        return {"photo": self.result.painted(cells), "places": f"{said}{signed(at)} together.{rest}"}
+
+
+def _usable(result: ScreenResult, compared: Comparison) -> list[float]:
+    """Return weights of two digits near those of the change that put the truth first; none if there are none."""
+    if compared.change is None or compared.followed.rank == 1:
+        return []
+    now, new = result.analysis.ranking.weights, compared.change.weights
+    query = None if result.state.own else result.state.query
+    search = result.task.start_search(query, result.analysis.query.descriptor)
+    for factor in _FURTHER:
+        further = np.maximum(now + factor * (new - now), 0)
+        scaled = np.round(further * min(len(new) / further.sum(), MAX_WEIGHT / further.max()), 2)
+        first = search(scoring.part_weights(len(new), scaled)).match(0)
+        if first.true or first.index == compared.followed.index:
+            return [float(one) for one in scaled]
+    return []
+
+
+def _described(effect: Effect | None) -> list[str]:
+    if effect is None:
+        return []
+    gained, lost = len(effect.gained), len(effect.lost)
+    helps = "They help" if effect.helps else "They harm" if lost > gained else "They neither help nor harm"
+    return [
+        f"On all {effect.queries:,} photos, {gained:,} more are found, and {lost:,} are lost.",
+        f"{helps}: R@1 goes from {effect.before:.1f} to {effect.after:.1f} %.",
+    ]

@@ -1,0 +1,108 @@
+// Cells of the photo are painted; the tiles are ranked by them alone.
+
+import { make, prepare, variable } from "../../page/dom.js";
+import { makePicture, rollPicture, showPicture } from "../../page/pictures.js";
+import { sign } from "../../page/rows.js";
+
+const KEYS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+
+export const open = (box, { set, view }) => {
+  const figure = makePicture();
+  const grid = make("canvas", { class: "cells", tabindex: 0, role: "application", "aria-label": "Cells of the photo: arrows move, Space paints or erases" });
+  figure.querySelector(".pan").append(grid);
+  const [why, said, tiles] = [make("p"), make("div", { class: "said fade", "aria-live": "polite" }), make("div", { class: "tiles fade" })];
+  const clear = make("button", { class: "clear button", text: "Clear" });
+  const page = make("div", { class: "region" }, why, figure, clear, said, tiles);
+  box.append(page);
+  let told = null;
+  /** @type {Set<number>} */
+  let cells = new Set();
+  let [at, paints, pressed] = [0, true, false];
+
+  const draw = () => {
+    if (!told || !view.result) return;
+    const none = !told.rows;
+    figure.hidden = none;
+    why.textContent = told.why ?? (cells.size ? "" : "Draw over what the search is to go by. Start on a painted cell to erase.");
+    clear.hidden = !cells.size;
+    if (none) return;
+    const photo = { ...view.result.photo, heat: null };
+    showPicture(figure, photo, view.focus, view.page.parts, "none", photo.name);
+    rollPicture(figure, photo, view.result.angle);
+    const { pen, width, height } = prepare(grid);
+    const [across, down] = [width / told.columns, height / told.rows];
+    if (cells.size) {
+      pen.fillStyle = "#000a";
+      pen.fillRect(0, 0, width, height);
+      for (const cell of cells) pen.clearRect((cell % told.columns) * across, Math.floor(cell / told.columns) * down, across, down);
+    }
+    if (document.activeElement !== grid) return;
+    pen.strokeStyle = variable("--ink");
+    pen.lineWidth = 2;
+    pen.strokeRect((at % told.columns) * across + 1, Math.floor(at / told.columns) * down + 1, across - 2, down - 2);
+  };
+  const list = () => {
+    said.replaceChildren(...(told.said ?? []).map((text) => make("p", { text })));
+    tiles.replaceChildren(...(told.tiles ?? []).map((tile) => {
+      const button = make("button", { title: `Compare ${tile.name}`, "aria-label": `${tile.rank}: ${tile.name}, distance ${tile.distance}, by the whole photo ${tile.was}` },
+        make("u", { style: { "background-image": `url("${tile.src}")` } }), make("b", {}, `${tile.rank} `, sign(tile.true)), make("span", { text: tile.name }), make("span", { text: tile.distance }), make("span", { text: `was ${tile.was}` }));
+      button.onclick = () => set({ compare: tile.index });
+      return button;
+    }));
+  };
+  const cellAt = (event) => {
+    const { left, top, width, height } = grid.getBoundingClientRect();
+    const [column, row] = [Math.floor(((event.clientX - left) / width) * told.columns), Math.floor(((event.clientY - top) / height) * told.rows)];
+    return column < 0 || row < 0 || column >= told.columns || row >= told.rows ? -1 : row * told.columns + column;
+  };
+  const paint = (cell) => {
+    if (cell < 0) return;
+    at = cell;
+    if (paints) cells.add(cell);
+    else cells.delete(cell);
+    draw();
+  };
+  const send = () => set({ region_cells: [...cells] });
+  grid.addEventListener("pointerdown", (event) => {
+    const cell = cellAt(event);
+    paints = !cells.has(cell);
+    pressed = true;
+    grid.setPointerCapture(event.pointerId);
+    paint(cell);
+  });
+  grid.addEventListener("pointermove", (event) => pressed && paint(cellAt(event)));
+  for (const end of ["pointerup", "pointercancel"]) grid.addEventListener(end, () => {
+    if (pressed) send();
+    pressed = false;
+  });
+  grid.addEventListener("keydown", (event) => {
+    const step = KEYS[event.key];
+    if (!told?.rows || (!step && event.key !== " ")) return;
+    event.preventDefault();
+    event.stopPropagation(); // the page's keys turn the photo
+    if (step) {
+      const column = Math.min(told.columns - 1, Math.max(0, (at % told.columns) + step[0]));
+      at = Math.min(told.rows - 1, Math.max(0, Math.floor(at / told.columns) + step[1])) * told.columns + column;
+      return draw();
+    }
+    paints = !cells.has(at);
+    paint(at);
+    send();
+  });
+  for (const change of ["focus", "blur"]) grid.addEventListener(change, draw);
+  clear.onclick = () => {
+    cells = new Set();
+    draw();
+    send();
+  };
+  return {
+    receive: (message) => {
+      told = message;
+      if (!pressed) cells = new Set(message.cells ?? []);
+      draw();
+      list();
+    },
+    draw,
+    close: () => page.remove(),
+  };
+};

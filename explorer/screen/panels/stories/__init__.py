@@ -1,0 +1,15 @@
+"""Stories: steps of the page, each an address with a caption; kept by S, told full screen, and exported as one page."""
+
+from __future__ import annotations
+
+from explorer.screen.panel import Command, Panel
+from explorer.screen.panels.stories.part import STORY, StoriesPart, keep
+
+PANEL = Panel(
+    "stories",
+    "Stories",
+    StoriesPart,
+    place="beside",
+    fields=(STORY,),
+    commands=(Command("keep", "Keep this as a step of a story", keep, key="s"),),
+)

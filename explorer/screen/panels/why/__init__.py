@@ -1,0 +1,21 @@
+"""The page behind the verdict: what LPN did, how good it is on this data, how that is judged, and whose pictures these are."""
+
+from __future__ import annotations
+
+from explorer.screen.panel import Panel, PanelPart
+from explorer.screen.panels.why import words
+
+# Seconds between two looks at a ranking that goes on.
+_INTERVAL = 0.5
+
+
+class _Why(PanelPart):
+    def show(self) -> float | None:
+        result, ranking = self.tab.result, self.tab.ranking
+        if result is None:
+            return None
+        self.tab.send(words.page(result, ranking))
+        return _INTERVAL if ranking.result is None and not ranking.error else None
+
+
+PANEL = Panel("why", "How good, how judged", _Why, key="y")

@@ -1,0 +1,108 @@
+"""The scene of one tab: drawn from the newest result behind it, once its frame is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from explorer.compute.worker import Worker
+from explorer.feeds import Feeds
+from explorer.screen.fields import ScreenState
+from explorer.screen.loop import ScreenMessage
+from explorer.screen.panel import SceneLines
+from explorer.screen.result import ScreenResult
+from explorer.screen.scene import still
+from explorer.screen.scene.scene import Scene, views_of
+from lpn.core import images
+
+# Pixels of a still's longer side, at most.
+_WIDEST = 2000
+
+
+class TabScene:
+    """Draws on a thread of its own, and answers what the pointer is over.
+
+    Attributes:
+        client: viser's, of the tab's frame; None without one.
+        drawn: the scene of the frame; None until something is drawn in it.
+
+    Args:
+        send: hands a message to the page.
+        lines: returns what panels add to the scene of a result.
+    """
+
+    def __init__(
+        self,
+        send: Callable[[ScreenMessage], None],
+        lines: Callable[[ScreenResult], Sequence[SceneLines]] = lambda _: (),
+    ) -> None:
+        self._send, self._lines = send, lines
+        self.client: viser.ClientHandle | None = None
+        self.drawn: Scene | None = None
+        self._shown: tuple[ScreenResult, ScreenState] | None = None
+        self._feeds: set[Feeds] = set()
+        self._worker = Worker(self._draw, lambda _: None)
+
+    def attach(self, client: viser.ClientHandle | None) -> None:
+        """Draw in a frame of viser's page from now on; None once it has gone."""
+        self.client = client
+        self._worker.wake()
+
+    def take(self, result: ScreenResult, state: ScreenState) -> None:
+        """Take a result, in a state's view and theme, to be drawn by `draw`."""
+        self._shown = result, state
+
+    def draw(self, _: Mapping[str, Any] | None = None) -> None:
+        """Draw what was taken last, fitted to the frame's size."""
+        self._worker.wake()
+
+    def still(self, arguments: Mapping[str, Any]) -> None:
+        """Send the address of a picture of the city, for a browser without WebGL, of a `width` and a `height`."""
+        width, height = arguments.get("width"), arguments.get("height")
+        if not (isinstance(width, int) and isinstance(height, int) and 0 < width <= _WIDEST and 0 < height <= _WIDEST):
+            return
+        if self._shown is None or "city" not in views_of(self._shown[0]):
+            return
+        result, dark = self._shown[0], self._shown[1].theme == "dark"
+
+        def drawn() -> bytes:
+            return images.jpeg(still.draw(result, width, height, dark), 88)
+
+        self._feeds.add(result.feeds)
+        folder = result.feeds.publish_bytes(self, "still", drawn, "image/jpeg")
+        self._send({"still": f"{result.feeds.address}{folder}0"})
+
+    def hover(self, arguments: Mapping[str, Any]) -> None:
+        """Show one `part` alone, or all."""
+        part = arguments.get("part")
+        if self.drawn is not None:
+            self.drawn.hover(part if isinstance(part, int) and part >= 0 else None)
+
+    def pick(self, arguments: Mapping[str, Any]) -> None:
+        """Say what is at a place of the scene, `x` and `y` in shares of its sides."""
+        place = [arguments.get(name) for name in ("x", "y")]
+        if self.drawn is not None and all(isinstance(one, (int, float)) and 0 <= one <= 1 for one in place):
+            found = self.drawn.pick(*map(float, place))  # type: ignore[arg-type]
+            self._send({"picked": found or {}})
+
+    def stop(self) -> None:
+        """End after what is being drawn."""
+        self._worker.stop()
+        for feeds in self._feeds:
+            feeds.leave(self)
+
+    def _draw(self) -> None:
+        client = self.client
+        if client is None or self._shown is None:
+            self.drawn = None if client is None else self.drawn
+            return
+        result, state = self._shown
+        if self.drawn is None or self.drawn.client is not client:
+            self.drawn = Scene(client)
+        self.drawn.show(
+            replace(result, state=replace(result.state, view=state.view, theme=state.theme)), self._lines(result)
+        )
+        self._send({"scene": "ready"})

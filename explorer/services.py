@@ -1,0 +1,31 @@
+"""A workspace, and what is derived from it once for all browsers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from explorer.feeds import Feeds
+from explorer.server.picture_route import EncodedPicture
+from explorer.workspace import Workspace
+
+
+@dataclass(frozen=True, eq=False)
+class WorkspaceServices:
+    """A workspace, and what is derived from it once for all browsers.
+
+    Attributes:
+        feeds: serves the lists that pages scroll through, and pictures.
+    """
+
+    workspace: Workspace
+    feeds: Feeds
+
+    @classmethod
+    def of(cls, workspace: Workspace) -> WorkspaceServices:
+        """Derive them from a workspace."""
+        return cls(workspace, Feeds(workspace))
+
+    def find_picture(self, path: str) -> Callable[[], EncodedPicture] | None:
+        """Return what computes the picture of a path below `PREFIX`, see `PictureSource`."""
+        return self.feeds.find(path)

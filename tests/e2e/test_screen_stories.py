@@ -1,0 +1,144 @@
+"""Stories on the screen, as a person keeps, tells, and saves them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, BrowserContext, Page, expect
+
+from explorer.app import App
+from explorer.opening import open_model
+from tests.e2e.conftest import box, empty_context, expect_accessible
+from tests.e2e.test_screen import Running, Screen
+from tools.fixtures import small_worlds
+from tools.fixtures.processes import free_port
+
+STEPS = [
+    {"shows": "query=0003&scoring=plain", "caption": "<i>The first</i> photo", "notes": "Wait for questions"},
+    {"shows": "query=0005&angle=40&scoring=plain", "caption": "The second, turned"},
+]
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory, model_file: Path) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("stories")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(folder / "cache"))
+        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
+        workspace = open_model(data, model_file)
+        app = App(workspace, "127.0.0.1", free_port(), stories=folder / "own.json")
+        yield Running(app, workspace)
+        app.close()
+
+
+@pytest.fixture
+def file(served: Running) -> Iterator[Path]:
+    """The file of stories, which has one."""
+    file = served.workspace.stories
+    assert file is not None
+    file.write_text(json.dumps([{"name": "Two & more", "steps": STEPS}]))
+    yield file
+    file.unlink()
+
+
+def expect_state(page: Page, query: str, angle: str) -> None:
+    """Wait for the result of a state; the address changes before."""
+    expect(page.locator("#photo .picture")).to_have_attribute("aria-label", query)
+    expect(page.locator("#photo .frame")).to_have_attribute("aria-valuenow", angle)
+
+
+def test_a_step_is_kept_by_s_and_renamed_in_place(served: Running, file: Path, new_page: Callable[[], Page]) -> None:
+    screen = Screen(new_page(), served.url).open("?query=0004&story=Two%20%26%20more")
+    page, place = screen.page, box(screen.rows.first)
+    page.keyboard.press("s")
+    expect(page.locator("#headline p")).to_contain_text("Step 3 of Two & more")
+    assert box(screen.rows.first) == place, "the note covers and moves nothing"
+    page.keyboard.press("Control+k")
+    page.locator("#commands input").fill("stories")
+    page.keyboard.press("Enter")
+    rows = page.locator("#panel li")
+    expect(rows).to_have_count(3)
+    said = rows.nth(2).get_by_label("Caption of step 3")
+    expect(said).to_have_value(f"{page.locator('#headline h1').inner_text()[2:]}. {screen_reason(page)}")
+    said.fill("What I say")
+    rows.nth(2).get_by_role("button", name="Move up").click()  # the caption loses the focus, and is saved
+    expect(rows.nth(1).get_by_label("Caption")).to_have_value("What I say")
+    rows.nth(0).get_by_role("button", name="Remove").click()
+    expect(rows).to_have_count(2)
+    rows.nth(1).get_by_role("button", name="Open").click()
+    expect_state(page, "0005", "40")
+    expect(rows).to_have_count(2)
+    expect_accessible(page)
+    (saved,) = json.loads(file.read_text("utf-8"))
+    assert [step["caption"] for step in saved["steps"]] == ["What I say", "The second, turned"]
+    assert not screen.complaints
+
+
+def screen_reason(page: Page) -> str:
+    """Return the headline's reason once the note has gone."""
+    reason = page.locator("#headline p")
+    expect(reason).not_to_contain_text("Step 3")
+    return reason.inner_text()
+
+
+@pytest.mark.usefixtures("file")
+@pytest.mark.parametrize("size", [(1280, 720), (390, 844)])
+def test_a_story_is_told_by_keys_and_its_end_brings_back_what_was_shown(
+    served: Running, contexts: Callable[..., BrowserContext], size: tuple[int, int]
+) -> None:
+    page = contexts(viewport={"width": size[0], "height": size[1]}).new_page()
+    screen = Screen(page, served.url).open("?query=0004&angle=15&panel=stories")
+    page.get_by_role("button", name="Tell").click()
+    told = page.locator("#told")
+    expect(told.locator("p").first).to_have_text("<i>The first</i> photo")
+    expect_state(page, "0003", "0")
+    expect(page.locator("#rail")).to_be_hidden()
+    expect(page.locator("#panel")).to_be_hidden()
+    if size[0] > 760:
+        for seen in (screen.rows.last, screen.tiles.last):
+            place = box(seen)
+            assert place["y"] + place["height"] <= box(told)["y"] + 1, "the caption covers nothing"
+    expect(told.locator(".notes")).to_be_hidden()
+    page.keyboard.press("n")
+    expect(told.locator(".notes")).to_have_text("Wait for questions")
+    page.keyboard.press("ArrowRight")
+    expect(told.locator("p").first).to_have_text("The second, turned")
+    expect_state(page, "0005", "40")
+    expect_accessible(page)
+    page.keyboard.press("ArrowLeft")
+    expect_state(page, "0003", "0")
+    page.keyboard.press("Escape")
+    expect(told).to_have_count(0)
+    expect_state(page, "0004", "15")
+    expect(page.locator("#panel li")).to_have_count(2)
+    assert not screen.complaints
+
+
+@pytest.mark.usefixtures("file")
+def test_a_story_and_an_answer_are_saved_as_pages_that_need_no_server(
+    served: Running, contexts: Callable[..., BrowserContext], browser: Browser, tmp_path: Path
+) -> None:
+    screen = Screen(contexts(accept_downloads=True).new_page(), served.url).open("?query=0004&panel=stories")
+    page = screen.page
+    with page.expect_download() as story:
+        page.get_by_role("button", name="Save as a page").click()
+    story.value.save_as(tmp_path / "story.html")
+    with page.expect_download() as answer:
+        page.keyboard.press("Control+k")
+        page.locator("#commands input").fill("save this answer")
+        page.keyboard.press("Enter")
+    assert answer.value.suggested_filename == "0004.html"
+    context = empty_context(browser, offline=True)
+    saved, problems = context.new_page(), list[str]()
+    saved.on("console", lambda message: problems.append(message.text))
+    saved.goto((tmp_path / "story.html").as_uri())
+    expect(saved.get_by_text("<i>The first</i> photo").first).to_be_visible()
+    expect(saved.locator("section.case")).to_have_count(2)
+    assert "Wait for questions" not in saved.content()
+    saved.set_viewport_size({"width": 390, "height": 844})
+    assert saved.evaluate("document.documentElement.scrollWidth") <= 390
+    context.close()
+    assert not problems + screen.complaints

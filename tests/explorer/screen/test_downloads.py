@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from explorer.compute.background_jobs import ReportProgress
+from explorer.feeds import Feeds
+from explorer.screen.downloads import Downloads
+from explorer.workspace import Workspace
+from lpn.core.errors import DataError
+from tools.fixtures.waiting import TIMEOUT, wait_until
+
+
+@pytest.fixture
+def sent() -> list[dict[str, Any]]:
+    return []
+
+
+@pytest.fixture
+def downloads(sent: list[dict[str, Any]]) -> Iterator[Downloads]:
+    made = Downloads(sent.append)
+    yield made
+    made.close()
+
+
+def test_a_second_file_cancels_the_one_that_is_made(
+    downloads: Downloads, sent: list[dict[str, Any]], workspace: Workspace
+) -> None:
+    begun, goes_on = threading.Event(), threading.Event()
+
+    def slow(report: ReportProgress) -> tuple[str, bytes]:
+        begun.set()
+        assert goes_on.wait(TIMEOUT)
+        report(1, 2)
+        raise AssertionError("it goes on")
+
+    downloads.make("Report", slow, Feeds(workspace), downloads)
+    assert begun.wait(TIMEOUT)
+    downloads.make("Story", slow, Feeds(workspace), downloads)
+    goes_on.set()
+    wait_until(lambda: {"note": "Report: cancelled."} in sent)
+    assert not any("download" in message for message in sent)
+    feeds = Feeds(workspace)
+    downloads.make("Story", lambda _: ("a.html", b"<p>"), feeds, downloads)
+    wait_until(lambda: any("download" in message for message in sent))
+    (file,) = [message["download"] for message in sent if "download" in message]
+    assert file["name"] == "a.html"
+    found = feeds.find(file["address"].removeprefix("pictures/"))
+    assert found is not None
+    assert found().data == b"<p>"
+
+
+@pytest.mark.parametrize(
+    ("error", "note"), [(DataError("The photo is gone."), "The photo is gone."), (KeyError("x"), "the server's log")]
+)
+def test_a_file_that_cannot_be_made_is_one_sentence(
+    downloads: Downloads, sent: list[dict[str, Any]], workspace: Workspace, error: Exception, note: str
+) -> None:
+    def fails(_: ReportProgress) -> tuple[str, bytes]:
+        raise error
+
+    downloads.make("Report", fails, Feeds(workspace), downloads)
+    wait_until(lambda: note in sent[-1]["note"])
+    downloads.make("Report", lambda _: ("a.html", b""), Feeds(workspace), downloads)
+    wait_until(lambda: sent[-1] == {"note": "The browser saves a.html."})

@@ -1,0 +1,221 @@
+"""The page behind the verdict, and the panels that compare, sweep, and search by a region: numbers are the analysis' own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from explorer.session_state import SessionState
+
+from explorer.parameters import UnusableError
+from explorer.screen import fields
+from explorer.screen.panels.compare.models import changes
+from explorer.screen.panels.compare.pair import TilePair
+from explorer.screen.panels.region import MapCells, message
+from explorer.screen.panels.why import words
+from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from lpn.analysis.comparison import effect_on
+from lpn.core.numbers import shown_difference
+from lpn.explain import sweeps
+from lpn.retrieval import scoring
+from tests.explorer.screen.conftest import Tab
+from tests.explorer.screen.test_result import result_of
+
+TASK = "drone-to-satellite"
+
+
+def analysed(workspace: Workspace, **state: Any) -> StateAnalysis:
+    made = SessionState(TASK, workspace.contract.n_parts, **state)
+    return StateAnalyser(workspace).analyse(made, 6)
+
+
+def shown(tab: Tab, key: str) -> dict[str, Any]:
+    """Return the newest message of the open panel that has a key."""
+    tab.until(lambda last: key in last.get("panel", {"message": {}})["message"])
+    return dict(tab.last["panel"]["message"])
+
+
+def mendable(workspace: Workspace) -> int:
+    """Return a missed query whose truth some part weights put first."""
+    for query in np.flatnonzero(workspace.rankings[TASK].ranks > 0).tolist():
+        if TilePair.of(result_of(workspace, query=query)).usable:
+            return int(query)
+    raise AssertionError("no part weights mend any of the untrained model's misses")
+
+
+def test_the_page_behind_the_verdict_has_the_measured_figures(workspace: Workspace) -> None:
+    ranking, result = workspace.rankings[TASK], result_of(workspace)
+    page, figures = words.page(result, ranking), workspace.results(ranking)
+    assert figures is not None
+    assert ranking.result is not None
+    named = {name: value for name, value, _ in page["figures"]}
+    right = int((ranking.ranks == 0).sum())
+    assert (named["found"], named["missed"]) == (str(right), str(8 - right))
+    assert named["R@1"] == f"{100 * right / 8:.1f} %"
+    assert named["AP"] == f"{figures['ap']:.1f} %"
+    metres, shares = page["metres"]
+    assert np.interp(50, shares, metres) == pytest.approx(figures["median error m"], abs=0.6)
+    assert metres == sorted(metres)
+    assert page["answer"]["said"][0] == f"It leads the next tile by {result.first.shown_gap:.3f}."
+    known = workspace.outcomes(result.task)
+    assert known is not None
+    of_found = known[0].margin[known[0].hits]
+    assert sum(ring["found"] for ring in page["rings"]) == pytest.approx(of_found.mean(), abs=1e-3)
+    assert sum(ring["most"] for ring in page["rings"]) == right
+
+
+def test_other_weights_and_a_turn_are_said_where_they_make_figures_others(workspace: Workspace) -> None:
+    ranking = workspace.rankings[TASK]
+    turned = words.page(result_of(workspace, angle=30.0), ranking)["answer"]["said"]
+    assert any("turned" in one for one in turned)
+    weighed = words.page(result_of(workspace, weights=(2.0, 1.0, 1.0, 0.0)), ranking)
+    assert any("part weights" in one for one in weighed["answer"]["said"])
+    assert not any("found" in one for one in weighed["answer"]["said"])
+    assert any("2, 1, 1, 0" in one for one in weighed["scored"])
+
+
+def test_sentences_are_short(workspace: Workspace) -> None:
+    page = words.page(result_of(workspace), workspace.rankings[TASK])
+    texts = [
+        *page["did"],
+        *page["judged"],
+        *page["answer"]["said"],
+        *page["scored"],
+        *(one["text"] for one in page["pictures"]),
+    ]
+    assert max(len(text.split()) for text in texts) <= 20
+
+
+def test_the_pair_has_the_rows_of_the_screen_and_the_ranks_of_each_part(workspace: Workspace) -> None:
+    query = int(np.argmax(workspace.rankings[TASK].ranks))
+    result = result_of(workspace, query=query)
+    told, rows = TilePair.of(result).message(trying=False), result.message()["rows"]
+    ranking = result.analysis.ranking
+    truth = result.analysis.positive
+    assert truth is not None
+    for part, row in enumerate(told["rows"]):
+        assert {name: row[name] for name in rows[part]} == rows[part]
+        alone = np.count_nonzero(ranking.similarities[:, part] > ranking.similarities[truth.index, part])
+        assert row["alone"] == alone + 1
+        without = ranking.similarities @ np.where(np.arange(4) == part, 0, ranking.weights)
+        assert row["without"] == np.count_nonzero(without > without[truth.index]) + 1
+    assert f"{-shown_difference(result.first.distance2, truth.distance2):.3f} behind" in told["said"][0]
+
+
+def test_weights_that_are_offered_put_the_truth_first_on_the_screen(workspace: Workspace, tab: Tab) -> None:
+    query = mendable(workspace)
+    assert tab.open(f"?query=~{query}&panel=compare")["headline"]["found"] is False
+    weights = shown(tab, "pair")["pair"]["weights"]
+    tab.send({"set": {"compare_tried": "yes"}})
+    told = tab.until(lambda last: (last["panel"]["message"].get("pair") or {}).get("effect"))["panel"]["message"][
+        "pair"
+    ]
+    task = workspace.tasks[TASK]
+    effect = effect_on(task.with_fields(weights=scoring.part_weights(4)), weights)
+    assert str(len(effect.gained)) in told["effect"][0]
+    assert f"to {effect.after:.1f} %" in told["effect"][1]
+    tab.send({"set": {"weights": weights}})
+    assert tab.result(weights=[round(weight, 2) for weight in weights])["headline"]["found"] is True
+
+
+def test_the_painted_places_make_the_lead(workspace: Workspace) -> None:
+    result = result_of(workspace, query=3)
+    pair = TilePair.of(result)
+    assert pair.comparison is not None
+    lead = shown_difference(pair.comparison.other.distance2, pair.comparison.followed.distance2)
+    told = pair.message(trying=False)
+    assert f"{abs(lead):.3f} together" in told["places"]
+    assert told["photo"]["signed"] is True
+
+
+def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspace, tab: Tab) -> None:
+    tab.open("?query=~2&panel=compare")
+    tab.until(lambda last: ((last.get("panel") or {"message": {}})["message"].get("models") or {}).get("alone"))
+    told = tab.last["panel"]["message"]["models"]
+    other = workspace.beside[0].workspace
+    assert other is not None
+    for column, one in zip(told["columns"], (workspace, other), strict=True):
+        analysis = analysed(one, query=2)
+        first = analysis.ranking.match(0)
+        assert column["tiles"][0]["index"] == first.index
+        assert column["tiles"][0]["distance"] == f"{first.distance2:.3f}"
+        assert column["sign"] == analysis.verdict.sign
+        assert column["recall"] == f"{100 * float((one.rankings[TASK].ranks == 0).mean()):.1f} %"
+        assert len(column["tiles"][0]["shares"]) == one.contract.n_parts
+    ranks, theirs = (one.rankings[TASK].ranks for one in (workspace, other))
+    assert told["alone"] == [8, int(((ranks == 0) & (theirs > 0)).sum()), int(((theirs == 0) & (ranks > 0)).sum())]
+
+
+def test_photos_whose_ranks_differ_most_are_listed() -> None:
+    first, second = np.array([0, 5, 2, -1, 9]), np.array([4, 0, 2, 3, 1])
+    alone, better, worse = changes(first, second, np.array([True] * 4 + [False]), 2)
+    assert alone == (1, 1)
+    assert better == [(1, 6, 1)], "one without a truth, and one that is not graded, do not count"
+    assert worse == [(0, 1, 5)]
+
+
+@pytest.mark.parametrize("over", ["zoom", "shift", "rotation"])
+def test_a_sweep_begins_at_the_photo_as_it_is_and_its_shares_add_up(workspace: Workspace, tab: Tab, over: str) -> None:
+    tab.open(f"?query=~1&panel=sweep&sweep={over}")
+    tab.until(
+        lambda last: (found := (last.get("panel") or {"message": {}})["message"]).get("done", 0) == found.get("total")
+    )
+    told = tab.last["panel"]["message"]
+    assert told["x"] == sorted(told["x"])
+    assert told["total"] == len(sweeps.changes_over(over, side=workspace.contract.input_size[1]))  # type: ignore[arg-type]
+    here = told["x"].index({"zoom": 1}.get(over, 0))
+    analysis = analysed(workspace, query=1)
+    assert analysis.positive is not None
+    assert told["rank"][here] == analysis.positive.rank
+    assert told["distance"][here] == pytest.approx(analysis.positive.distance2, abs=1e-4)
+    for number, distance in enumerate(told["distance"]):
+        assert sum(of[number] for of in told["shares"]) == pytest.approx(distance, abs=1e-3)
+    assert told["said"]
+
+
+def test_a_sweep_follows_the_photo(tab: Tab) -> None:
+    tab.open("?query=~1&panel=sweep&sweep=zoom")
+    tab.until(lambda last: (last.get("panel") or {"message": {}})["message"].get("done", 0) > 2)
+    tab.last.pop("panel")
+    tab.send({"set": {"query": 5}})
+    tab.result(query=5)
+    done = [0]
+    tab.until(lambda last: "panel" in last and (done.append(last["panel"]["message"]["done"]) or done[-1] < done[-2]))
+
+
+def test_a_region_ranks_as_the_library_does(workspace: Workspace) -> None:
+    cells = tuple(range(4, 9))
+    result = result_of(workspace, query=4)
+    told, alone = message(result, cells), analysed(workspace, query=4, region=cells)
+    assert told["cells"] == list(cells)
+    for tile, match in zip(told["tiles"], alone.ranking.top(3), strict=False):
+        assert (tile["index"], tile["distance"]) == (match.index, f"{match.distance2:.3f}")
+        assert tile["was"] == result.analysis.ranking.find(match.index).rank
+    beyond = message(result, (*cells, 4000))
+    assert beyond["cells"] == list(cells), "cells that this model's map has not are left out"
+    assert not message(result, ())["tiles"]
+
+
+@pytest.mark.parametrize(
+    ("text", "cells"), [("", ()), ("7", (7,)), ("3-6,19", (3, 4, 5, 6, 19)), ("9,1-2", (1, 2, 9)), ([5, 4, 4], (4, 5))]
+)
+def test_cells_are_written_as_runs(workspace: Workspace, text: object, cells: tuple[int, ...]) -> None:
+    state, kind = fields.opening(workspace), MapCells()
+    assert kind.read(text, state, workspace) == cells
+    assert kind.read(kind.write(cells, state, workspace), state, workspace) == cells
+
+
+@pytest.mark.parametrize("value", ["x", "1-", "99999", [True], [-1], ["2"], [4096], {}, 3])
+def test_other_cells_are_refused(workspace: Workspace, value: object) -> None:
+    with pytest.raises(UnusableError, match="cells"):
+        MapCells().read(value, fields.opening(workspace), workspace)
+
+
+def test_another_photo_has_no_region(workspace: Workspace) -> None:
+    state, problems = fields.changed(fields.opening(workspace), {"region_cells": [1, 2]}, workspace)
+    assert not problems
+    assert state.value("region_cells") == (1, 2)
+    assert fields.changed(state, {"query": 3}, workspace)[0].value("region_cells") == ()
+    assert replace(state, angle=3.0).value("region_cells") == (1, 2)
