@@ -3,7 +3,8 @@
 The rest of the page finds it by the entry point `lpn.panels`, and imports nothing of it.
 """
 
-from explorer.flight.part import FIELDS, FlightPart, mark
+from explorer.flight.lines import mark, scene_lines
+from explorer.flight.part import FIELDS, FlightPart
 from explorer.screen.panel import Panel
 
 PANEL = Panel(
@@ -15,4 +16,5 @@ PANEL = Panel(
     fields=FIELDS,
     offered=lambda workspace: workspace.has_flight,
     mark=mark,
+    lines=scene_lines,
 )

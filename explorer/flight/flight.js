@@ -84,7 +84,7 @@ export const open = (box, context) => {
       return ["swipe", "blink"].includes(flight.over) && !flight.data.live && Boolean(flight.photo?.homography);
     },
     /** The tracks that are switched on, with their names. */
-    shown: () => (flight.own ? [] : Object.entries(flight.data.tracks).filter(([name]) => on().includes(name))),
+    shown: () => Object.entries(flight.data.tracks).filter(([name]) => on().includes(name)),
     /** An answer counts, and another answer or the map contradicts it. */
     doubted: (name, i) => name === "registration" && flight.data.stages[i] === name && flight.data.signs[i] === null,
     step: (by) => choose((wanted ?? flight.chosen) + by),

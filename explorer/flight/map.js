@@ -265,7 +265,7 @@ export class FlightMap {
       points.forEach((point, i) => pen[i ? "lineTo" : "moveTo"](...this.toPixels(point, at)));
       if (close) pen.closePath();
     };
-    if (!this.flight.compares && this.flight.over !== "correct") this.drawTracks(pen, at);
+    if (!this.flight.own && !this.flight.compares && this.flight.over !== "correct") this.drawTracks(pen, at);
     if (this.flight.spotted) this.drawSpot(pen, path);
     if (this.flight.photo) this.drawChosen(pen, path, at);
     for (const sheet of data.sheets) {

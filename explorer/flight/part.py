@@ -32,7 +32,7 @@ _TRACKS = ("tag", "retrieval", "sequence", "registration", "corrected")
 
 
 @dataclass(frozen=True)
-class Metres:
+class MetresOf:
     """So many numbers of metres, or none."""
 
     count: int
@@ -63,7 +63,7 @@ class Tracks:
 
 
 @dataclass(frozen=True)
-class Painted:
+class PaintedPart:
     """Whose scores are painted over the map: those of "all" parts, of one by its number from 0, or "off"."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
@@ -76,8 +76,8 @@ class Painted:
         return value
 
 
-PAINT: PanelField[str] = PanelField("flight_paint", Painted(), "off", "flight_paint")
-SPOT: PanelField[tuple[float, ...]] = PanelField("flight_spot", Metres(2), (), "flight_spot")
+PAINT: PanelField[str] = PanelField("flight_paint", PaintedPart(), "off", "flight_paint")
+SPOT: PanelField[tuple[float, ...]] = PanelField("flight_spot", MetresOf(2), (), "flight_spot")
 _LISTS = ("refused", "audit", "unchecked", "worst", "notes", "spot")
 FIELDS: tuple[PanelField[Any], ...] = (
     PAINT,
@@ -87,7 +87,7 @@ FIELDS: tuple[PanelField[Any], ...] = (
     PanelField("flight_list", OneOf(_LISTS), "refused", "flight_list"),
     PanelField("flight_tracks", Tracks(), "", "flight_tracks"),
     # The middle of the map's view, and the metres from side to side.
-    PanelField("flight_view", Metres(3), (), "flight_view"),
+    PanelField("flight_view", MetresOf(3), (), "flight_view"),
 )
 
 
@@ -209,15 +209,3 @@ def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:
     if job is None or job.wait(0):
         return f"Registration failed: {job.error}" if job is not None and job.error is not None else ""
     return f"Registering {job.done} of {job.total or frames} photos"
-
-
-def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
-    """Return the verdict of registration on a flight's photo in few words, with its sign; None without one."""
-    flight = workspace.flight
-    if flight is None or query >= len(flight.frames):
-        return None
-    verdict = workspace.verdicts_of(flight).beliefs[query]
-    return {
-        "sign": verdict.sign,
-        "text": f"details: {'placed' if verdict.sign else 'in doubt' if verdict.contradicted else 'not placed'}",
-    }

@@ -8,7 +8,6 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from explorer.compute.cache import SingleFlightCache
 from explorer.compute.watchers import Watchers
 from explorer.flight.pictures import FlightPicturesFeed
 from explorer.services import WorkspaceServices
+from explorer.workspace import Workspace
 from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
@@ -33,17 +33,6 @@ from lpn.locate.tracks import track_bytes
 
 # Longer side in pixels of a photo that is compared with the map, and comparisons of corrected photos in the cache.
 _COMPARED, _COMPARISONS = 960, 100
-
-
-class HasFlight(Protocol):
-    """A workspace, or what has as much of a flight."""
-
-    root: Path
-    flight: LocatedFlight | None
-
-    def verdicts_of(self, flight: LocatedFlight) -> FlightVerdicts:
-        """Return the verdicts on a state of the flight."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +97,7 @@ class SharedFlight:
         watchers: are told of each correction.
     """
 
-    def __init__(self, workspace: HasFlight) -> None:
+    def __init__(self, workspace: Workspace) -> None:
         self._workspace, self._lock = workspace, threading.RLock()
         self.watchers = Watchers()
         self._snapshot: FlightSnapshot | None = None

@@ -14,7 +14,11 @@ from explorer.screen.loop import ScreenMessage
 from explorer.screen.result import ScreenResult
 from explorer.services import WorkspaceServices
 from explorer.workspace import Workspace
+from lpn.core.arrays import Float64Array
+from lpn.drawing.theme import Colour
 
+# Line segments (N, 2, 3) and their colour.
+SceneLines = tuple[Float64Array, Colour]
 Action = Callable[[Mapping[str, Any]], None]
 
 
@@ -138,6 +142,7 @@ class Panel:
         offered: whether a workspace has it, and its commands.
         commands: what it offers in the palette and by keys.
         mark: what it says of a query in the head of the tile, as a `sign` and a `text`; None for nothing.
+        lines: what it adds for a query to the scene of the place, in metres about the gallery's origin.
     """
 
     name: str
@@ -149,3 +154,4 @@ class Panel:
     offered: Callable[[Workspace], bool] = lambda workspace: True  # noqa: ARG005
     commands: Sequence[Command] = ()
     mark: Callable[[Workspace, int], Mapping[str, Any] | None] = lambda workspace, query: None  # noqa: ARG005
+    lines: Callable[[Workspace, int], Sequence[SceneLines]] = lambda workspace, query: ()  # noqa: ARG005

@@ -21,7 +21,7 @@ from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
 from explorer.screen.own import HeldBytes, OwnPhotos
-from explorer.screen.panel import Action, PanelPart
+from explorer.screen.panel import Action, PanelPart, SceneLines
 from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
 from explorer.screen.result import ScreenResult, measured_scale
@@ -84,7 +84,7 @@ class ScreenSession:
         self._ranks = Worker(self._rank, lambda _: None)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
         self._own = OwnPhotos(screens.own, send)
-        self.scene = TabScene(send)
+        self.scene = TabScene(send, _lines)
         # The open panel, whose work has a thread of its own.
         self._panel: tuple[str, PanelPart] | None = None
         self._panels = Worker(self._show_panel, self._fail_panel)
@@ -515,3 +515,9 @@ def _digest(key: tuple[object, ...], state: ScreenState) -> str:
 
 def _noun(view: str, of_flight: bool) -> str:
     return {"drone": "photo", "street": "panorama", "satellite": "tile"}[view] if not of_flight else "photo"
+
+
+def _lines(result: ScreenResult) -> list[SceneLines]:
+    """Return what the panels add to the scene of a result."""
+    state = result.state
+    return [] if state.own else [of for one in PANELS.values() for of in one.lines(result.workspace, state.query)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -49,8 +50,8 @@ class Scene:
             "/city/sky", sky_color=(215, 228, 255), ground_color=(120, 110, 100), intensity=2.2
         )
 
-    def show(self, result: ScreenResult) -> None:
-        """Draw a result in place of the one before, in the state's view and theme."""
+    def show(self, result: ScreenResult, lines: Sequence[tuple[Float64Array, Colour]] = ()) -> None:
+        """Draw a result in place of the one before, in the state's view and theme, and further lines over the city."""
         dark = result.state.theme == "dark"
         places = result.task.geometry
         halves = _halves(result)
@@ -63,6 +64,8 @@ class Scene:
             self._client.scene.set_background_image(_background(dark), format="png")
             if of_city and places is not None:
                 self._show_city(result, places, dark)
+                for number, (segments, colour) in enumerate(lines):
+                    self._lines(f"/city/lines{number}", segments, colour, 1.5)
             elif halves is not None:
                 self._show_apart(result, halves, dark)
         self._client.flush()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +12,7 @@ from explorer.compute.worker import Worker
 from explorer.feeds import Feeds
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import ScreenMessage
+from explorer.screen.panel import SceneLines
 from explorer.screen.result import ScreenResult
 from explorer.screen.scene import still
 from explorer.screen.scene.scene import Scene, views_of
@@ -30,10 +31,15 @@ class TabScene:
 
     Args:
         send: hands a message to the page.
+        lines: returns what panels add to the scene of a result.
     """
 
-    def __init__(self, send: Callable[[ScreenMessage], None]) -> None:
-        self._send = send
+    def __init__(
+        self,
+        send: Callable[[ScreenMessage], None],
+        lines: Callable[[ScreenResult], Sequence[SceneLines]] = lambda _: (),
+    ) -> None:
+        self._send, self._lines = send, lines
         self.client: viser.ClientHandle | None = None
         self.drawn: Scene | None = None
         self._shown: tuple[ScreenResult, ScreenState] | None = None
@@ -96,5 +102,7 @@ class TabScene:
         result, state = self._shown
         if self.drawn is None or self.drawn.client is not client:
             self.drawn = Scene(client)
-        self.drawn.show(replace(result, state=replace(result.state, view=state.view, theme=state.theme)))
+        self.drawn.show(
+            replace(result, state=replace(result.state, view=state.view, theme=state.theme)), self._lines(result)
+        )
         self._send({"scene": "ready"})

@@ -93,4 +93,4 @@ def flight(tmp_path_factory: pytest.TempPathFactory) -> LocatedFlight:
 
 def shared_flight(flight: LocatedFlight, root: Path) -> SharedFlight:
     """The flight of a workspace whose corrections lie in a folder."""
-    return SharedFlight(SimpleNamespace(flight=flight, root=root, verdicts_of=FlightVerdicts.of))
+    return SharedFlight(SimpleNamespace(flight=flight, root=root, verdicts_of=FlightVerdicts.of))  # type: ignore[arg-type]

@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from explorer.flight import page, part, text
+from explorer.flight import lines, page, part, text
 from explorer.flight.own import own_photo
 from explorer.flight.service import FlightSnapshot
 from explorer.parameters import UnusableError
@@ -109,8 +109,8 @@ def test_a_card_has_verdict_place_and_grounds(seen: FlightSnapshot, flight: Loca
     assert cards[2]["lines"].count("✗ Registration: refused. Only <i>4</i> matches agree.") == 1
     assert not any("of this photo's ground" in line for card in cards for line in card["lines"])
     edge = with_answer(flight, 0, x=flight.basemap.bounds[2] + 5.0, homography=None)
-    lines = page.chosen(seen_of(edge), 0, ADDRESSES, None)["card"]["lines"]
-    assert any(line.startswith("The map shows only ") for line in lines)
+    told = page.chosen(seen_of(edge), 0, ADDRESSES, None)["card"]["lines"]
+    assert any(line.startswith("The map shows only ") for line in told)
 
 
 def test_places_beside_the_middle_say_how_far_off_they_are_and_whether_that_fits(flight: LocatedFlight) -> None:
@@ -138,7 +138,7 @@ def test_a_photo_that_does_not_fit_beside_its_middle_is_in_doubt_wherever_it_is_
     card = page.chosen(one, 0, ADDRESSES, one.flight.frames[0].stages["registration"].agreement)["card"]
     assert sum(told in line for line in card["lines"]) == 1
     assert told in data["tracks"]["registration"]["reason"][0]
-    assert sum(told in line for _, _, lines in data["lists"]["audit"]["entries"] for line in lines) == 1
+    assert sum(told in line for _, _, told_lines in data["lists"]["audit"]["entries"] for line in told_lines) == 1
     assert "2 in doubt" in data["counts"]
     assert "1 of 1 photos do not fit the map" in data["accuracy"][0][2]
     unchecked = page.data(seen_of(compared(flight, 0, 0.4)), ADDRESSES)["lists"]
@@ -303,13 +303,27 @@ def test_an_own_photo_has_a_card_of_the_same_kind(seen: FlightSnapshot, flight: 
     assert any("only the most similar windows were searched" in line for line in refused["card"]["lines"])
 
 
+def test_the_scene_has_the_cameras_the_way_and_the_ground_of_the_chosen_photo(flight: LocatedFlight) -> None:
+    pose = CameraPose(-20.0, 1.0, 40.0, 30.0, 0.0, -90.0, 0.0, 60.0, "told", True, 40, [0.0] * 36)
+    workspace: Any = SimpleNamespace(flight=with_answer(flight, 0, pose=pose))
+    (way, _), (chosen, _) = lines.scene_lines(workspace, 0)
+    np.testing.assert_allclose(way[:, :, :2], [[(-20.0, 1.0), (45.0, 0.0)]])
+    assert chosen.shape == (8 + 4, 2, 3)
+    np.testing.assert_allclose(chosen[0, 0], (-20.0, 1.0, 30.0), err_msg="above the ground, not the datum")
+    np.testing.assert_allclose(chosen[8, 0, :2], (-40.0, 16.0))
+    (others, _), (ground, _) = lines.scene_lines(workspace, 1)
+    assert (len(others), len(ground)) == (1 + 8, 4)
+    unregistered: Any = SimpleNamespace(flight=replace(flight, frames=flight.frames[2:]))
+    assert lines.scene_lines(unregistered, 0) == []
+
+
 @pytest.mark.parametrize(
     ("kind", "good", "value", "bad"),
     [
-        (part.Metres(2), "1.5,-2", (1.5, -2.0), ["1", "1,x", "1,2e9", [1, 2, 3], 5]),
-        (part.Metres(2), "", (), []),
+        (part.MetresOf(2), "1.5,-2", (1.5, -2.0), ["1", "1,x", "1,2e9", [1, 2, 3], 5]),
+        (part.MetresOf(2), "", (), []),
         (part.Tracks(), "tag.sequence", "tag.sequence", ["tag.other", 3]),
-        (part.Painted(), "1", "1", ["2", "-1", "heat", None]),
+        (part.PaintedPart(), "1", "1", ["2", "-1", "heat", None]),
     ],
 )
 def test_a_choice_is_one_of_the_panel(kind: Any, good: str, value: object, bad: list[object]) -> None:

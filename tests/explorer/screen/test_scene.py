@@ -112,7 +112,8 @@ def test_the_camera_sees_what_the_photo_shows(workspace: Workspace) -> None:
 def test_another_result_leaves_nothing_of_the_one_before(workspace: Workspace) -> None:
     client = Client()
     scene = Scene(client)  # type: ignore[arg-type]
-    scene.show(result_of(workspace, query=missed(workspace)))
+    scene.show(result_of(workspace, query=missed(workspace)), [(np.zeros((4, 2, 3)), (1, 2, 3))])
+    assert client.nodes["/city/lines0"].values[1] == (1, 2, 3), "a panel's lines"
     apart = result_of(workspace, query=1, view="apart", theme="light")
     scene.show(apart)
     kept = {"/city", "/apart", "/city/sky", "/city/ground"}

@@ -1,0 +1,68 @@
+"""What a flight adds to the tab's scene and to the head of its tile."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from explorer.screen.panel import SceneLines
+from explorer.workspace import Workspace
+from lpn.core.arrays import Float64Array
+from lpn.drawing import theme
+from lpn.flights.cameras import rotation
+from lpn.locate.camera_pose import CameraPose
+from lpn.locate.coverage import outline
+
+# Share of the flying height that is the depth of a camera's pyramid, and metres of borders above the ground.
+_DEPTH, _LIFT = 0.12, 2.0
+
+
+def scene_lines(workspace: Workspace, query: int) -> list[SceneLines]:
+    """Return the cameras of the registered photos, the way along them, and the ground that the chosen one shows."""
+    flight = workspace.flight
+    if flight is None or flight.retrieval is None:
+        return []
+    places = flight.retrieval.places
+    middle = np.array([*(places.min(axis=0) + places.max(axis=0)) / 2, 0.0])
+    stops = []
+    others: list[Float64Array] = []
+    chosen: list[Float64Array] = []
+    for index, located in enumerate(flight.frames):
+        answer, ground = located.stages.get("registration"), outline(located)
+        if answer is None or not answer.accepted:
+            continue
+        stops.append((answer.x, answer.y, _LIFT))
+        if (pose := answer.pose) is not None:
+            height = pose.altitude if pose.height is None else pose.height  # the scene's ground is flat
+            aspect = located.frame.width / located.frame.height
+            (chosen if index == query else others).append(_pyramid(pose, height, aspect))
+        if index == query and ground is not None:
+            corners = np.column_stack([ground.corners, np.full(4, _LIFT)])
+            chosen.append(np.stack([corners, np.roll(corners, -1, axis=0)], axis=1))
+    way = np.array(stops, np.float64).reshape(-1, 3)
+    others.append(np.stack([way[:-1], way[1:]], axis=1))
+    kinds = ((others, "registration"), (chosen, "accent"))
+    lines = [(np.concatenate(of) - middle, theme.COLOURS[name]) for of, name in kinds if of]
+    return [(segments, colour) for segments, colour in lines if len(segments)]
+
+
+def _pyramid(pose: CameraPose, height: float, aspect: float) -> Float64Array:
+    """Return the edges of a camera's pyramid, (8, 2, 3) metres east, north, and above the ground."""
+    up, right, forward = (rotation(pose.heading, pose.pitch, pose.roll)[[1, 0, 2]] * [[1], [1], [-1]]).T
+    across, depth = math.tan(math.radians(pose.fov) / 2), _DEPTH * height
+    eye = np.array([pose.east, pose.north, height])
+    signs = ((-1, 1), (1, 1), (1, -1), (-1, -1))
+    corners = [eye + depth * (forward + x * across * right + y * across / aspect * up) for x, y in signs]
+    return np.array([(eye, corner) for corner in corners] + [(corners[i - 1], corners[i]) for i in range(4)])
+
+
+def mark(workspace: Workspace, query: int) -> dict[str, Any] | None:
+    """Return the verdict of registration on a flight's photo in few words, with its sign; None without a flight."""
+    flight = workspace.flight
+    if flight is None or query >= len(flight.frames):
+        return None
+    verdict = workspace.verdicts_of(flight).beliefs[query]
+    text = "placed" if verdict.sign else "in doubt" if verdict.contradicted else "not placed"
+    return {"sign": verdict.sign, "text": f"details: {text}"}
