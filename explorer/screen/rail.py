@@ -37,7 +37,7 @@ class Rail:
         key = state.place, state.model, ranking.task.key, state.filter, state.find, ranking.result
         if key != self._key:
             self._key = key
-            ranks = _ranks(workspace, ranking)
+            ranks = ranks_of(workspace, ranking)
             words = state.find.split()
             text = " ".join(word for word in words if word.lower() != _MISSED)
             self._listed = np.array(matching_names(ranking.task.query_names, text), np.int64)
@@ -77,7 +77,7 @@ class Rail:
         return int(found[0]) if len(found) else -1
 
 
-def _ranks(workspace: Workspace, ranking: RankingJob) -> Int64Array:
+def ranks_of(workspace: Workspace, ranking: RankingJob) -> Int64Array:
     """Return the rank of each query's truth from 1, (Q,); 0 where it is not known or not ranked yet."""
     if ranking.result is None:
         return np.zeros(len(ranking.task.queries), np.int64)

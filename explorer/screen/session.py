@@ -382,6 +382,7 @@ class ScreenSession:
             self._screens.held.get((key, int(state.angle)), lambda: analysis.query.descriptor)
         self._number += 1
         message = result.message() | {"scene": views_of(result), "number": self._number}
+        message["beside"] = [] if state.own or state.angle else self._access.ranks_beside(state)
         self._result = result
         self.scene.take(result, self.state)
         return message | {"state": state.values(), "curve": _digest(key, state)}
