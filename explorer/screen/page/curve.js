@@ -3,7 +3,7 @@
 import { picture, prepare, shown, variable } from "./dom.js";
 
 const LEFT = 52;
-const RIGHT = 34;
+const RIGHT = 46;
 const FONT = "Inter, Helvetica, Arial";
 
 /** @returns {number} the angle at a place of the curve, in CSS pixels from its left edge */
