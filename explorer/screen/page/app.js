@@ -242,21 +242,29 @@ for (const one of [rows, strip, sum]) {
   one.addEventListener("pointerleave", () => focusOn(-1));
 }
 
-// Part weights: the number at a row's head is dragged.
+// Part weights: the number at a row's head is dragged, or moved by arrows.
+const weigh = (before, part, by) => {
+  const weights = [...before];
+  weights[part] = Math.round(20 * Math.max(0, Math.min(2, before[part] + by))) / 20;
+  if (weights.some(Boolean)) set({ weights });
+};
+const weightsNow = () => (view.result.weights.length ? view.result.weights : Array(view.page.parts).fill(1));
 rows.addEventListener("pointerdown", (event) => {
   const head = event.target.closest("[data-weight]");
   if (!head || !view.result) return;
-  event.preventDefault();
   head.setPointerCapture(event.pointerId);
-  const part = Number(head.dataset.weight);
-  const before = view.result.weights.length ? view.result.weights : Array(view.page.parts).fill(1);
-  const weigh = (move) => {
-    const weights = [...before];
-    weights[part] = Math.round(20 * Math.max(0, Math.min(2, before[part] + (move.clientX - event.clientX) / 60))) / 20;
-    if (weights.some(Boolean)) set({ weights });
-  };
-  head.addEventListener("pointermove", weigh);
-  head.addEventListener("pointerup", () => head.removeEventListener("pointermove", weigh), { once: true });
+  const before = weightsNow();
+  const drag = (move) => weigh(before, Number(head.dataset.weight), (move.clientX - event.clientX) / 60);
+  head.addEventListener("pointermove", drag);
+  head.addEventListener("pointerup", () => head.removeEventListener("pointermove", drag), { once: true });
+});
+rows.addEventListener("keydown", (event) => {
+  const head = event.target.closest("[data-weight]");
+  const by = { ArrowRight: 0.1, ArrowUp: 0.1, ArrowLeft: -0.1, ArrowDown: -0.1 }[event.key];
+  if (!head || !by) return;
+  event.preventDefault();
+  event.stopPropagation();
+  weigh(weightsNow(), Number(head.dataset.weight), by);
 });
 
 // Clicks.
