@@ -136,8 +136,6 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
         ("Protocol", sentence(task).removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
-    if options.said:
-        facts += options.said.map
     if options.change:
         facts.append(("Changed", f"queries {options.change.describe()} first, in this report only"))
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]

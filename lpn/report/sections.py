@@ -82,7 +82,7 @@ class _Row(NamedTuple):
 def section(case: Case, number: int) -> Markup:
     """Render everything about one query."""
     answer = case.answer
-    task, names = answer.task, answer.task.part_names
+    task, names, noun = answer.task, answer.task.part_names, answer.task.contract.part_noun
     longest = max(match.distance2 for match in case.matches)
     ranks_above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
     return render(
@@ -90,7 +90,7 @@ def section(case: Case, number: int) -> Markup:
         number=number,
         case=case,
         task=task,
-        noun=task.contract.part_noun,
+        noun=noun,
         headline=answer.verdict.headline,
         sentences=[reason(case), *_sentences(case)],
         pictures=[
@@ -105,7 +105,9 @@ def section(case: Case, number: int) -> Markup:
         ],
         evidence=_evidence(case),
         limit=_limit(case),
-        lumps=verdicts.describe_lumps([names[part] for part in case.query.areas.lumps] if case.query.areas else []),
+        lumps=verdicts.describe_lumps(
+            [names[part] for part in case.query.areas.lumps] if case.query.areas else [], noun
+        ),
         without_cells="" if task.model is None or task.contract.has_cells else verdicts.no_cells(task.contract),
     )
 

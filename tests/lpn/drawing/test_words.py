@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from lpn.drawing import verdicts, words
+from lpn.drawing import words
 from lpn.drawing.words import WORDS, Vocabulary, speaking
 
 GLOSSARY = Path(__file__).parents[3] / "docs" / "glossary.md"
@@ -35,10 +35,3 @@ def test_a_vocabulary_is_spoken_within_its_block_and_on_its_thread() -> None:
     assert [words.say("query", 3), words.say("margin"), words.unit()] == ["queries", "margin", " (d²)"]
     with pytest.raises(KeyError):
         words.say("no such term")
-
-
-def test_a_verdict_s_sentence_follows_the_vocabulary() -> None:
-    assert verdicts.describe_margin(0.38, f"the {words.say('positive')}") == "The true tile leads by 0.380 (d²)."
-    with speaking(Vocabulary(plain=True, part="ring")):
-        said = verdicts.describe_margin(0.38, f"the {words.say('positive')}")
-    assert said == "The right picture leads by 0.380."
