@@ -9,6 +9,8 @@ const WIDTHS = { rank: 62, margin: 88, part: 84, answer: 104, number: 88, text: 
 
 const verdict = (found) => (found === null ? "" : make("b", { class: found ? "right" : "wrong", text: found ? "✓" : "✗" }));
 
+const thumbnail = (source) => (source ? make("img", { src: source, alt: "" }) : "");
+
 export class QueryTable {
   constructor(box, { open, sort, chosen }) {
     this.open = open;
@@ -80,7 +82,7 @@ export class QueryTable {
       return button;
     };
     return [
-      { title: "photo", field: "query", width: 46, frozen: true, formatter: (cell) => this.thumbnail(0, cell.getValue()), titleFormatter: () => make("span", { class: "unseen", text: "photo" }) },
+      { title: "photo", field: "query", width: 46, frozen: true, formatter: (cell) => thumbnail(cell.getValue()), titleFormatter: () => make("span", { class: "unseen", text: "photo" }) },
       ...columns.map((column) => ({
         title: column.name, field: `=${column.name}`, width: width(column),
         hozAlign: column.kind === "number" ? "right" : "left", headerHozAlign: column.kind === "number" ? "right" : "left",
@@ -89,14 +91,10 @@ export class QueryTable {
     ];
   }
 
-  thumbnail(side, index) {
-    return index === undefined || index < 0 ? "" : make("img", { src: `${this.head.thumbnails[side]}${index}`, alt: "" });
-  }
-
   cell(kind, value) {
     if (value === undefined || value === null) return "";
     if (kind === "rank") return make("span", {}, verdict(value[1]), ` ${value[0]}`);
-    if (kind === "answer") return make("span", { title: value[0] }, this.thumbnail(1, value[1]), value[0]);
+    if (kind === "answer") return make("span", { title: value[0] }, thumbnail(value[1]), value[0]);
     if (kind === "part") return make("span", {}, make("i", { class: "swatch", style: { background: value[1] < 0 ? "none" : partColour(value[1], 2) } }), value[0]);
     if (kind !== "margin") return make("span", { text: value, title: value });
     const share = (50 * Math.abs(value)) / this.head.limit;
@@ -146,25 +144,29 @@ export class QueryTable {
     const before = this.at;
     this.at = at;
     if (!this.holder) return;
-    for (const one of [before, at]) if (one >= 0 && one < this.head.total) this.decorate(this.grid.getRow(one));
+    for (const one of [before, at]) {
+      const row = one >= 0 && one < this.grid.getDataCount() && this.grid.getRow(one);
+      if (row) this.decorate(row);
+    }
     if (at >= 0 && (at !== before || again)) await this.grid.scrollToRow(at, "center", false).catch(() => {}); // it may have gone meanwhile
     this.fill();
   }
 
   /** Ask for the rows in sight. */
   async fill() {
-    const { feed, total, address, columns } = this.head;
+    const { feed, total, address, columns, thumbnails } = this.head;
+    const shown = (kind, value) => (kind === "answer" ? [value[0], value[1] < 0 ? "" : thumbnails[1] + value[1]] : value);
     const seen = this.grid.getRows("visible").map((row) => row.getData().at);
     const [first, last] = [seen[0], seen.at(-1)].map((at) => Math.floor((at ?? 0) / PIECE));
     for (let number = first; number <= last && number * PIECE < total; number++) {
       if (this.pieces.has(number)) continue;
       this.pieces.set(number, true);
-      const answer = await fetch(`${address}${feed}${number}`).catch(() => null);
+      const answer = await fetch(`${address}${feed}${number}`).catch(() => this.pieces.delete(number) && null); // asked for again
       const entries = answer?.ok && answer.headers.get("Content-Length") !== "0" ? await answer.json().catch(() => []) : [];
       if (feed !== this.head.feed) return;
       const rows = entries.map(([query, cells], place) => {
         this.queries[number * PIECE + place] = query;
-        return { at: number * PIECE + place, query, ...Object.fromEntries(cells.map((cell, column) => [`=${columns[column].name}`, cell])) };
+        return { at: number * PIECE + place, query: thumbnails[0] + query, ...Object.fromEntries(columns.map(({ name, kind }, column) => [`=${name}`, shown(kind, cells[column])])) };
       });
       await this.grid.updateData(rows);
     }
