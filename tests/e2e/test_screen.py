@@ -213,6 +213,24 @@ def test_one_ring_is_lit_wherever_it_is_drawn(screen: Screen) -> None:
     expect(screen.rows.nth(0)).to_have_class(re.compile("on"))
 
 
+def test_a_part_is_weighed_at_the_head_of_its_row(running: Running, screen: Screen) -> None:
+    screen.open()
+    head = screen.page.get_by_role("slider", name="Weight of part 2")
+    head.focus()
+    screen.key("ArrowRight")
+    expect(screen.page).to_have_url(re.compile(r"weights=1,1\.1,1,1"))
+    screen.rest("0")
+    screen.expect_numbers(running.analysis(weights=(1.0, 1.1, 1.0, 1.0)))
+    place = box(head)
+    screen.page.mouse.move(place["x"] + 5, place["y"] + 5)
+    screen.page.mouse.down()
+    screen.page.mouse.move(place["x"] + 5 - 66, place["y"] + 5)
+    screen.page.mouse.up()
+    expect(head).to_have_attribute("aria-valuenow", "0")
+    screen.rest("0")
+    screen.expect_numbers(running.analysis(weights=(1.0, 0.0, 1.0, 1.0)))
+
+
 def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> None:
     screen.open()
     painted = "() => document.querySelector('#photo .heat').toDataURL()"
@@ -302,6 +320,28 @@ def test_own_photos_are_listed_and_ranked_and_a_file_that_is_none_is_named(runni
     screen.key("n")
     screen.rest()
     expect(screen.headline.locator("h1")).to_contain_text(re.compile("Found|Missed"))
+
+
+def test_a_folder_gives_the_photos_in_it(running: Running, screen: Screen, tmp_path: Path) -> None:
+    screen.open()
+    page = screen.page
+    queries = running.workspace.tasks["drone-to-satellite"].queries
+    (tmp_path / "flight" / "deeper").mkdir(parents=True)
+    for name, query in {"a.png": 1, "deeper/b.png": 5}.items():
+        (tmp_path / "flight" / name).write_bytes(queries[query].path.read_bytes())
+    (tmp_path / "flight" / "notes.txt").write_text("words")
+    page.keyboard.press("Control+k")
+    page.keyboard.type("folder")
+    with page.expect_file_chooser() as chosen:
+        screen.key("Enter")
+    chosen.value.set_files(tmp_path / "flight")
+    yours = page.locator("#yours .query")
+    expect(yours).to_have_count(2)
+    assert {one.get_attribute("title") for one in yours.all()} == {"a.png", "b.png"}
+    expect(screen.headline.locator("h1")).to_contain_text("Nearest of 8")
+    page.reload()
+    screen.rest()
+    expect(page.locator("#yours")).to_be_hidden()
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

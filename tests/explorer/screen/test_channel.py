@@ -181,6 +181,26 @@ def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> 
     assert other["state"]["place"] == "data"
 
 
+def test_beside_a_baseline_stands_the_rank_of_the_other_model(tab: Tab, workspace: Workspace) -> None:
+    ranks = workspace.rankings["drone-to-satellite"].ranks + 1
+    for query in range(3):
+        result = tab.open(f"?model=1&query=~{query}")
+        assert result["beside"] == [[workspace.model_name, ranks[query]]]
+    tab.send({"set": {"angle": 30}})
+    assert tab.result(angle=30)["beside"] == [], "the ranks are those of upright photos"
+
+
+def test_the_word_missed_lists_the_missed_queries_that_a_text_names(tab: Tab, workspace: Workspace) -> None:
+    tab.open()
+    ranking = workspace.rankings["drone-to-satellite"]
+    missed = [name for name, rank in zip(ranking.task.query_names, ranking.ranks, strict=True) if rank > 0]
+    assert 0 < len(missed) < len(ranking.ranks)
+    tab.send({"set": {"find": "Missed"}})
+    tab.until(lambda last: last["rail"]["total"] == len(missed))
+    tab.send({"set": {"find": f"missed {missed[0]}"}})
+    tab.until(lambda last: last["rail"]["total"] == 1)
+
+
 def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(
     app: App, tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
