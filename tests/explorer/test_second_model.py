@@ -45,7 +45,7 @@ def workspace(data: Path, model_file: Path, one_part_model_file: Path, tmp_path:
 
 def test_an_offered_model_is_opened_once_and_on_request(workspace: Workspace) -> None:
     (second,) = workspace.beside
-    assert (second.label, second.workspace, second.opening, second.error) == ("the baseline (n = 1)", None, False, "")
+    assert (second.label, second.workspace, second.asked, second.error) == ("the baseline (n = 1)", None, False, "")
     job = second.open()
     assert second.open() is job
     assert job.wait(PATIENCE)
@@ -211,7 +211,7 @@ def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
     workspace = open_model(data, model_file, beside=[ModelOptions(model=one_part_model_file), ModelOptions(model=two)])
     first, last = workspace.beside
     wait_until(lambda: first.workspace is not None)
-    assert (last.workspace, last.opening, last.progress) == (None, False, (0, 0))
+    assert (last.workspace, last.asked, last.progress) == (None, False, (0, 0))
     assert last.open().wait(PATIENCE)
     assert last.workspace is not None
     assert last.workspace.contract.n_parts == 2

@@ -57,7 +57,7 @@ class PhotoCamera:
 
 
 @dataclass(eq=False)
-class City:
+class CityView:
     """What is drawn over the ground.
 
     Attributes:
@@ -78,10 +78,10 @@ class City:
     target: Float64Array = field(default_factory=lambda: np.zeros(3))
 
 
-def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> City:
+def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> CityView:
     """Return what the city shows of a result, for a picture of an aspect: the nearest tiles, the truth, and the camera."""
     photo, heading = _photo(result, places)
-    city = City(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
+    city = CityView(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
     seen = [] if photo is None else [photo.place]
     matches = [*result.analysis.matches[:_FRAMES]]
     truth = result.analysis.positive
@@ -122,7 +122,7 @@ def _half(match: Match, places: GalleryGeometry) -> float:
     return (places.tiles[match.index].width or places.width) / 2
 
 
-def _frame(city: City, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> list[Float64Array]:
+def _frame(city: CityView, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> list[Float64Array]:
     """Frame a tile, and return its corners."""
     middle, half = places.ground[match.index], _half(match, places)
     thickness = 3 if match.true or match.index == result.first.index else 2
@@ -132,7 +132,7 @@ def _frame(city: City, match: Match, result: ScreenResult, places: GalleryGeomet
     return [*segments[:, 0].astype(np.float64)]
 
 
-def _badge(city: City, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+def _badge(city: CityView, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
     """Put a tile's rank and verdict at its right corner, as large in the picture as those of all others."""
     middle, half = places.ground[match.index], _half(match, places)
     corner = np.array([*(middle + half * np.sign(city.axes[:2, 0] - city.axes[:2, 2])), LIFT])
@@ -144,7 +144,7 @@ def _badge(city: City, match: Match, result: ScreenResult, places: GalleryGeomet
     city.badges[f"tile{match.index}/rank"] = Badge(pixels, corner - city.axes[:, 1] * high, (wide, high))
 
 
-def _footprint(city: City, photo: PhotoCamera, dark: bool) -> None:
+def _footprint(city: CityView, photo: PhotoCamera, dark: bool) -> None:
     """Draw the ground that the photo shows, and the rays to its corners."""
     across = math.tan(photo.fov / 2)
     rays = [photo.axes @ np.array([x * across, y * across, 1.0]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -156,7 +156,7 @@ def _footprint(city: City, photo: PhotoCamera, dark: bool) -> None:
         city.lines["footprint"] = Lines(segments, shapes.INK[dark], 1)
 
 
-def _way(city: City, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+def _way(city: CityView, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
     """Draw a dashed line with its metres from a wrong answer to the truth."""
     truth = result.analysis.positive
     if result.first.true is not False or truth is None:
