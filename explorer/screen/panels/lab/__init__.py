@@ -53,7 +53,7 @@ class LabPart(PanelPart):
             "csv": self._csv,
             "calibrate": self._calibrate,
         }
-        self._feeds, self._closed = tab.services.feeds, False
+        self._services, self._feeds, self._closed = tab.services, tab.services.feeds, False
         # The laboratories that this tab has waited for, and the filter in force.
         self._labs: set[Lab] = set()
         self._where = ""
@@ -187,18 +187,18 @@ class LabPart(PanelPart):
     # The second model.
 
     def _models(self) -> list[Workspace]:
-        base = self.tab.services.workspace
+        base = self._services.workspace
         return [base, *(one.workspace for one in base.beside if one.workspace is not None)]
 
     def _labels(self, state: ScreenState) -> dict[str, str]:
         """Return the models that can be the second one, by their numbers."""
-        base = self.tab.services.workspace
+        base = self._services.workspace
         labels = [base.model_name, *(one.label for one in base.beside)]
         return {str(number): label for number, label in enumerate(labels) if str(number) != state.model}
 
     def _second(self, state: ScreenState, findings: LabFindings) -> LabFindings | None:
         """Wait for the second model and its ranks, and return the findings with them; None without them."""
-        number, base = state[SECOND], self.tab.services.workspace
+        number, base = state[SECOND], self._services.workspace
         if number not in self._labels(state):
             return None
         beside = base.beside[int(number) - 1] if number != "0" else None
@@ -322,7 +322,7 @@ class LabPart(PanelPart):
         if shown is not None:
             findings = shown.findings
             feed = self._feeds.publish_bytes(self, "csv", lambda: findings.table.to_csv(rows), "text/csv")
-            workspace = self.tab.services.workspace
+            workspace = self._services.workspace
             name = re.sub(r"[^\w-]+", "-", f"{workspace.data_name}-{findings.task.name}-{len(rows)}-queries")
             self._send("file", {"address": f"{self._feeds.address}{feed}0", "name": f"{name}.csv"})
 

@@ -254,6 +254,7 @@ export class PointMap {
     this.hovered = query;
     clearTimeout(this.resting);
     find(".tip", this.box).hidden = true;
+    find(".plane", this.box).style.cursor = query < 0 ? "" : "pointer";
     if (query >= 0) this.resting = setTimeout(() => this.act("tip", { query }), REST);
     this.paint();
   }
