@@ -88,6 +88,7 @@ class Tab:
         """Open the page of an address, and return its first result."""
         self.last.pop("result", None)
         self.act("open", search=search)
+        self.until(lambda last: "result" in last and "rail" in last)
         return self.result()
 
     def closed(self) -> bool:
