@@ -198,7 +198,7 @@ const draw = () => {
   document.body.classList.toggle("down", Boolean(view.said && result && view.said.result === result));
   drawHeadline(view);
   if (!page || !state) return;
-  drawHead(view);
+  redraw("head", [page, state, view.rail], () => drawHead(view));
   panels.show(page.panels, state.panel);
   if (!result) return drawTurn(view);
   const stale = isStale();
@@ -211,9 +211,11 @@ const draw = () => {
     showSums(sum, result);
     showStrip(strip, result);
   });
-  for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  redraw("focus", [...from, view.colour, loaded, view.focus], () => {
+    for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  });
   drawTurn(view);
-  scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`);
+  redraw("scene", [...from, state.view], () => scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`));
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);

@@ -4,6 +4,7 @@ import { tab } from "./channel.js";
 import { find, findAll, make } from "./dom.js";
 
 const PATIENCE = 1500; // ms until the frame is made although the page is busy
+const LATE = 8000; // ms after which a still takes the place of a frame that shows nothing
 const SETTLED = 250; // ms after which the server knows a new size
 
 const whenIdle = (work) => (window.requestIdleCallback ? requestIdleCallback(work, { timeout: PATIENCE }) : setTimeout(work, PATIENCE));
@@ -52,8 +53,12 @@ export class SceneFrame {
     }
     if (this.live === false && key !== this.key) {
       this.key = key;
-      this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
+      this.askStill();
     }
+  }
+
+  askStill() {
+    this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
   }
 
   begin() {
@@ -61,10 +66,12 @@ export class SceneFrame {
     this.frame.src = `scene/${tab}/?darkMode&hideViserLogo&fixedDpr=1`;
     this.frame.addEventListener("load", () => this.listen());
     this.box.append(this.frame);
+    setTimeout(() => this.box.classList.contains("ready") || this.askStill(), LATE);
   }
 
   /** A still has been drawn, in place of the frame. */
   still(address) {
+    if (this.box.classList.contains("ready")) return;
     const image = find("img", this.box) ?? this.box.appendChild(make("img", { alt: "The place, with the nearest tiles" }));
     image.src = address;
   }
@@ -73,6 +80,7 @@ export class SceneFrame {
   ready() {
     if (!this.box.classList.contains("ready")) this.resized(); // viser's panel has taken its width only now
     this.box.classList.add("ready");
+    find("img", this.box)?.remove();
   }
 
   /** The connection is lost: what viser's page says of its own is not shown. */

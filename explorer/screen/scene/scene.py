@@ -17,8 +17,8 @@ from lpn.core.numbers import rounded_to_sum
 from lpn.drawing.theme import Colour
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
-# Vertical field of view in radians of the rings, which are seen from far away; metres from the drone's camera to its picture.
-_APART_FOV, _DEPTH = math.radians(16), 34.0
+# Vertical field of view in radians of the rings, which are seen from far away.
+_APART_FOV = math.radians(16)
 # Pixels of a picture of the scene; the height of a stack of rings, and its turn.
 _PIXELS, _TALL, _TURN = 256, 2.3, math.radians(33)
 
@@ -153,7 +153,7 @@ class Scene:
             "/city/camera",
             fov=photo.fov,
             aspect=1.0,
-            scale=_DEPTH,
+            scale=city.DEPTH,
             thickness=1.5,
             thickness_units="screen",
             color=shapes.INK[dark],
