@@ -449,10 +449,11 @@ def test_guesses_from_all_addresses_of_this_machine_count_together(
 
 def test_an_unsupported_viser_is_refused(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(viser, "ViserServer", lambda **_: Mock(stop=stopped.append))
-        stopped: list[object] = []
+        server = Mock()
+        patch.setattr(viser, "ViserServer", lambda **_: server)
         with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
             App(app_workspace(app), "127.0.0.1", 0)
+        server.stop.assert_called()
     with monkeypatch.context() as patch:
         patch.delattr(viser_infra, "websockets")
         with pytest.raises(MissingPackageError, match="starts its server"):
