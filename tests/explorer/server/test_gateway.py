@@ -313,7 +313,7 @@ def test_a_proxy_that_passes_the_host_needs_nothing_else(
 ) -> None:
     with SmallProxy(app.server.get_port(), **options) as proxy:
         with urllib.request.urlopen(proxy.url, timeout=60) as response:
-            assert "screen/page/bundle.js" in response.read().decode()
+            assert 'id="photo"' in response.read().decode()
         with ScreenTab(proxy.url, origin=f"http://127.0.0.1:{proxy.port}") as tab:
             tab.open()
     assert not caplog.records
@@ -447,19 +447,20 @@ def test_guesses_from_all_addresses_of_this_machine_count_together(
     assert status("127.0.0.1", "correct+horse+battery") == 200, "also for a proxy's visitors"
 
 
-def test_an_unsupported_viser_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unsupported_viser_is_refused(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(viser, "ViserServer", lambda **_: Mock(stop=stopped.append))
-        stopped: list[object] = []
+        server = Mock()
+        patch.setattr(viser, "ViserServer", lambda **_: server)
         with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
-            App(Mock(tasks=()), "127.0.0.1", 0)
+            App(app_workspace(app), "127.0.0.1", 0)
+        server.stop.assert_called()
     with monkeypatch.context() as patch:
         patch.delattr(viser_infra, "websockets")
         with pytest.raises(MissingPackageError, match="starts its server"):
-            App(Mock(tasks=()), "127.0.0.1", 0)
+            App(app_workspace(app), "127.0.0.1", 0)
     monkeypatch.setattr(viser_messages, "ViewerCameraMessage", object)
     with pytest.raises(MissingPackageError, match="ViewerCameraMessage"):
-        App(Mock(tasks=()), "127.0.0.1", 0)
+        App(app_workspace(app), "127.0.0.1", 0)
 
 
 # Hostile tabs and scenes, and another tab that must not be affected.
