@@ -4,7 +4,6 @@ import { tab } from "./channel.js";
 import { find, findAll, make } from "./dom.js";
 
 const PATIENCE = 1500; // ms until the frame is made although the page is busy
-const LATE = 8000; // ms after which a still takes the place of a frame that shows nothing
 const SETTLED = 250; // ms after which the server knows a new size
 
 const whenIdle = (work) => (window.requestIdleCallback ? requestIdleCallback(work, { timeout: PATIENCE }) : setTimeout(work, PATIENCE));
@@ -33,7 +32,7 @@ export class SceneFrame {
 
   /**
    * Make the frame, or hide the box of a task that has no place, which is called a city or a map.
-   * @param {string} key of what is to be seen; without WebGL a still of it is asked for
+   * @param {string} key of what is to be seen; a still of it is asked for until the frame shows it, or always without WebGL
    */
   show(views, view, place, key) {
     find("[data-view=city]", this.box).textContent = place;
@@ -51,14 +50,10 @@ export class SceneFrame {
         this.show(views, view, place, key);
       });
     }
-    if (this.live === false && key !== this.key) {
+    if (!this.box.classList.contains("ready") && views.includes("city") && key !== this.key) {
       this.key = key;
-      this.askStill();
+      this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
     }
-  }
-
-  askStill() {
-    this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
   }
 
   begin() {
@@ -66,7 +61,6 @@ export class SceneFrame {
     this.frame.src = `scene/${tab}/?darkMode&hideViserLogo&fixedDpr=1`;
     this.frame.addEventListener("load", () => this.listen());
     this.box.append(this.frame);
-    setTimeout(() => this.box.classList.contains("ready") || this.askStill(), LATE);
   }
 
   /** A still has been drawn, in place of the frame. */
