@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from contextlib import closing
+from pathlib import Path
 
 from playwright.sync_api import BrowserContext, Page, expect
 
-from explorer.app import App
-from tests.e2e.conftest import Running, RunningApp, Screen
+from tests.e2e.conftest import Running, RunningApp, Screen, started
 from tools.fixtures.processes import free_port
 from tools.fixtures.waiting import wait_until
 
@@ -33,8 +32,8 @@ def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(screen: Scr
         assert focused[1], focused
         assert focused[2], f"the focus is not seen at {focused}"
         reached.add(tuple(focused))
-    names = " ".join(name for _, name, _ in reached)
-    for expected in ("Next", "Previous", "Search", "Missed", "distance"):
+    names = " ".join(name for _, name, _ in reached).lower()
+    for expected in ("next", "previous", "search", "missed", "distance"):
         assert expected in names, names
     page.locator("#strip .tile").nth(2).focus()
     page.keyboard.press("Enter")
@@ -96,16 +95,16 @@ def test_a_tab_that_leaves_takes_its_session_along(running: Running, contexts: C
     wait_until(lambda: tab not in running.app._channel.sessions)
 
 
-def test_a_page_finds_its_server_again_as_it_was(running: Running, new_page: Callable[[], Page]) -> None:
+def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: Callable[[], Page]) -> None:
     port = free_port()
-    with closing(App(running.workspace, "127.0.0.1", port)):
-        screen = Screen(new_page(), f"http://127.0.0.1:{port}/").open("?query=0005&angle=30")
+    with started(app.data, app.model, tmp_path / "cache", port=port) as running:
+        screen = Screen(new_page(), running.url).open("?query=0009&angle=30")
     expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
     expect(screen.rows).to_have_count(4)
-    with closing(App(running.workspace, "127.0.0.1", port)):
+    with started(app.data, app.model, tmp_path / "cache", port=port):
         expect(screen.headline.locator("h1")).not_to_contain_text("Connection lost")
         screen.rest("30")
-        expect(screen.page).to_have_url(re.compile("query=0005"))
+        expect(screen.page).to_have_url(re.compile("query=0009"))
 
 
 def test_without_positions_there_is_no_scene_of_a_place(app: RunningApp, new_page: Callable[[], Page]) -> None:
