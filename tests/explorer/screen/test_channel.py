@@ -196,7 +196,7 @@ def test_the_word_missed_lists_the_missed_queries_that_a_text_names(tab: Tab, wo
     missed = [name for name, rank in zip(ranking.task.query_names, ranking.ranks, strict=True) if rank > 0]
     assert 0 < len(missed) < len(ranking.ranks)
     tab.send({"set": {"find": "Missed"}})
-    tab.until(lambda last: last["rail"]["total"] == len(missed))
+    tab.until(lambda last: last.get("rail", {"total": 0})["total"] == len(missed))
     tab.send({"set": {"find": f"missed {missed[0]}"}})
     tab.until(lambda last: last["rail"]["total"] == 1)
 
