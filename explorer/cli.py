@@ -123,7 +123,7 @@ class ExploreLive(ServeOptions, LiveInput):
             print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
             say(f"The flight has ended; {run.run()} frames were located, and the page goes on showing them.")
             while True:
-                time.sleep(3600)
+                time.sleep(0.5)
 
 
 @dataclass(kw_only=True)

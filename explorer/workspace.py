@@ -51,7 +51,7 @@ TILES = 48
 # A model with a map for each part, such as SDPL, takes up to 42 MB a tile, so that few of its tiles are kept.
 TILE_BYTES = 400_000_000
 # Described queries in the cache, each turned as often as its curve has points, and their bytes.
-QUERIES, QUERY_BYTES = 1000, 300_000_000
+QUERIES, QUERY_BYTES = 1000, 150_000_000
 # Side of a thumbnail in pixels.
 _THUMBNAIL = 64
 # Longer side in pixels of a picture on the screen.

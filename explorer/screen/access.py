@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.screen.fields import ScreenState
+from explorer.screen.rail import ranks_of
 from explorer.screen.result import STRIP
 from explorer.services import WorkspaceServices
 from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
@@ -76,6 +77,18 @@ class Access:
     def analyse(self, state: ScreenState, question: QueryRequest) -> Answer:
         """Answer a question about the state's task under its model."""
         return self.opened(state).analyser.analyse(self.ranking(state).task, question, STRIP)
+
+    def ranks_beside(self, state: ScreenState) -> list[tuple[str, int]]:
+        """Return the label of each other model that has ranked the state's query, and the rank of its truth there, upright."""
+        base = self.services(state).workspace
+        opened = [(base.model_name, base), *((one.label, one.workspace) for one in base.beside)]
+        ranks = []
+        for number, (label, workspace) in enumerate(opened):
+            if workspace is not None and str(number) != state.model and state.task in workspace.tasks:
+                ranking = self.ranking(replace(state, model=str(number)))
+                rank = int(ranks_of(workspace, ranking)[state.query])
+                ranks += [(label, rank)] if rank else []
+        return ranks
 
     def open_model(self, state: ScreenState, say: Callable[[str], None]) -> None:
         """Wait until the state's model is open; LPNError if it cannot be."""

@@ -23,6 +23,7 @@ class Downloads:
     def __init__(self, send: Callable[[ScreenMessage], None]) -> None:
         self._send = send
         self._job: BackgroundJob[None] | None = None
+        self._making = False
 
     def make(self, title: str, make: MakeFile, feeds: Feeds, owner: object) -> None:
         """Begin a file; while one is being made, cancel that instead.
@@ -32,9 +33,10 @@ class Downloads:
             feeds: serves the file.
             owner: of the feed.
         """
-        if self._job is not None and not self._job.wait(0):
+        if self._making:
             self.close()
             return
+        self._making = True
         self._job = BackgroundJob(lambda report: self._make(title, make, report, feeds, owner), self)
 
     def close(self) -> None:
@@ -55,10 +57,10 @@ class Downloads:
             text = f"{title}: it failed; the server's log has the details."
             if isinstance(error, (LPNError, WorkCancelledError)):
                 text = str(error) or f"{title}: cancelled."
-            self._job = None  # the next one need not wait for the end of this thread
+            self._making = False  # before the note, whose reader may begin another one
             self._send({"note": text})
             raise
         address = feeds.address + feeds.publish_bytes(owner, "file", lambda: content) + "0"
-        self._job = None
+        self._making = False
         self._send({"download": {"address": address, "name": name}})
         self._send({"note": f"The browser saves {name}."})

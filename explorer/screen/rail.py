@@ -36,7 +36,7 @@ class Rail:
         key = state.place, state.model, ranking.task.key, state.filter, state.find, ranking.result
         if key != self._key:
             self._key = key
-            ranks, names = _ranks(workspace, ranking), ranking.task.query_names
+            ranks, names = ranks_of(workspace, ranking), ranking.task.query_names
             listed = self._listed = listed_queries(state, workspace, ranking)
             self._message = {
                 "feed": feeds.publish_list(
@@ -77,12 +77,12 @@ def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob
     named = np.array([i for i, name in enumerate(ranking.task.query_names) if text in name.casefold()], np.int64)
     if state.filter != _MISSED and _MISSED not in words:
         return named
-    ranks = _ranks(workspace, ranking)[named]
+    ranks = ranks_of(workspace, ranking)[named]
     order = np.argsort(-ranks, kind="stable")
     return named[order][ranks[order] > 1]
 
 
-def _ranks(workspace: Workspace, ranking: RankingJob) -> Int64Array:
+def ranks_of(workspace: Workspace, ranking: RankingJob) -> Int64Array:
     """Return the rank of each query's truth from 1, (Q,); 0 where it is not known or not ranked yet."""
     if ranking.result is None:
         return np.zeros(len(ranking.task.queries), np.int64)

@@ -1,6 +1,7 @@
 """The files of the page at `/`: one template, style sheets, and ES modules, as they lie in `page`, `vendor`, and the panels.
 
-`screen/terms.json` has the meanings of the glossary's terms.
+`screen/page/bundle.js` is all modules that the page begins with, as each file takes a connection; no two may have a name in
+common. The address of one of them, which panels import, exports all of the bundle. `screen/terms.json` has the meanings of terms.
 """
 
 from __future__ import annotations
@@ -21,6 +22,9 @@ from explorer.screen.panels import folder
 from explorer.server.auth import HttpRequest
 
 _SCREEN = Path(__file__).parent
+_PAGE = _SCREEN / "page"
+_BUNDLE = _PAGE / "bundle.js"
+_IMPORT = re.compile(r"""^import (?:\{[^}]*\} from )?"\./([a-z_-]+\.js)";\n""", re.MULTILINE)
 _KINDS = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".md": "application/json"}
 _FILE = re.compile(r".*/screen/(page|vendor|panels/([a-z_]{1,40}))/([a-z_-]{1,40}\.(?:css|js))", re.ASCII)
 # The folder of viser's own page: the scene of a tab.
@@ -44,14 +48,15 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
         file: Path | None = terms.GLOSSARY
     elif match := _FILE.fullmatch(place):
         of_panel = folder(match[2]) if match[2] else _SCREEN / match[1]
-        file = None if of_panel is None else of_panel / match[3]
+        file = _BUNDLE if match[0].endswith("/page/bundle.js") else None if of_panel is None else of_panel / match[3]
     elif place.endswith("/") and scene_of(place) is None:
-        file = _SCREEN / "page" / "index.html"
+        file = _PAGE / "index.html"
     else:
         return None
-    if file is None or not file.is_file():
+    if file is None or not (file == _BUNDLE or file.is_file()):
         return Response(404, "Not Found", Headers({"Content-Length": "0", "Connection": "close"}), b"")
-    content, tag = _read(file, file.stat().st_mtime_ns, zipped)
+    changed = (one.stat().st_mtime_ns for one in (_PAGE.glob("*.js") if file == _BUNDLE else [file]))
+    content, tag = _read(file, max(changed), zipped)
     headers = Headers({"ETag": tag, "Cache-Control": "no-cache", "Vary": "Accept-Encoding", "Connection": "close"})
     if request.only("if-none-match") == tag:
         return Response(304, "Not Modified", headers, b"")
@@ -65,5 +70,29 @@ def respond(request: HttpRequest, zipped: bool) -> Response | None:
 @lru_cache(maxsize=64)
 def _read(file: Path, _: int, zipped: bool) -> tuple[bytes, str]:
     """Return a file, perhaps compressed, and the tag of this state of it."""
-    content = json.dumps(terms.meanings()).encode() if file == terms.GLOSSARY else file.read_bytes()
+    if file == _BUNDLE:
+        content = bundle()[0].encode()
+    elif file == terms.GLOSSARY:
+        content = json.dumps(terms.meanings()).encode()
+    elif file.parent == _PAGE and file.name in bundle()[1]:
+        content = b'export * from "./bundle.js";'
+    else:
+        content = file.read_bytes()
     return gzip.compress(content, mtime=0) if zipped else content, f'"{sha256(content).hexdigest()[:16]}"'
+
+
+def bundle() -> tuple[str, set[str]]:
+    """Return the modules that the page begins with as one, and their names; each stands after those that it imports."""
+    texts: list[str] = []
+    added: set[str] = set()
+
+    def add(name: str) -> None:
+        if name not in added:
+            added.add(name)
+            text = (_PAGE / name).read_text("utf-8")
+            for imported in _IMPORT.findall(text):
+                add(imported)
+            texts.append(_IMPORT.sub("", text))
+
+    add("app.js")
+    return "\n".join(texts), added

@@ -465,6 +465,7 @@ class ScreenSession:
         self._number += 1
         marks = [] if state.own else [one.mark(services.workspace, state.query) for one in PANELS.values()]
         message = result.message() | {"scene": views_of(result), "number": self._number, "marks": marks}
+        message["beside"] = [] if state.own or state.angle else self._access.ranks_beside(state)
         self._result = result
         self.scene.take(result, self.state)
         return message | {"state": state.values(), "curve": _digest(key, state)}

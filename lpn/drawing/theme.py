@@ -58,8 +58,7 @@ HEAT_AGAINST = (
     *((8, 30, 14, 0.0), (18, 74, 36, 0.4), (34, 122, 58, 0.74)),
     *((82, 178, 92, 0.88), (166, 226, 160, 0.95), (240, 255, 238, 1.0)),
 )
-TRUE_COLOUR, FALSE_COLOUR, UNKNOWN_COLOUR = COLOURS["right"], COLOURS["wrong"], COLOURS["unknown"]
-FOR, AGAINST = COLOURS["for"], COLOURS["against"]
+FOR, AGAINST, UNKNOWN_COLOUR = COLOURS["for"], COLOURS["against"], COLOURS["unknown"]
 BACKGROUND: Colour = (14, 18, 22)
 TEXT: Colour = (245, 247, 249)
 DIM: Colour = (170, 182, 192)
@@ -119,11 +118,6 @@ def placed_name(sign: bool | None, by_details: bool = True) -> str:
         by_details: details place the photo; one that they do not, and that is not believed, is a guess or has no place.
     """
     return "right" if sign else "contradicted" if by_details else "unknown"
-
-
-def placed_colour(sign: bool | None) -> Colour:
-    """Return the colour of the ground where details place a photo, see `placed_name`."""
-    return COLOURS[placed_name(sign)]
 
 
 def variables(palette: Palette) -> str:

@@ -9,7 +9,6 @@ from itertools import combinations
 from typing import Literal
 
 from lpn.core.numbers import upper_bound
-from lpn.drawing.words import capitalised, plain
 from lpn.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord, checked_beside_middle
 from lpn.locate.tracks import TrackPoint, TrackState
 
@@ -21,8 +20,6 @@ SIGMAS = 3.0
 TILT = 15.0
 # The summary of a registration, which goes on with what contradicts it.
 PLACED = "Placed by its details"
-# Answers in plain words.
-ENDS = {"tag": "its GPS tag", "registration": "its place by its details", "sequence": "its place by its neighbours"}
 # The answers that may contradict a place, in words.
 AGAINST = {
     "tag": "its GPS tag disagrees",
@@ -108,7 +105,6 @@ class Disagreement:
         one, other: stages, or "tag"; "map" is what the map has at places away from the photo's middle.
         metres: between them; the median of such places.
         allowed: metres that their radii allow.
-        tilt: metres of these for an unknown tilt.
     """
 
     frame: int
@@ -116,7 +112,6 @@ class Disagreement:
     other: str
     metres: float
     allowed: float
-    tilt: float = 0.0
 
     @property
     def figures(self) -> tuple[str, str]:
@@ -134,26 +129,6 @@ class Disagreement:
                 f"map ({self.allowed / SIGMAS:.1f} m) allows {allowed} m. Its middle may still be right."
             )
         return f"{self.one.capitalize()} and {self.other} lie {metres} m apart; their radii allow {allowed} m."
-
-    def told(self, verdict: Belief) -> str:
-        """Return the finding in the words that are spoken, with what the verdict on the frame makes of it."""
-        metres, allowed = self.figures
-        if not plain():
-            return self.sentence
-        if self.other == "map":
-            return (
-                f"Away from its middle, the photo's places lie {metres} m from where the map has them, in the median; "
-                f"at most {allowed} m are allowed. Uneven ground, the lens, or ground that has changed can do that, and "
-                "its middle may still be right."
-            )
-        if verdict.sign:  # tag and details agree, and the neighbours alone differ
-            place = "here" if self.one == "registration" else ENDS[self.other]
-            return f"Its neighbours would place it {metres} m from {place}."
-        tilt = f", and {self.tilt:.1f} m as a tilted camera looks aside" if self.tilt else ""
-        return (
-            f"{capitalised(ENDS[self.one])} and {ENDS[self.other]} lie {metres} m apart, and {allowed} m are "
-            f"allowed: three times the error of both{tilt}. Nothing here tells which of the two errs."
-        )
 
 
 def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
@@ -180,7 +155,7 @@ def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
             radius = 2 if other == "tag" else 3
             allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
             if metres > allowed:
-                pairs.append(Disagreement(i, one, other, metres, allowed, tilt))
+                pairs.append(Disagreement(i, one, other, metres, allowed))
         if (misfit := map_misfit(located.stages.get("registration"), i)) is not None:
             pairs.append(misfit)
     return pairs

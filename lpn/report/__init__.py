@@ -7,7 +7,6 @@ write_atomic(Path("report.html"), lpn.report.build(task, [17, 4]))
 from lpn.library.analyser import OwnPicture
 from lpn.report.cases import Options
 from lpn.report.page import build
-from lpn.report.said import DetailPin, DetailsPair, Said, SaidPicture
 from lpn.report.tables import table_page
 
-__all__ = ["DetailPin", "DetailsPair", "Options", "OwnPicture", "Said", "SaidPicture", "build", "table_page"]
+__all__ = ["Options", "OwnPicture", "build", "table_page"]

@@ -18,7 +18,6 @@ from lpn.explain.counterfactual import Effect
 from lpn.library.analyser import OwnPicture, QueryAnalyser, QueryRequest
 from lpn.library.answer import Answer, pair_evidence
 from lpn.report._rendering import thumbnail
-from lpn.report.said import Said
 from lpn.retrieval import DescribedPicture, Match, describe_pictures
 from lpn.tasks.query_outcomes import picture_columns
 from lpn.tasks.task import Task
@@ -35,7 +34,6 @@ class Options:
         matches: number of tiles listed for each query, 1 or more.
         change: the change that is applied to each query first.
         selection: how the queries were chosen, for the report's header.
-        said: the screen's words on a single query; they stand first.
         doubtful: queries of the task for which no tile is right for certain; they are not graded, nor counted in its figures.
         title: of a report that tells a story, which has no figures of all queries; empty for a report on queries.
         captions: what a story says of each answer.
@@ -44,7 +42,6 @@ class Options:
     matches: int = 5
     change: Change = UNCHANGED
     selection: str = ""
-    said: Said | None = None
     doubtful: Collection[int] = ()
     title: str = ""
     captions: Sequence[Sequence[str]] = ()

@@ -4,45 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
-from dataclasses import dataclass
 from datetime import datetime
 
 import lpn
 from lpn.core.errors import InputError
-from lpn.core.numbers import shown_difference
 from lpn.drawing import verdicts
 from lpn.library.analyser import OwnPicture
 from lpn.library.answer import Answer
 from lpn.report._rendering import render, style_sheet, thumbnail
-from lpn.report.cases import Case, Cases, Options
+from lpn.report.cases import Cases, Options
 from lpn.report.sections import section
 from lpn.tasks.measure import sentence
 from lpn.tasks.task import Task
 
 # Queries in one report; browsers open the file of more of them slowly.
 MOST = 200
-
-
-@dataclass(frozen=True)
-class _ContentsTile:
-    """A tile named in the table of contents."""
-
-    verdict: bool | None
-    thumbnail: str
-    name: str
-
-
-@dataclass(frozen=True)
-class _ContentsLine:
-    """One query in the table of contents: its tiles, the truth's rank, and by how much it is nearer than the wrong tile."""
-
-    verdict: bool | None
-    thumbnail: str
-    name: str
-    headline: str
-    tiles: list[_ContentsTile]
-    rank: int | None
-    lead: float | None
 
 
 def build(
@@ -69,12 +45,13 @@ def build(
     if not 1 <= len(queries) <= MOST:
         raise InputError(f"{len(queries)} queries are chosen; a report holds 1 to {MOST}, so choose others.")
     cases, task = Cases(task, options), task.without_truth(options.doubtful)
-    lines, sections, own = [], [], False
+    lines, sections, signs, own = [], [], [], False
     with closing(cases.make(queries)) as made_cases:
         for number, case in enumerate(made_cases, 1):
             # A case holds pictures and a whole ranking, so only its HTML is kept.
-            lines.append(_line(case))
+            lines.append(render("line.html.j2", number=number, case=case, thumbnail=thumbnail(case.answer.source)))
             sections.append(section(case, number))
+            signs.append(case.answer.verdict.sign)
             own = own or case.answer.index is None
             if progress is not None:
                 progress(number, len(queries))
@@ -89,8 +66,8 @@ def build(
         options=options,
         # A share of chosen pictures, such as the worst ones, would be read as the accuracy.
         complete=len(queries) == len(task.queries),
-        found=sum(line.verdict is True for line in lines),
-        graded=sum(line.verdict is not None for line in lines),
+        found=signs.count(True),
+        graded=len(signs) - signs.count(None),
         queries=f"{graded:,}{'' if graded == len(task.queries) else ' graded'}",
         own=own,
         figures=[] if options.title else _figures(task),
@@ -136,25 +113,6 @@ def _facts(task: Task, options: Options, count: int, made: datetime) -> list[tup
         ("Protocol", sentence(task).removeprefix("Protocol: ")),
         ("In this report", f"{count} {'query' if count == 1 else 'queries'}{chosen}"),
     ]
-    if options.said:
-        facts += options.said.map
     if options.change:
         facts.append(("Changed", f"queries {options.change.describe()} first, in this report only"))
     return [*facts, ("Made", f"{made:%Y-%m-%d %H:%M %Z} by LPN Explorer {lpn.__version__}")]
-
-
-def _line(case: Case) -> _ContentsLine:
-    answer, pair = case.answer, case.comparison
-    first, truth = answer.ranking.match(0), answer.positive
-    return _ContentsLine(
-        answer.verdict.sign,
-        thumbnail(answer.source),
-        answer.name,
-        answer.verdict.headline,
-        [
-            _ContentsTile(match.true, case.thumbnails[match.index], answer.task.gallery[match.index].name)
-            for match in ([first] if truth is None or truth.rank == 1 else [first, truth])
-        ],
-        None if truth is None else truth.rank,
-        None if pair is None else shown_difference(pair.other.distance2, pair.followed.distance2),
-    )

@@ -18,6 +18,7 @@ from lpn.drawing import charts, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
 from lpn.report._rendering import render
 from lpn.report.cases import Case, Seen
+from lpn.retrieval import Match
 from lpn.tasks.task import Task
 
 # Pixels of a picture's height.
@@ -82,7 +83,7 @@ class _Row(NamedTuple):
 def section(case: Case, number: int) -> Markup:
     """Render everything about one query."""
     answer = case.answer
-    task, names = answer.task, answer.task.part_names
+    task, names, noun = answer.task, answer.task.part_names, answer.task.contract.part_noun
     longest = max(match.distance2 for match in case.matches)
     ranks_above = [case.matches[0].rank - 1, *(match.rank for match in case.matches)]
     return render(
@@ -90,12 +91,16 @@ def section(case: Case, number: int) -> Markup:
         number=number,
         case=case,
         task=task,
-        noun=task.contract.part_noun,
+        noun=noun,
         headline=answer.verdict.headline,
         sentences=[reason(case), *_sentences(case)],
         pictures=[
             _picture(case.query, f"Photo, {task.views[0]}", answer.name, None, task),
-            *(_picture(tile, _role(case, tile), _name(task, tile), _true(tile), task) for tile in case.tiles),
+            *(
+                _picture(tile, _role(case, match), task.gallery[match.index].name, match.true, task)
+                for tile, match in ((tile, tile.match) for tile in case.tiles)
+                if match is not None
+            ),
         ],
         rows=_rows(case),
         full=_full(case),
@@ -105,7 +110,9 @@ def section(case: Case, number: int) -> Markup:
         ],
         evidence=_evidence(case),
         limit=_limit(case),
-        lumps=verdicts.describe_lumps([names[part] for part in case.query.areas.lumps] if case.query.areas else []),
+        lumps=verdicts.describe_lumps(
+            [names[part] for part in case.query.areas.lumps] if case.query.areas else [], noun
+        ),
         without_cells="" if task.model is None or task.contract.has_cells else verdicts.no_cells(task.contract),
     )
 
@@ -126,27 +133,16 @@ def _sentences(case: Case) -> list[str]:
     return [verdicts.describe_reweighting(pair.change, case.effect, case.answer.task.contract.part_noun)]
 
 
-def _role(case: Case, tile: Seen) -> str:
+def _role(case: Case, match: Match) -> str:
     """Name the role of a tile in the comparison."""
-    match, ranking = tile.match, case.answer.ranking
-    assert match is not None
     if match.rank == 1:
         return "Answer"
     if match.true is None:
         return "Next tile" if match.rank == 2 else "Chosen tile"
-    positive, negative = case.answer.positive, ranking.hardest_negative()
+    positive, negative = case.answer.positive, case.answer.ranking.hardest_negative()
     if match.true:
         return "Truth" if positive and match.index == positive.index else "Another true tile"
     return "Nearest wrong tile" if negative and match.index == negative.index else "Wrong tile"
-
-
-def _name(task: Task, tile: Seen) -> str:
-    assert tile.match is not None
-    return task.gallery[tile.match.index].name
-
-
-def _true(tile: Seen) -> bool | None:
-    return None if tile.match is None else tile.match.true
 
 
 def _picture(seen: Seen, title: str, name: str, true: bool | None, task: Task) -> _Picture:

@@ -2,65 +2,39 @@
 
 from __future__ import annotations
 
-import http.server
 import os
 import re
-import shutil
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
 import pytest
-import torch
-from playwright.sync_api import Browser, BrowserContext, Error, FloatRect, Locator, Page, expect, sync_playwright
+from playwright.sync_api import Browser, BrowserContext, FloatRect, Locator, Page, expect, sync_playwright
 
-from lpn.core.demo import DEMO
-from lpn.models.checkpoints import save
-from lpn.models.export import export
-from lpn.models.network import LPN
-from lpn.models.spec import ModelSpec
-from tests.conftest import RealRun
+from explorer.app import App
+from explorer.opening import open_model
+from explorer.workspace import Workspace
+from lpn.core.numbers import rounded_to_sum
+from lpn.library.answer import Answer
+from tests.explorer.conftest import answered
 from tools.fixtures import small_worlds
-from tools.fixtures.chromium import RETURNING, SHORT_LIVED, launch
-from tools.fixtures.published_results import save_result
+from tools.fixtures.chromium import SHORT_LIVED, launch
+from tools.fixtures.processes import free_port
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 120.0
-# Run in each page before its own scripts: no stored settings, no tour, no notice about software WebGL over
-# the page, and a quarter of the stage's pixels (viser's own parameter), because software draws them.
-_PREPARE = (
-    """
+# Run in each page before its own scripts: nothing is stored yet, and the scene has a quarter of its pixels (for viser).
+_PREPARE = """
 const parameter = URLSearchParams.prototype.get;
 URLSearchParams.prototype.get = function (name) { return name === 'fixedDpr' ? '0.5' : parameter.call(this, name) };
 if (!sessionStorage.begun) { localStorage.clear(); sessionStorage.begun = 1 }
-// Pictures of the stage that are not decoded yet: viser gives each an address of its own, which an image is to load.
-window.undecoded = new Set();
-const source = Object.getOwnPropertyDescriptor(HTMLImageElement.prototype, 'src');
-Object.defineProperty(HTMLImageElement.prototype, 'src', { ...source, set(address) {
-  if (String(address).startsWith('blob:')) {
-    undecoded.add(this);
-    for (const end of ['load', 'error']) this.addEventListener(end, () => undecoded.delete(this), { once: true });
-  }
-  source.set.call(this, address);
-} });
 """
-    + RETURNING
-    + """
-addEventListener('DOMContentLoaded', () => document.head.append(Object.assign(
-  document.createElement('style'), {textContent: '#webgl-software-rendering { display: none !important }'})));
-"""
-)
-# Resolves when the page has drawn what it knows: twice, as the first frame may have begun before.
-_DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done())))"
 
 expect.set_options(timeout=1000 * PATIENCE)
 
@@ -70,7 +44,7 @@ class RunningApp:
     """A running app and the files it was started on.
 
     Attributes:
-        url: address of the former page.
+        url: its address, which ends with a slash or a token.
     """
 
     url: str
@@ -79,14 +53,8 @@ class RunningApp:
 
     @property
     def screen(self) -> str:
-        """The address of the screen."""
-        return self.url.replace("/classic", "")
-
-
-def classic(url: str) -> str:
-    """The address of the former page of an app, given the app's, which may have a token."""
-    root, mark, query = url.partition("?")
-    return f"{root.rstrip('/')}/classic" + (f"/{mark}{query}" if mark else "")
+        """The address without its last slash."""
+        return self.url.rstrip("/")
 
 
 @contextmanager
@@ -131,22 +99,12 @@ def started(
     reader.start()
     try:
         assert url, "the app ended without an address: " + "".join(output)
-        yield RunningApp(classic(url), data, model)
+        yield RunningApp(url if "?" in url else f"{url.rstrip('/')}/", data, model)
     finally:
         process.terminate()
         process.wait(PATIENCE)
         reader.join(PATIENCE)
         process.stdout.close()
-
-
-@contextmanager
-def served_folder(folder: Path) -> Iterator[str]:
-    """Serve the files of a folder at another address of this machine, as a notebook's server does; yields the address."""
-    handler = partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))
-    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        yield f"http://localhost:{server.server_port}"
-        server.shutdown()
 
 
 @pytest.fixture(scope="package")
@@ -156,95 +114,32 @@ def app(data: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory) 
         yield running
 
 
-@pytest.fixture
-def three_models(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
-    """The app with networks of one part, and of two parts and more pixels, beside that of four."""
-    whole, two = tmp_path / "whole.onnx", tmp_path / "two.onnx"
-    whole.symlink_to(one_part_model_file)
-    two.symlink_to(small_worlds.make_model(tmp_path / "large", n_parts=2, size=96))
-    with started(data, model_file, tmp_path / "cache", beside=[whole, two]) as running:
-        yield running
+@dataclass(frozen=True)
+class Running:
+    """The app on eight places of a map, in this process."""
+
+    app: App
+    workspace: Workspace
+
+    @property
+    def url(self) -> str:
+        return f"http://127.0.0.1:{self.app.server.get_port()}/"
+
+    def analysis(self, **state: Any) -> Answer:
+        return answered(self.workspace, **state).analysis
 
 
-@pytest.fixture
-def demo_app(tmp_path: Path) -> Iterator[RunningApp]:
-    """The app as it starts when nothing is chosen."""
-    with started(DEMO, DEMO / "lpn.onnx", tmp_path / "cache", default=True) as running:
-        yield running
-
-
-@pytest.fixture
-def baseline_app(data: Path, model_file: Path, one_part_model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
-    """The app as it starts when nothing is chosen, with a small demo that has a baseline."""
-    demo = tmp_path / "demo"
-    shutil.copytree(data, demo)
-    shutil.copy(model_file, demo / "lpn.onnx")
-    shutil.copy(one_part_model_file, demo / "baseline.onnx")
-    program = (
-        "import runpy; from pathlib import Path; import lpn.core.demo as demo; "
-        f"demo.DEMO = Path({str(demo)!r}); demo.DEMO_BASELINE = demo.DEMO / 'baseline.onnx'; demo.DEMO_QUERY = '0007'; "
-        "demo.DEMO_PLACE = demo.DEMO_FLIGHT = (demo.DEMO / 'none', demo.DEMO / 'none'); "
-        "runpy.run_module('lpn', run_name='__main__', alter_sys=True)"
-    )
-    with started(demo, demo / "lpn.onnx", tmp_path / "cache", default=True, program=("-c", program)) as running:
-        yield running
-
-
-@pytest.fixture(scope="module")
-def mapped_app(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningApp]:
-    """The app on drawn places with known positions."""
-    folder = tmp_path_factory.mktemp("mapped")
-    data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places"))
-    with started(data, model_file, folder / "cache") as running:
-        yield running
-
-
-@pytest.fixture
-def city_app(model_file: Path, tmp_path: Path) -> Iterator[RunningApp]:
-    """The app on drawn places with known positions and a 3-D city."""
-    data = small_worlds.map_dataset(small_worlds.make_dataset(tmp_path / "places"))
-    (data / "city.glb").write_bytes(small_worlds.city())
-    with started(data, model_file, tmp_path / "cache") as running:
-        yield running
-
-
-@pytest.fixture
-def saved_app(app: RunningApp, tmp_path: Path) -> Iterator[RunningApp]:
-    """The places and descriptors of `app`, from a published result."""
-    save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
-    with started(app.data, app.model, tmp_path / "cache", saved=tmp_path / "pytorch_result.mat") as running:
-        yield running
-
-
-@pytest.fixture
-def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
-    """The app on panoramas and tiles, with an untrained SAFA + LPN."""
-    torch.manual_seed(0)
-    spec = ModelSpec(
-        "resnet18",
-        "layer3",
-        views=("satellite", "street"),
-        shared=False,
-        n_parts=4,
-        embedding=256,
-        input_size=(48, 256),
-        pooling="safa",
-        maps=1,
-        polar=True,
-    )
-    save(LPN(spec), tmp_path / "safa.safetensors")
-    export(tmp_path / "safa.safetensors", tmp_path / "safa.onnx")
-    with started(
-        small_worlds.make_cvusa(tmp_path / "pairs", 12), tmp_path / "safa.onnx", tmp_path / "cache"
-    ) as running:
-        yield running
-
-
-@pytest.fixture
-def real_app(real_run: RealRun, tmp_path: Path) -> Iterator[RunningApp]:
-    """The app on real University-1652 pictures, with an LPN trained on them."""
-    with started(real_run.data, real_run.exported, tmp_path / "cache") as running:
-        yield running
+@pytest.fixture(scope="package")
+def running(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path) -> Iterator[Running]:
+    folder = tmp_path_factory.mktemp("screen")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LPN_CACHE", str(folder / "cache"))
+        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
+        workspace = open_model(data, model_file, baseline=one_part_model_file)
+        for ranking in workspace.rankings.values():
+            ranking.wait(workspace, lambda *_: None)
+        with closing(App(workspace, "127.0.0.1", free_port())) as app:
+            yield Running(app, workspace)
 
 
 @pytest.fixture(scope="package")
@@ -256,149 +151,56 @@ def browser() -> Iterator[Browser]:
         launched.close()
 
 
-class ExplorerPage:
-    """A page of the app, used as a person would."""
+class Screen:
+    """A page of the screen."""
 
-    def __init__(self, page: Page) -> None:
-        self.page = page
-        self.status = page.locator("#lpn-status")
-        self.verdict = page.locator("#lpn-verdict")
-        self.rows = page.locator("#lpn-matches .row")
-        self.canvas = page.locator("canvas[data-engine]")
-        self.notifications = page.locator(".mantine-Notification-root:not(#webgl-software-rendering)")
+    def __init__(self, page: Page, url: str) -> None:
+        self.page, self.url = page, url
+        self.complaints: list[str] = []
+        page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
+        self.photo, self.headline = page.locator("#photo .frame"), page.locator("#headline")
+        self.rows, self.tiles = page.locator("#rows .row"), page.locator("#strip .tile")
 
-    def open(self, url: str) -> None:
-        """Load the page, its workbench for an address that names nothing, and wait for the first answer on the stage."""
-        self.page.goto(url if "?" in url else f"{url}/?screen=all")
-        self.await_answer()
+    def open(self, search: str = "") -> Screen:
+        self.page.goto(self.url + search)
+        self.rest()
+        return self
 
-    def await_answer(self) -> None:
-        """Wait for the first answer on the stage."""
-        expect(self.status).not_to_have_attribute("data-seq", "0")
-        expect(self.canvas).to_be_visible()
-        self.settle()
-
-    def settle(self) -> None:
-        """Wait until the page has drawn the messages that reached it."""
-        for _ in range(2):
-            self.page.evaluate(_DRAWN)
-
-    def sequence(self) -> int:
-        """The number of answers shown so far."""
-        return int(self.status.get_attribute("data-seq") or 0)
-
-    def expect_answers(self, count: int) -> None:
-        """Check that one more change, of the angle, is answer number `count`: nothing was answered or queued before."""
-        self.fill("Rotate", "17")
-        self.expect_status("angle", "17")
-        assert self.sequence() == count
-
-    def expect_status(self, name: str, value: str) -> None:
-        """Wait until the page shows an answer with this attribute."""
-        expect(self.status).to_have_attribute(f"data-{name}", value)
-        self.settle()
-
-    def eventually(self, check: Callable[[], object]) -> None:
-        """Repeat a check until it raises no AssertionError; after `PATIENCE` let the error pass."""
-        deadline = time.monotonic() + PATIENCE
-        while True:
-            try:
-                check()
-                return
-            except AssertionError:
-                if time.monotonic() > deadline:
-                    raise
-            self.page.wait_for_timeout(50)
-
-    def command(self, label: str) -> None:
-        """Choose a command in the palette; until its field has the focus, keys go to the page."""
-        self.page.keyboard.press("Control+k")
-        self.page.get_by_placeholder("Search commands").fill(label)
-        expect(self.page.locator(".mantine-Spotlight-action").first).to_contain_text(re.compile(label, re.IGNORECASE))
-        self.page.keyboard.press("Enter")
-
-    def field(self, label: str) -> Locator:
-        """The text or number box in the row of a label."""
-        row = self.page.locator(f'label:text-is("{label}")').locator("xpath=ancestor::div[contains(@class,'Flex')][1]")
-        return row.locator("input").last
-
-    def fill(self, label: str, value: str) -> None:
-        """Type a value into a control."""
-        self.settle()
-        box = self.field(label)
-        box.fill(value)
-        box.press("Enter")
-
-    def tick(self, label: str, on: bool) -> None:
-        """Switch a checkbox."""
-        self.settle()
-        self.field(label).set_checked(on)
-
-    def upload(self, *files: Path) -> None:
-        """Choose files of one's own."""
-        with self.page.expect_file_chooser(timeout=1000 * PATIENCE) as chooser:
-            self.page.get_by_role("button", name="Use my own picture").click()
-        chooser.value.set_files(list(files))
+    def rest(self, angle: str | None = None) -> None:
+        """Wait until the page shows the result of what was asked for."""
+        body = self.page.locator("body")
+        expect(body).to_have_attribute("data-sequence", re.compile(r"\d"))
+        expect(body).not_to_have_class(re.compile("wait|turning"))
+        if angle is not None:
+            expect(self.photo).to_have_attribute("aria-valuenow", angle)
+            expect(body).not_to_have_class(re.compile("wait|turning"))
 
     def key(self, key: str) -> None:
-        """Press a key while no control has the focus."""
-        self.settle()
-        self.page.evaluate("document.activeElement.blur()")
         self.page.keyboard.press(key)
 
-    def explain(self) -> None:
-        """Press Y, and open the evidence, which is not what comes first for a wrong answer."""
-        wrong = "✗" in self.verdict.inner_text()
-        self.key("y")
-        if wrong:
-            expect(self.page.get_by_role("tab", name="True or wrong")).to_have_attribute("aria-selected", "true")
-            self.page.get_by_role("tab", name="Why").click()
+    def expect_numbers(self, analysis: Answer) -> None:
+        """Check each number in sight against an analysis."""
+        first, verdict = analysis.ranking.match(0), analysis.verdict
+        assert verdict.rival is not None
+        expect(self.headline.locator("p")).to_contain_text(verdict.headline)
+        shares = rounded_to_sum(first.contributions.tolist(), total=first.distance2)
+        for row, share, gain in zip(self.rows.all(), shares, verdict.figures, strict=True):
+            expect(row.locator("b")).to_have_text(f"{share:.3f}")
+            expect(row.locator(".line i")).to_contain_text(f"{abs(gain):.3f}")
+        sums = self.page.locator("#sum .total b")
+        expect(sums.first).to_have_text(f"{first.distance2:.3f}")
+        expect(sums.last).to_have_text(f"{verdict.rival.distance2:.3f}")
+        for place, match in enumerate(analysis.matches[:3]):
+            expect(self.tiles.nth(place)).to_have_attribute(
+                "aria-label",
+                f"{match.rank}: {analysis.task.gallery[match.index].title}, distance {match.distance2:.3f}",
+            )
 
-    def tab(self, name: str) -> None:
-        """Open a tab of a panel."""
-        self.page.get_by_role("tab", name=name).click()
 
-    def at_rest(self, shown: Locator, holds: Callable[[np.ndarray], bool] = lambda _: True) -> np.ndarray:
-        """A picture of an element that no longer changes, (H, W, 3) BGR.
-
-        Args:
-            holds: what must be true of the picture; it is taken again until then.
-        """
-        deadline = time.monotonic() + PATIENCE
-        shots = [b"", b""]
-        while True:
-            self.settle()
-            if not self._decoded():
-                shots = [b"", b""]
-            try:
-                shots = [*shots[-2:], shown.screenshot()]
-            except Error as error:
-                if "not attached" not in error.message:  # else the page has just put another in its place
-                    raise
-                continue
-            if len(set(shots)) == 1:
-                picture = cv2.imdecode(np.frombuffer(shots[-1], np.uint8), cv2.IMREAD_COLOR).astype(int)
-                if holds(picture):
-                    return picture
-            assert time.monotonic() < deadline, f"the picture is not as expected after {PATIENCE:g} s"
-            self.page.wait_for_timeout(100)
-
-    def _decoded(self) -> bool:
-        """Return True if no picture of the stage is still being decoded: a stage without it may be at rest as well."""
-        return bool(self.page.evaluate("!window.undecoded?.size"))
-
-    def stage(self, holds: Callable[[np.ndarray], bool] = lambda _: True) -> np.ndarray:
-        """A picture of the 3-D stage at rest, as `at_rest` takes it."""
-        return self.at_rest(self.canvas, holds)
-
-    def expect_filled(self, axis: int, share: float) -> None:
-        """Wait until things take more than a share of the stage's height (axis 0) or width (axis 1)."""
-
-        def filled(picture: np.ndarray) -> bool:
-            places = np.flatnonzero((picture > 90).any(axis=(1 - axis, 2)))
-            return len(places) > 0 and places[-1] - places[0] > share * picture.shape[axis]
-
-        self.stage(filled)
+@pytest.fixture
+def screen(running: Running, new_page: Callable[[], Page]) -> Screen:
+    return Screen(new_page(), running.url)
 
 
 def expect_accessible(page: Page, rules: Sequence[str] = ()) -> None:
@@ -420,14 +222,9 @@ def box(locator: Locator) -> FloatRect:
     return laid_out
 
 
-def difference(one: np.ndarray, other: np.ndarray) -> float:
-    """The share of pixels that differ visibly between two pictures of the stage."""
-    return float((np.abs(one - other).max(axis=2) > 25).mean()) if one.shape == other.shape else 1.0
-
-
 @pytest.fixture
 def contexts(browser: Browser) -> Iterator[Callable[..., BrowserContext]]:
-    """A function that makes browser profiles, which share nothing and have seen the tour; all are closed at the end."""
+    """A function that makes browser profiles, which share nothing; all are closed at the end."""
     made: list[BrowserContext] = []
 
     def make(**options: Any) -> BrowserContext:
@@ -447,19 +244,11 @@ def empty_context(browser: Browser, **options: Any) -> BrowserContext:
 
 
 def new_context(browser: Browser, **options: Any) -> BrowserContext:
-    """A browser profile that has seen the tour, on a system with a dark theme."""
+    """A browser profile on a system with a dark theme."""
     given = {"viewport": {"width": 1456, "height": 835}, "color_scheme": "dark", **options}
     context = empty_context(browser, **given)
     context.add_init_script(_PREPARE)
     return context
-
-
-def deny_storage(page: Page) -> None:
-    """Let each use of the browser's storage fail from now on, as it does where a person has denied it."""
-    page.evaluate(
-        """() => ["getItem", "setItem", "removeItem"].forEach(
-          (use) => (Storage.prototype[use] = () => { throw new DOMException("denied", "SecurityError") }))"""
-    )
 
 
 def outlast(page: Page, milliseconds: int) -> None:
@@ -498,11 +287,3 @@ def new_page(_warm_context: BrowserContext) -> Iterator[Callable[[], Page]]:
     for page in made:
         page.close()
     _warm_context.clear_cookies()
-
-
-@pytest.fixture
-def explorer(app: RunningApp, new_page: Callable[[], Page]) -> ExplorerPage:
-    """The app opened in a page of its own."""
-    opened = ExplorerPage(new_page())
-    opened.open(app.url)
-    return opened

@@ -7,23 +7,20 @@ import functools
 import http.server
 import json
 import os
+import re
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from urllib.parse import urlencode, urlsplit
+from urllib.parse import urlsplit
 
 import onnx
 import pytest
-from explorer.stories import exported
-from explorer.stories.story import Step, Story
-from explorer.url_state import UrlState
 from PIL import ExifTags, Image, PngImagePlugin
-from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
+from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 import lpn
-from explorer.opening import open_flight_over, open_model
 from lpn.cli import main
 from lpn.core.files import printable
 from lpn.locate.tracks import TrackPoint, write_track
@@ -31,18 +28,16 @@ from lpn.maps import MapPlace
 from lpn.maps.folder import build_map
 from lpn.models.contract import Contract
 from lpn.models.contract_metadata import to_metadata
-from lpn.sources import ModelOptions
-from tests.e2e.conftest import PATIENCE, ExplorerPage, RunningApp, empty_context, started
+from tests.e2e.conftest import RunningApp, Screen, empty_context, started
 from tests.lpn.locate.scenery import land, write_map
 from tools.fixtures import small_models, small_worlds
-from tools.fixtures.chromium import returning
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 
 # Elements that only a foreign text could have put into the page.
 INJECTED = ", ".join(
     (
         "img[src='x']",
-        "iframe",
+        "iframe[src^='javascript' i]",
         "[href^='javascript' i]",
         *(f"[on{on}^='window.hurt']" for on in ("error", "load", "click")),
     )
@@ -62,6 +57,7 @@ TEXT = (
     "</textarea></style><script>window.hurt=8</script><img src=x onerror=window.hurt=9>\"'>"
     "<iframe src='javascript:parent.hurt=10'>"
 )
+PANELS = ("lab", "why", "compare", "sweep", "region", "stories", "report", "flight")
 
 
 @pytest.fixture(scope="module")
@@ -101,107 +97,97 @@ def written(file: Path, header: list[str], rows: list[list[str]]) -> None:
 
 @dataclass
 class Walk:
-    """The findings of a walk through all of the page."""
+    """What happens while a person walks through the screen."""
 
-    page: Page
-    url: str
+    screen: Screen
     asked: list[str] = field(default_factory=list)
-    sockets: list[str] = field(default_factory=list)
     alarms: list[str] = field(default_factory=list)
-    seen: set[str] = field(default_factory=set)
+    seen: str = ""
 
+    def __post_init__(self) -> None:
+        page = self.screen.page
+        page.on("request", lambda request: self.asked.append(request.url))
+        page.on("websocket", lambda socket: self.asked.append(socket.url))
+        page.on("dialog", lambda dialog: (self.alarms.append(dialog.message), dialog.dismiss()))
+        page.on("pageerror", lambda error: self.alarms.append(str(error)))
 
-@pytest.fixture(scope="module")
-def walk(places: Path, model_file: Path, tmp_path_factory: pytest.TempPathFactory, browser: Browser) -> Iterator[Walk]:
-    """Every room of the page visited: the pair, the map, the laboratory's tabs, the window of reasons, an upload."""
-    folder = tmp_path_factory.mktemp("walk")
-    with started(places, model_file, folder / "cache") as running:
-        context = returning(browser, 1456, 835)
-        context.set_default_timeout(1000 * PATIENCE)
-        walked = Walk(context.new_page(), running.url)
-        page = walked.page
-        page.on("request", lambda request: walked.asked.append(request.url))
-        page.on("websocket", lambda socket: walked.sockets.append(socket.url))
-        page.on("dialog", lambda dialog: (walked.alarms.append(dialog.message), dialog.dismiss()))
-        page.on("pageerror", lambda error: walked.alarms.append(str(error)))
-        visit(walked, folder)
-        yield walked
-        context.close()
-
-
-def visit(walk: Walk, folder: Path) -> None:
-    """Go through the rooms, and note which of the texts each shows."""
-    explorer, page = ExplorerPage(walk.page), walk.page
-
-    def look() -> None:
-        explorer.settle()
-        shown = page.locator("body").inner_text()
-        walk.seen |= {text for text in (*NAMES, TEXT[:40]) if text in shown}
+    def look(self) -> None:
+        """Note the texts in the page, and check that none has become an element."""
+        page = self.screen.page
+        self.seen += page.locator("body").inner_text()
+        self.seen += "\n".join(page.locator("[aria-label]").evaluate_all("all => all.map((one) => one.ariaLabel)"))
         assert not page.locator(INJECTED).count()
 
-    explorer.open(walk.url)
-    look()
-    for number in range(1, len(NAMES)):
-        explorer.key("n")
-        explorer.expect_status("query", str(number))
-        look()
-    explorer.key("m")
-    look()
-    explorer.key("m")
-    explorer.key("b")
-    rows = page.locator("#lpn-lab-table tbody tr")
-    expect(rows.first).to_be_visible()
-    look()
-    for tab in page.locator(".lab-bar .seg a").all():
-        tab.click()
-        look()
-    page.locator(".lab-bar .seg a").first.click()
-    other = page.locator("#lpn-lab-table tr[data-row]:not(.chosen)").first
-    row = other.get_attribute("data-row")
-    other.click()
-    expect(page.locator("#lpn-lab-table tr.chosen")).to_have_attribute("data-row", str(row))
-    expect(page.locator(f".lab-note[data-row='{row}'] textarea")).to_have_value(
-        TEXT
-    )  # the former query has this note, too
-    page.locator("#lpn-lab-tags").fill("onload night")
-    page.locator("#lpn-lab-tags").blur()
-    expect(page.locator("#lpn-lab-message")).to_contain_text("Saved")
-    page.locator("#lpn-lab-tags").fill("<img/src=x/onerror=window.hurt=13>")
-    page.locator("#lpn-lab-tags").blur()
-    expect(page.locator("#lpn-lab-message")).to_contain_text("Not saved")
-    page.locator("#lpn-lab-where").fill('note ~ "<img src=x onerror=window.hurt=14>"')
-    page.locator("#lpn-lab-where").blur()
-    look()
-    explorer.key("b")
-    explorer.key("y")
-    for tab in ("Heatmaps", "True or wrong", "Turn, shift, zoom", "Search by a region"):
-        explorer.tab(tab)
-        look()
-    explorer.key("y")
-    own = folder / NAMES[0]
-    small_worlds.write(own.with_suffix(".png"), small_worlds.place(77))
-    explorer.upload(own.with_suffix(".png"))
-    explorer.expect_status("name", own.with_suffix(".png").name)
-    look()
-    explorer.fill("Find name", NAMES[1])
-    look()
-    own.write_bytes(b"<svg onload=window.hurt=15>")
-    explorer.upload(own)
-    expect(page.get_by_text("is a drawing (SVG), not a photo")).to_be_visible()
-    look()
-    page.locator("#lpn-story-names a").nth(1).click()
-    expect(page.locator("#lpn-told .caption")).to_have_text(TEXT)
-    page.keyboard.press("n")
-    expect(page.locator("#lpn-told .notes")).to_have_text(NAMES[0])
-    page.keyboard.press("Escape")
-    look()
+    def panels(self) -> None:
+        """Open each panel that the place has, and wait for what it shows."""
+        page = self.screen.page
+        for name in PANELS:
+            self.screen.open(f"?panel={name}")
+            if page.locator("#panel").is_visible():
+                expect(page.locator("#panel .content")).not_to_be_empty()
+                self.look()
+
+    def harmless(self) -> None:
+        """Check that nothing ran, and that nobody but the server was asked."""
+        assert self.screen.page.evaluate("window.hurt") is None
+        assert not self.alarms
+        server = urlsplit(self.screen.url).netloc
+        asked = {urlsplit(url) for url in self.asked}
+        assert {url.netloc for url in asked if url.scheme not in ("data", "blob")} == {server}
+        assert {url.scheme for url in asked} <= {"http", "ws", "data", "blob"}
 
 
 @pytest.mark.slow
-def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(walk: Walk) -> None:
-    assert walk.page.evaluate("window.hurt") is None
-    assert not walk.alarms
-    assert walk.seen >= set(NAMES)
+def test_names_and_texts_are_shown_as_text_and_none_of_them_runs(
+    places: Path, model_file: Path, tmp_path: Path, contexts: Callable[..., BrowserContext]
+) -> None:
+    with started(places, model_file, tmp_path / "cache") as running:
+        walk = Walk(Screen(contexts().new_page(), running.url))
+        screen, page = walk.screen.open(), walk.screen.page
+        for number in range(len(NAMES)):
+            expect(page.locator(f'#list [data-query="{number}"]')).to_have_attribute("aria-current", "true")
+            screen.rest()
+            walk.look()
+            screen.key("n")
+        walk.panels()
+        screen.open()
+        screen.key("/")
+        page.keyboard.type(NAMES[1])
+        walk.look()
+        page.keyboard.press("Escape")
+        own = tmp_path / f"{NAMES[0]}.png"
+        small_worlds.write(own, small_worlds.place(77))
+        page.set_input_files("#file", own)
+        expect(screen.photo.locator(".picture")).to_have_attribute("aria-label", own.name)
+        walk.look()
+        page.set_input_files(
+            "#file", {"name": NAMES[0], "mimeType": "image/png", "buffer": b"<svg onload=window.hurt=15>"}
+        )
+        expect(screen.headline.locator("h1")).to_contain_text("is a drawing (SVG), not a photo")
+        walk.look()
+        walk.harmless()
+        assert all(name in walk.seen for name in NAMES)
+
+
+@pytest.mark.slow
+def test_a_flight_a_map_and_models_are_shown_as_text_too(
+    flown: dict[str, Path], tmp_path: Path, contexts: Callable[..., BrowserContext]
+) -> None:
+    named = [text for name, file in flown.items() if name != "flight" for text in (f"--{name}", str(file))]
+    options = [str(flown["flight"]), "--no-register", *named]
+    with started(Path(), Path(), tmp_path / "cache", default=True, options=options) as running:
+        walk = Walk(Screen(contexts().new_page(), running.url))
+        screen, page = walk.screen.open(), walk.screen.page
+        for _ in NAMES:
+            walk.look()
+            screen.key("n")
+            screen.rest()
+        walk.panels()
+        page.keyboard.press("Control+k")
+        walk.look()
+        walk.harmless()
+        told = (f"{NAMES[3]}.onnx", f"{NAMES[4]}.onnx", *(f"{name}.jpg" for name in NAMES))
+        assert all(text in walk.seen for text in told)
 
 
 def hostile_model(file: Path) -> Path:
@@ -245,55 +231,6 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return {"map": folder / NAMES[1], "flight": folder / NAMES[2], "model": model, "beside": other}
 
 
-@pytest.mark.slow
-def test_a_flight_a_map_and_models_are_shown_as_text_too(
-    flown: dict[str, Path], tmp_path: Path, contexts: Callable[..., BrowserContext]
-) -> None:
-    named = [text for name, file in flown.items() if name != "flight" for text in (f"--{name}", str(file))]
-    options = [str(flown["flight"]), "--no-register", *named]
-    with started(Path(), Path(), tmp_path / "cache", default=True, options=options) as running:
-        walked = Walk(contexts().new_page(), running.url)
-        explorer, page = ExplorerPage(walked.page), walked.page
-        page.on("dialog", lambda dialog: (walked.alarms.append(dialog.message), dialog.dismiss()))
-        page.on("pageerror", lambda error: walked.alarms.append(str(error)))
-
-        def look(room: Locator) -> None:
-            expect(room).to_be_visible()
-            explorer.settle()
-            walked.seen.add(page.locator("body").inner_text())
-            assert not page.locator(INJECTED).count()
-
-        page.goto(running.url)
-        expect(page.locator(".credit a")).to_have_attribute("href", f"https://x.org/{NAMES[1]}")
-        look(page.locator(".place", has_text=NAMES[0]))
-        explorer.open(f"{running.url}/?screen=all")
-        for number in range(1, len(NAMES)):
-            explorer.key("n")
-            explorer.expect_status("query", str(number))
-        look(page.locator("#lpn-matches"))
-        for key, room in (("w", "#lpn-flight-verdict"), ("m", "#lpn-stage-map"), ("b", "#lpn-lab-table tr.chosen")):
-            explorer.key(key)
-            look(page.locator(room))
-            explorer.key(key)
-        explorer.key("y")
-        expect(page.get_by_role("tab", name="Two models")).to_be_visible()
-        for tab in page.get_by_role("tab").all():
-            tab.click()
-            look(tab)
-        shown = "\n".join(walked.seen)
-        told = (
-            f"{NAMES[2]} over town",
-            f"{NAMES[3]}.onnx",
-            f"{NAMES[4]}.onnx",
-            TEXT,
-            f"with {NAMES[2]} held",
-            NAMES[1],
-        )
-        assert all(text in shown for text in (*told, *(f"{name}.jpg" for name in NAMES)))
-        assert page.evaluate("window.hurt") is None
-        assert not walked.alarms
-
-
 @pytest.fixture
 def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
     """A page for files, and what must not happen in it: requests for anything else, dialogs, and errors."""
@@ -313,46 +250,19 @@ def file_page(browser: Browser) -> Iterator[tuple[Page, list[str]]]:
 def test_no_text_runs_in_the_files_that_leave(
     places: Path, flown: dict[str, Path], model_file: Path, tmp_path: Path, file_page: tuple[Page, list[str]]
 ) -> None:
-    """The report, exported stories, and a notebook's cell as a browser shows them."""
+    """The report, and a notebook's cell as a browser shows them."""
     page, alarms = file_page
-    report = [
-        "report",
-        str(places),
-        "--model",
-        str(model_file),
-        "--out",
-        str(tmp_path / "report.html"),
-        "--where",
-        "rank > 0",
-    ]
+    out = tmp_path / "report.html"
+    report = ["report", str(places), "--model", str(model_file), "--out", str(out), "--where", "rank > 0"]
     assert main.main(report) == 0
-    shows = {"story": {"lab": "1", "columns": "weather,note"}, "flight": {"flight": "1"}}
-    for name, windows in shows.items():
-        workspace = open_model(places, model_file)
-        if name == "flight":
-            workspace = open_flight_over(
-                flown["map"], flown["flight"], ModelOptions(model=flown["model"]), register=False
-            )
-        first = next(iter(workspace.tasks.values())).query_names[0]
-        steps = [
-            Step(urlencode({"query": first} | windows) if number else "", f"{TEXT} {text}")
-            for number, text in enumerate(NAMES)
-        ]
-        _, story = exported.export(workspace, UrlState(workspace), Story(NAMES[0], tuple(steps)))
-        (tmp_path / f"{name}.html").write_bytes(story)
     tiles = lpn.Gallery.of_folder(places / "tiles", flown["model"])
     answer = tiles.search(small_worlds.place(1), weights=[1, 0])
     (tmp_path / "notebook.html").write_text(f"<!doctype html><meta charset=utf-8>{answer._repr_html_()}")
-    for name in ("report", "notebook", *shows):
+    for name, texts in (("report", [*NAMES, TEXT[:40]]), ("notebook", [NAMES[1], NAMES[4]])):
         page.goto((tmp_path / f"{name}.html").as_uri())
         page.wait_for_load_state("networkidle")
         shown = page.locator("body").inner_text()
-        if name not in shows:
-            assert all(text in shown for text in (NAMES if name == "report" else (NAMES[1], NAMES[4])))
-        else:
-            expect(page.locator(".said .headline")).to_have_text([f"{TEXT} {text}" for text in NAMES])
-            assert page.title() == NAMES[0]
-        assert name == "notebook" or TEXT[:40] in page.locator("body").inner_text()
+        assert all(text in shown for text in texts)
         page.evaluate("document.querySelectorAll('*').forEach(e => e.click && e.tagName !== 'A' && e.click())")
         assert page.evaluate("window.hurt") is None
         assert not page.locator(INJECTED).count()
@@ -389,15 +299,6 @@ def test_a_browser_reads_tracks_of_such_names_and_runs_none(tmp_path: Path, file
 
 
 @pytest.mark.slow
-def test_the_browser_asks_nobody_but_the_server(walk: Walk) -> None:
-    server = urlsplit(walk.url).netloc
-    asked = {urlsplit(url) for url in walk.asked}
-    assert {url.netloc for url in asked if url.scheme not in ("data", "blob")} == {server}
-    assert {url.scheme for url in asked} <= {"http", "data", "blob"}
-    assert {urlsplit(url).netloc for url in walk.sockets} == {server}
-
-
-@pytest.mark.slow
 def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
     app: RunningApp, contexts: Callable[..., BrowserContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -411,9 +312,8 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
         page.get_by_label("Token").fill("a wrong one given")
         page.get_by_role("button", name="Open").click()
         expect(page.get_by_role("heading")).to_have_text("Wrong token")
-        explorer = ExplorerPage(page)
-        explorer.open(f"{running.url}&query=0008")
-        explorer.expect_status("name", "0008")
+        Screen(page, running.url).open("&query=0008")
+        expect(page).to_have_url(re.compile("query=0008"))
         assert "token" not in page.url
         assert query.partition("=")[2] not in page.content()
         assert "lpn-" not in page.evaluate("document.cookie"), "no script reads it"
@@ -421,7 +321,8 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
             other = context.new_page()
             other.goto(site)
             other.get_by_role("link").click()
-            ExplorerPage(other).expect_status("name", "0009")
+            Screen(other, plain).rest()
+            expect(other).to_have_url(re.compile("query=0009"))
             stranger = contexts().new_page()
             stranger.goto(site)
             stranger.get_by_role("link").click()
@@ -429,7 +330,7 @@ def test_without_a_token_a_browser_is_asked_for_it_and_then_stays_signed_in(
             stranger.goto(site)
             stranger.evaluate(f"document.querySelector('a').href = {running.url!r}")
             stranger.get_by_role("link").click()
-            ExplorerPage(stranger).expect_status("name", "0007")
+            Screen(stranger, plain).rest()
 
 
 def test_another_site_cannot_drive_a_server_on_this_machine(
@@ -440,11 +341,11 @@ def test_another_site_cannot_drive_a_server_on_this_machine(
         page.goto(site)
         said = page.evaluate(
             """url => new Promise(done => {
-                const socket = new WebSocket(url.replace("http", "ws"), ["viser-v1.1.1"]);
+                const socket = new WebSocket(`${url.replace("http", "ws")}api/0123456789abcdef`, ["lpn-json"]);
                 socket.onopen = () => done("open");
                 socket.onerror = () => done("refused");
             })""",
-            app.screen,
+            app.url,
         )
         assert said == "refused"
         framed = page.evaluate(
@@ -453,11 +354,11 @@ def test_another_site_cannot_drive_a_server_on_this_machine(
                 frame.onload = () => setTimeout(() => done(frame.contentWindow.length), 500);
                 frame.src = url;
             })""",
-            app.screen,
+            app.url,
         )
         assert framed == 0
         assert all("blocked" in frame.url or "chrome-error" in frame.url for frame in page.frames[1:])
-        page.goto(f"{app.url}/?websocket={site.replace('http', 'ws')}")
+        page.goto(f"{app.url}?websocket={site.replace('http', 'ws')}")
         expect(page.get_by_role("heading")).to_have_text("This address leads elsewhere")
 
 

@@ -18,7 +18,7 @@ import pytest
 from playwright.sync_api import BrowserContext, expect
 
 from lpn.core.demo import DEMO_QUERY
-from tests.e2e.conftest import ExplorerPage, classic
+from tests.e2e.conftest import Screen
 from tools.fixtures import packages
 from tools.fixtures.processes import free_port
 
@@ -112,9 +112,10 @@ def test_an_installed_wheel_opens_the_demo_and_writes_nothing_beside_it(
         assert f"ready: http://127.0.0.1:{port}" in process.stdout.readline()
         print(f"{time.monotonic() - started:.2f} s to the address")
         try:
-            explorer = ExplorerPage(contexts().new_page())
-            explorer.open(classic(f"http://127.0.0.1:{port}"))
-            expect(explorer.status).to_have_attribute("data-name", DEMO_QUERY)
+            screen = Screen(contexts().new_page(), f"http://127.0.0.1:{port}/").open()
+            expect(screen.rows).to_have_count(4)
+            expect(screen.photo.locator(".picture")).to_have_attribute("aria-label", re.compile(re.escape(DEMO_QUERY)))
+            assert not [one for one in screen.complaints if "WebGL" not in one]
         finally:
             process.terminate()
     assert {path: path.stat().st_mtime_ns for path in assets.rglob("*")} == before

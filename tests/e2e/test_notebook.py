@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import http.server
 import re
+import threading
 import urllib.error
 import urllib.request
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import BrowserContext, expect
 
-from tests.e2e.conftest import PATIENCE, served_folder
+from tests.e2e.conftest import PATIENCE
 
 nbclient = pytest.importorskip("nbclient", reason="needs nbclient and ipykernel, of the extra dev")
 pytest.importorskip("ipykernel", reason="needs nbclient and ipykernel, of the extra dev")
@@ -53,11 +56,14 @@ def test_a_notebook_shows_the_page_in_a_cell_and_ends_it_with_its_kernel(
 def show(html: str, folder: Path, contexts: Callable[[], BrowserContext]) -> None:
     """Show the output of a cell in a page of another server of this machine, as a notebook does."""
     (folder / "cell.html").write_text(f"<!doctype html><title>notebook</title>{html}")
-    with served_folder(folder) as address:
+    handler = partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
         page = contexts().new_page()
-        page.goto(f"{address}/cell.html")
+        page.goto(f"http://localhost:{server.server_port}/cell.html")
         expect(page.frame_locator("iframe").locator("#strip .tile").first).to_be_visible()
         page.close()
+        server.shutdown()
 
 
 def answers(url: str) -> bool:

@@ -16,17 +16,19 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Page, expect
 
-from tests.e2e.conftest import PATIENCE, RunningApp, classic
+from tests.e2e.conftest import PATIENCE, RunningApp, Screen
 from tools.fixtures.processes import free_ports
 from tools.fixtures.small_proxy import SmallProxy
 
 NewPage = Callable[[], Page]
 SERVING = Path(__file__).parents[2] / "docs" / "serving.md"
-FAULT = "Pages of LPN Explorer arrive, but its websockets do not. A proxy in between must pass"
 
 
 def port(app: RunningApp) -> int:
     return urlsplit(app.url).port or 0
+
+
+LOST = "Connection lost. Trying again."
 
 
 @pytest.mark.parametrize(
@@ -35,68 +37,47 @@ def port(app: RunningApp) -> int:
         {"drop": ("upgrade",)},
         pytest.param({"drop": ("sec-websocket-protocol",)}, marks=pytest.mark.slow),
         pytest.param({"websockets": 404}, marks=pytest.mark.slow),
-        pytest.param({"websockets": "hold"}, marks=pytest.mark.slow),
-        pytest.param({"websockets": "silent"}, marks=pytest.mark.slow),
     ],
 )
-def test_a_page_whose_websockets_do_not_arrive_says_so(
+def test_a_page_whose_websockets_do_not_arrive_says_so_and_goes_on_once_they_do(
     app: RunningApp, new_page: NewPage, options: dict[str, Any]
 ) -> None:
     with SmallProxy(port(app), **options) as proxy:
         page = new_page()
-        page.goto(classic(proxy.url))
-        expect(page.locator("#lpn-fault")).to_contain_text(FAULT)
+        page.goto(proxy.url)
+        expect(page.locator("#headline h1")).to_have_text(LOST)
+        proxy.drop, proxy.websockets = (), "pass"
+        expect(page.locator("#strip .tile").first).to_be_visible()
+        expect(page.locator("#headline h1")).not_to_have_text(LOST)
 
 
-def test_a_page_whose_host_is_changed_goes_on_once_it_is_not(app: RunningApp, new_page: NewPage) -> None:
-    with SmallProxy(port(app), host=f"127.0.0.1:{port(app)}") as proxy:
-        page = new_page()
-        page.goto(classic(proxy.url))
-        fault = page.locator("#lpn-fault")
-        expect(fault).to_contain_text(FAULT)
+def test_a_page_that_loses_its_websocket_to_a_proxy_keeps_its_numbers(app: RunningApp, new_page: NewPage) -> None:
+    with SmallProxy(port(app)) as proxy:
+        screen = Screen(new_page(), proxy.url).open("?query=0009")
+        proxy.host = f"127.0.0.1:{port(app)}"
+        proxy.cut()
+        expect(screen.headline.locator("h1")).to_have_text(LOST)
+        expect(screen.rows).to_have_count(4)
         proxy.host = ""
-        expect(page.locator("#lpn-status")).to_have_count(1)
-        expect(fault).to_have_count(0)
+        expect(screen.headline.locator("h1")).not_to_have_text(LOST)
+        expect(screen.page).to_have_url(re.compile("query=0009"))
 
 
 @pytest.mark.parametrize(
-    ("options", "path"),
+    "options",
     [
-        ({"folder": "maps", "redirect": True}, ""),
-        pytest.param({"folder": "maps", "strip": False}, "", marks=pytest.mark.slow),
-        pytest.param({"folder": "maps"}, "maps/classic", marks=pytest.mark.slow),
-        pytest.param({"version": "1.0"}, "classic/#part", marks=pytest.mark.slow),
+        {"folder": "maps", "strip": False},
+        pytest.param({"folder": "maps", "redirect": True}, marks=pytest.mark.slow),
+        pytest.param({"version": "1.0"}, marks=pytest.mark.slow),
     ],
 )
-def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage, options: dict[str, Any], path: str) -> None:
+def test_the_page_opens_below_a_folder(app: RunningApp, new_page: NewPage, options: dict[str, Any]) -> None:
     with SmallProxy(port(app), **options) as proxy:
-        page = new_page()
-        page.goto(f"http://127.0.0.1:{proxy.port}/{path}" if path else classic(proxy.url))
-        expect(page.locator("#lpn-status")).to_have_count(1)
-        expect(page.locator("#lpn-loading")).to_have_count(0)
-        assert urlsplit(page.url).path == (f"/{options['folder']}/classic/" if "folder" in options else "/classic/")
-        assert "websocket=" not in page.url
-
-
-def test_the_screen_opens_below_a_folder(app: RunningApp, new_page: NewPage) -> None:
-    with SmallProxy(port(app), folder="maps", strip=False) as proxy:
         page = new_page()
         page.goto(proxy.url)
         expect(page.locator("#strip .tile").first).to_be_visible()
         page.keyboard.press("n")
-        expect(page).to_have_url(re.compile(r"/maps/\?query="))
-
-
-@pytest.mark.slow
-def test_a_page_that_loses_its_websocket_to_a_proxy_says_why(app: RunningApp, new_page: NewPage) -> None:
-    with SmallProxy(port(app)) as proxy:
-        page = new_page()
-        page.goto(classic(proxy.url))
-        expect(page.locator("#lpn-status")).to_have_count(1)
-        expect(page.locator("#lpn-loading")).to_have_count(0)
-        proxy.drop = ("upgrade",)
-        proxy.cut()
-        expect(page.locator("#lpn-notice")).to_contain_text(FAULT)
+        expect(page).to_have_url(re.compile(r"/maps/\?query=" if "folder" in options else r"\d/\?query="))
 
 
 def blocks(start: str) -> list[str]:
@@ -125,7 +106,7 @@ def opens(new_page: NewPage, address: str) -> None:
         time.sleep(0.05)
     page = new_page()
     page.goto(address)
-    expect(page.locator("#lpn-status")).to_have_count(1)
+    expect(page.locator("#strip .tile").first).to_be_visible()
 
 
 @pytest.mark.slow
@@ -141,8 +122,8 @@ def test_the_documented_blocks_of_nginx_work(app: RunningApp, new_page: NewPage,
     text += f"server {{ listen 127.0.0.1:{folder};\n{below} }} }}"
     (tmp_path / "nginx.conf").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
     with running("nginx", "-e", str(tmp_path / "errors"), "-c", str(tmp_path / "nginx.conf")):
-        opens(new_page, f"http://127.0.0.1:{whole}/classic/")
-        opens(new_page, f"http://127.0.0.1:{folder}/maps/classic")
+        opens(new_page, f"http://127.0.0.1:{whole}/")
+        opens(new_page, f"http://127.0.0.1:{folder}/maps/")
 
 
 @pytest.mark.slow
@@ -154,5 +135,5 @@ def test_the_documented_blocks_of_caddy_work(app: RunningApp, new_page: NewPage,
     text = "{\n admin off\n auto_https off\n}\n" + own + below.replace("tools.example.org", f":{folder}")
     (tmp_path / "Caddyfile").write_text(text.replace("127.0.0.1:8080", f"127.0.0.1:{port(app)}"))
     with running("caddy", "run", "--adapter", "caddyfile", "--config", str(tmp_path / "Caddyfile")):
-        opens(new_page, f"http://127.0.0.1:{whole}/classic/")
-        opens(new_page, f"http://127.0.0.1:{folder}/maps/classic")
+        opens(new_page, f"http://127.0.0.1:{whole}/")
+        opens(new_page, f"http://127.0.0.1:{folder}/maps/")

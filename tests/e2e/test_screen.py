@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
+import torch
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
-from explorer.app import App
-from explorer.opening import open_model
-from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
-from lpn.core.numbers import rounded_to_sum
-from tests.e2e.conftest import RunningApp, box, expect_accessible, outlast
+from lpn.models.checkpoints import save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
+from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, outlast, started
 from tools.fixtures import small_worlds
-from tools.fixtures.processes import free_port
+from tools.fixtures.published_results import save_result
 
 # The words of the page's text that are in sight; numbers are none.
 WORDS = """() => {
@@ -35,86 +33,36 @@ WORDS = """() => {
 SIZES = [(1280, 720), (1440, 900), (1920, 1080)]
 
 
-@dataclass(frozen=True)
-class Running:
-    """The app on eight places of a map, in this process."""
-
-    app: App
-    workspace: Workspace
-
-    @property
-    def url(self) -> str:
-        return f"http://127.0.0.1:{self.app.server.get_port()}/"
-
-    def analysis(self, **state: Any) -> StateAnalysis:
-        made = SessionState("drone-to-satellite", 4, **state)
-        return StateAnalyser(self.workspace).analyse(made, 6)
-
-
-@pytest.fixture(scope="module")
-def running(tmp_path_factory: pytest.TempPathFactory, model_file: Path, one_part_model_file: Path) -> Iterator[Running]:
-    folder = tmp_path_factory.mktemp("screen")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LPN_CACHE", str(folder / "cache"))
-        data = small_worlds.map_dataset(small_worlds.make_dataset(folder / "places", train=1, test=8))
-        workspace = open_model(data, model_file, baseline=one_part_model_file)
-        for ranking in workspace.rankings.values():
-            ranking.wait(workspace, lambda *_: None)
-        app = App(workspace, "127.0.0.1", free_port())
-        yield Running(app, workspace)
-        app.close()
-
-
-class Screen:
-    """A page of the screen."""
-
-    def __init__(self, page: Page, url: str) -> None:
-        self.page, self.url = page, url
-        self.complaints: list[str] = []
-        page.on("pageerror", lambda error: self.complaints.append(str(error)))
-        page.on("console", lambda said: self.complaints.append(said.text) if said.type == "error" else None)
-        self.photo, self.headline = page.locator("#photo .frame"), page.locator("#headline")
-        self.rows, self.tiles = page.locator("#rows .row"), page.locator("#strip .tile")
-
-    def open(self, search: str = "") -> Screen:
-        self.page.goto(self.url + search)
-        self.rest()
-        return self
-
-    def rest(self, angle: str | None = None) -> None:
-        """Wait until the page shows the result of what was asked for."""
-        body = self.page.locator("body")
-        expect(body).to_have_attribute("data-sequence", re.compile(r"\d"))
-        expect(body).not_to_have_class(re.compile("wait|turning"))
-        if angle is not None:
-            expect(self.photo).to_have_attribute("aria-valuenow", angle)
-            expect(body).not_to_have_class(re.compile("wait|turning"))
-
-    def key(self, key: str) -> None:
-        self.page.keyboard.press(key)
-
-    def expect_numbers(self, analysis: StateAnalysis) -> None:
-        """Check each number in sight against an analysis."""
-        first, verdict = analysis.ranking.match(0), analysis.verdict
-        assert verdict.rival is not None
-        expect(self.headline.locator("p")).to_contain_text(verdict.headline)
-        shares = rounded_to_sum(first.contributions.tolist(), total=first.distance2)
-        for row, share, gain in zip(self.rows.all(), shares, verdict.figures, strict=True):
-            expect(row.locator("b")).to_have_text(f"{share:.3f}")
-            expect(row.locator(".line i")).to_contain_text(f"{abs(gain):.3f}")
-        sums = self.page.locator("#sum .total b")
-        expect(sums.first).to_have_text(f"{first.distance2:.3f}")
-        expect(sums.last).to_have_text(f"{verdict.rival.distance2:.3f}")
-        for place, match in enumerate(analysis.matches[:3]):
-            expect(self.tiles.nth(place)).to_have_attribute(
-                "aria-label",
-                f"{match.rank}: {analysis.task.gallery[match.index].title}, distance {match.distance2:.3f}",
-            )
+@pytest.fixture
+def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
+    """The app on panoramas and tiles, with an untrained SAFA + LPN."""
+    torch.manual_seed(0)
+    spec = ModelSpec(
+        "resnet18",
+        "layer3",
+        views=("satellite", "street"),
+        shared=False,
+        n_parts=4,
+        embedding=256,
+        input_size=(48, 256),
+        pooling="safa",
+        maps=1,
+        polar=True,
+    )
+    save(LPN(spec), tmp_path / "safa.safetensors")
+    export(tmp_path / "safa.safetensors", tmp_path / "safa.onnx")
+    with started(
+        small_worlds.make_cvusa(tmp_path / "pairs", 12), tmp_path / "safa.onnx", tmp_path / "cache"
+    ) as running:
+        yield running
 
 
 @pytest.fixture
-def screen(running: Running, new_page: Callable[[], Page]) -> Screen:
-    return Screen(new_page(), running.url)
+def saved_app(app: RunningApp, tmp_path: Path) -> Iterator[RunningApp]:
+    """The places and descriptors of `app`, from a published result."""
+    save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
+    with started(app.data, app.model, tmp_path / "cache", saved=tmp_path / "pytorch_result.mat") as running:
+        yield running
 
 
 def scrolls(page: Page) -> tuple[int, int]:
@@ -265,6 +213,24 @@ def test_one_ring_is_lit_wherever_it_is_drawn(screen: Screen) -> None:
     expect(screen.rows.nth(0)).to_have_class(re.compile("on"))
 
 
+def test_a_part_is_weighed_at_the_head_of_its_row(running: Running, screen: Screen) -> None:
+    screen.open()
+    head = screen.page.get_by_role("slider", name="Weight of part 2")
+    head.focus()
+    screen.key("ArrowRight")
+    expect(screen.page).to_have_url(re.compile(r"weights=1,1\.1,1,1"))
+    screen.rest("0")
+    screen.expect_numbers(running.analysis(weights=(1.0, 1.1, 1.0, 1.0)))
+    place = box(head)
+    screen.page.mouse.move(place["x"] + 5, place["y"] + 5)
+    screen.page.mouse.down()
+    screen.page.mouse.move(place["x"] + 5 - 66, place["y"] + 5)
+    screen.page.mouse.up()
+    expect(head).to_have_attribute("aria-valuenow", "0")
+    screen.rest("0")
+    screen.expect_numbers(running.analysis(weights=(1.0, 0.0, 1.0, 1.0)))
+
+
 def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> None:
     screen.open()
     painted = "() => document.querySelector('#photo .heat').toDataURL()"
@@ -356,6 +322,28 @@ def test_own_photos_are_listed_and_ranked_and_a_file_that_is_none_is_named(runni
     expect(screen.headline.locator("h1")).to_contain_text(re.compile("Found|Missed"))
 
 
+def test_a_folder_gives_the_photos_in_it(running: Running, screen: Screen, tmp_path: Path) -> None:
+    screen.open()
+    page = screen.page
+    queries = running.workspace.tasks["drone-to-satellite"].queries
+    (tmp_path / "flight" / "deeper").mkdir(parents=True)
+    for name, query in {"a.png": 1, "deeper/b.png": 5}.items():
+        (tmp_path / "flight" / name).write_bytes(queries[query].path.read_bytes())
+    (tmp_path / "flight" / "notes.txt").write_text("words")
+    page.keyboard.press("Control+k")
+    page.keyboard.type("folder")
+    with page.expect_file_chooser() as chosen:
+        screen.key("Enter")
+    chosen.value.set_files(tmp_path / "flight")
+    yours = page.locator("#yours .query")
+    expect(yours).to_have_count(2)
+    assert {one.get_attribute("title") for one in yours.all()} == {"a.png", "b.png"}
+    expect(screen.headline.locator("h1")).to_contain_text("Nearest of 8")
+    page.reload()
+    screen.rest()
+    expect(page.locator("#yours")).to_be_hidden()
+
+
 @pytest.mark.parametrize("theme", ["dark", "light"])
 def test_the_screen_is_accessible_in_both_themes(
     running: Running, contexts: Callable[..., BrowserContext], theme: str
@@ -417,7 +405,7 @@ def test_the_scene_shows_the_place_and_the_rings_apart(running: Running, screen:
 def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
     panorama_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    screen = Screen(new_page(), f"{panorama_app.screen}/").open()
+    screen = Screen(new_page(), panorama_app.url).open()
     page = screen.page
     expect(page.locator("#photo .hint")).to_have_text("drag to roll")
     expect(screen.rows).to_have_count(4)
@@ -441,7 +429,7 @@ def test_a_panorama_is_rolled_and_its_parts_stand_side_by_side(
 def test_saved_descriptors_are_ranked_without_heat_or_turning(
     saved_app: RunningApp, new_page: Callable[[], Page]
 ) -> None:
-    screen = Screen(new_page(), f"{saved_app.screen}/").open()
+    screen = Screen(new_page(), saved_app.url).open()
     page = screen.page
     expect(screen.rows).to_have_count(4)
     expect(page.locator("#photo .key")).to_be_hidden()

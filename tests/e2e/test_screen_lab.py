@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import re
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -15,12 +16,23 @@ from explorer.app import App
 from explorer.opening import open_model
 from explorer.screen.panels.lab.service import LabFindings, lab_of
 from lpn.tasks import notes
-from tests.e2e.conftest import box, expect_accessible
-from tests.e2e.test_screen import SIZES, Running, Screen, hides, scrolls
+from tests.e2e.conftest import Running, Screen, box, expect_accessible
+from tests.e2e.test_screen import SIZES, hides, scrolls
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
+from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
+# Where the mouse points at a query of the map; null where it does nowhere.
+POINT = """plane => {
+  const { left, top, width, height } = plane.getBoundingClientRect();
+  for (let y = top + 4; y < top + height; y += 6)
+    for (let x = left + 4; x < left + width; x += 6) {
+      plane.dispatchEvent(new PointerEvent("pointermove", { clientX: x, clientY: y, bubbles: true }));
+      if (plane.style.cursor) return [x, y];
+    }
+  return null;
+}"""
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +74,13 @@ class LabPage(Screen):
 
     def row(self, name: str) -> Locator:
         return self.lines.filter(has=self.page.get_by_text(name, exact=True).first)
+
+    def eventually(self, ask: Callable[[str], object], script: str) -> None:
+        """Wait until a script of the page returns something."""
+        deadline = time.monotonic() + TIMEOUT
+        while ask(script) is None:
+            assert time.monotonic() < deadline, script
+            self.page.wait_for_timeout(200)
 
     def expect_total(self, total: int, of: int = 13) -> None:
         expect(self.counts).to_contain_text(f"{total} of {of}" if total < of else f"{of} photos")
@@ -196,14 +215,20 @@ def test_a_lasso_on_the_map_picks_queries_and_a_point_opens_its_query(lab: LabPa
     picked.click()
     lab.expect_total(13)
     lab.lab.get_by_role("button", name="Lasso").click()
-    # One row alone is on the map: the click beside its ring opens it.
+    # Where one query alone is left, a click on its point opens it.
     lab.lab.get_by_label("Map", exact=True).select_option("ground")
     expect(plane.locator("img.leaflet-image-layer")).to_be_visible()
-    wanted = int(np.argmax(findings.outcomes.rank))
-    name = findings.task.queries[wanted].name
-    lab.lab.get_by_role("searchbox", name="Filter").fill(f"name = {name}")
+    wanted = findings.task.queries[int(np.argmax(findings.outcomes.rank))].name
+    lab.lab.get_by_role("searchbox", name="Filter").fill(f"name = {wanted}")
     lab.expect_total(1)
-    lab.page.keyboard.press("Escape")
+    lab.lab.get_by_label("Colour by").select_option("")
+    expect(lab.lab.locator(".legend")).to_contain_text("✗ missed 1")
+    lab.eventually(plane.evaluate, POINT)
+    x, y = plane.evaluate(POINT)
+    lab.page.mouse.move(x, y)
+    expect(lab.lab.locator(".map .tip")).to_contain_text(wanted)
+    lab.page.mouse.click(x, y)
+    expect(lab.lab.locator(".note b")).to_have_text(wanted)
     assert not lab.complaints
 
 

@@ -11,8 +11,7 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 
 from explorer.app import App
 from explorer.opening import open_model
-from tests.e2e.conftest import box, empty_context, expect_accessible
-from tests.e2e.test_screen import Running, Screen
+from tests.e2e.conftest import Running, Screen, box, empty_context, expect_accessible
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import free_port
 

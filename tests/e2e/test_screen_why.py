@@ -12,11 +12,8 @@ from playwright.sync_api import Page, expect
 from explorer.screen.panels.compare.pair import TilePair
 from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.errors import DataError
-from tests.e2e.conftest import box, expect_accessible
-from tests.e2e.test_screen import Running, Screen, running, screen
+from tests.e2e.conftest import Running, Screen, box, expect_accessible
 from tests.explorer.screen.test_result import result_of
-
-__all__ = ["running", "screen"]  # the fixtures of the screen's own tests
 
 
 def test_the_verdict_opens_what_a_newcomer_needs(running: Running, screen: Screen) -> None:

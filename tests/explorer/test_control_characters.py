@@ -2,53 +2,40 @@
 
 from __future__ import annotations
 
-import re
+import json
 import shutil
 import sys
+import urllib.request
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import pytest
-import zstandard
-from explorer.web.render import call
 
 from explorer.app import App
+from explorer.feeds import shown_json
 from explorer.opening import open_model
 from lpn.core.files import TYPED, printable
 from lpn.tasks import notes
 from tools.fixtures import small_worlds
-from tools.fixtures.websocket_client import WebSocketClient
+from tools.fixtures.screen_tab import ScreenTab
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems allow few of these names")
 
 EVIL = "\x1b[31m\x1b]0;title\x07\x9b31m\x7f\x08\u202egpj\u2066\u2069\u2028\u2029"
-_ESCAPE = re.compile(r"\\+u(?!d[89a-f])([0-9a-fA-F]{4})")
 
 
 def texts(value: Any) -> Iterator[str]:
-    """All texts of a message, with the characters that its scripts escape."""
+    """All texts of a message."""
     if isinstance(value, str):
-        yield _ESCAPE.sub(lambda escape: chr(int(escape[1], 16)), value)
+        yield value
     elif isinstance(value, dict):
         for key, entry in value.items():
-            yield from texts(key)
-            yield from texts(entry)
+            yield from (key, *texts(entry))
     elif isinstance(value, list):
         for entry in value:
             yield from texts(entry)
-
-
-class Listener(WebSocketClient):
-    """A client that keeps all texts."""
-
-    def _take(self, data: bytes | str) -> None:
-        assert isinstance(data, bytes)
-        inner = zstandard.ZstdDecompressor().decompress(data[16:], int.from_bytes(data[:8], "little"))
-        self.texts: list[str] = getattr(self, "texts", [])
-        self.texts += texts(msgspec.msgpack.decode(inner)["messages"])
-        super()._take(data)
 
 
 def test_no_message_to_a_page_holds_any(tmp_path: Path, model_file: Path) -> None:
@@ -60,24 +47,24 @@ def test_no_message_to_a_page_holds_any(tmp_path: Path, model_file: Path) -> Non
     (root / "metadata.csv").write_text("\n".join(lines) + "\n")
     (root / notes.NAME).write_text(f'path,tags,note\n"{lines[1].split(chr(34))[1]}",night,"typed \u200f(1){EVIL}"\n')
     model = Path(shutil.copy(model_file, tmp_path / f"model{EVIL}.onnx"))
-    app = App(open_model(root, model), "127.0.0.1", 0)
-    try:
-        with Listener(f"http://127.0.0.1:{app.server.get_port()}") as browser:
-            browser.greet()
-            browser.set("All pictures in a table", True)
-            browser.wait(lambda: 'lab-note" data-task' in browser.html())
-            browser.tell("lab-drawer", "columns")
-            browser.wait(lambda: "b?[31m" in browser.html())
-            browser.tell("report", None)
-            browser.upload(f"mine{EVIL}.png", (next(root.rglob("*satellite*/*/*.png"))).read_bytes())
-            browser.wait(lambda: "mine?[31m" in browser.html())
-            said = "".join(browser.texts)
-    finally:
-        app.close()
+    with closing(App(open_model(root, model), "127.0.0.1", 0)) as app, ScreenTab(app.link) as tab:
+        result = tab.open("?query=~1")
+        rail = tab.until(lambda last: "rail" in last)["rail"]
+        with urllib.request.urlopen(f"{app.link}/{rail['address']}{rail['feed']}0", timeout=60) as response:
+            listed = json.load(response)
+        tab.set(compare=result["strip"][3])
+        tab.until(lambda last: last["result"]["pinned"])
+        messages = [dict(tab.last), listed]
+        tab.upload(f"mine{EVIL}.png", next(root.rglob("*satellite*/*/*.png")).read_bytes())
+        tab.until(lambda last: last["result"]["photo"]["own"])
+        tab.act(f"fly{EVIL}")
+        tab.until(lambda last: "error" in last)
+        said = "".join(texts([*messages, dict(tab.last)]))
     assert {c for c in set(said) if c not in TYPED and printable(c) != c} == set()
-    assert "model?[31m" in said
+    for name in ("model?[31m", "mine?[31m", "0?[31m", "fly?[31m"):
+        assert name in said, name
 
 
-def test_a_call_of_the_pages_script_passes_on_none() -> None:
-    script = call("show", {"names": [f"a{EVIL}", ("\u200f(1)\n", 1.5, None)]}, f"b{EVIL}")
-    assert script == call("show", {"names": [f"a{printable(EVIL)}", ("\u200f(1)\n", 1.5, None)]}, f"b{printable(EVIL)}")
+def test_what_is_sent_as_json_keeps_what_people_type() -> None:
+    shown = shown_json({"names": [f"a{EVIL}", ("\u200f(1)\n", 1.5, None)]})
+    assert shown == {"names": [f"a{printable(EVIL)}", ["\u200f(1)\n", 1.5, None]]}

@@ -11,13 +11,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from explorer.failure_lab import state
-from explorer.failure_lab.service import FailureLab, Findings
-from explorer.failure_lab.state import LabState
-from explorer.flight_window.service import FlightService
 
 from explorer.feeds import Feeds
-from explorer.opening import OFFERED_OVERLAP, open_offered_flight
+from explorer.flight.service import SharedFlight
+from explorer.opening import OFFERED_OVERLAP, open_flight_over
 from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
 from lpn.cli.main import main
@@ -25,6 +22,7 @@ from lpn.core.demo import DEMO_ANSWERS, DEMO_MODEL, DEMO_PLACE
 from lpn.locate.belief import FlightVerdicts
 from lpn.locate.located import LocatedFlight
 from lpn.locate.source import FlightSource
+from lpn.sources import ModelOptions
 from tests.explorer.conftest import TASK, answered
 
 PATIENCE = 120.0
@@ -34,7 +32,8 @@ PHOTOS = 30
 
 
 def opened(basemap: Path, flight: Path) -> Workspace:
-    place = open_offered_flight(basemap, flight, DEMO_MODEL, shipped=basemap.with_name(DEMO_ANSWERS))
+    shipped, model = basemap.with_name(DEMO_ANSWERS), ModelOptions(model=DEMO_MODEL)
+    place = open_flight_over(basemap, flight, model, overlap=OFFERED_OVERLAP, shipped=shipped)
     assert place.registration is not None
     assert place.registration.wait(PATIENCE)
     return place
@@ -46,15 +45,6 @@ def workspace() -> Iterator[Workspace]:
     yield place
     assert place.basemap is not None
     place.basemap.close()
-
-
-@pytest.fixture(scope="module")
-def findings(workspace: Workspace) -> Findings:
-    lab = FailureLab(workspace)
-    assert lab.build(TASK, lab).wait(PATIENCE)
-    found = lab.findings(TASK)
-    assert found is not None
-    return found
 
 
 def text(html: str) -> str:
@@ -83,11 +73,6 @@ def test_the_screen_counts_photos_whose_judge_is_in_doubt_neither_as_right_nor_a
     assert measured["within 50 m"] != pytest.approx(100 * np.mean(result.errors <= 50))
 
 
-def test_the_laboratory_counts_as_the_screen_does(workspace: Workspace, findings: Findings) -> None:
-    np.testing.assert_array_equal(findings.graded.known, workspace.graded(workspace.rankings[TASK]))
-    assert set(state.selected_rows(findings, LabState(task=TASK, outcome="failed")).tolist()) == WRONG
-
-
 def test_reports_count_as_the_screen_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     locate = FlightSource.locate
     shipped: dict[str, Any] = {"overlap": OFFERED_OVERLAP, "shipped": DEMO_PLACE[0].with_name(DEMO_ANSWERS)}
@@ -101,7 +86,7 @@ def test_reports_count_as_the_screen_does(tmp_path: Path, monkeypatch: pytest.Mo
     command += ["--model", str(DEMO_MODEL), "--out", str(tmp_path / "r.html")]
     assert main([*command, "--where", "seconds >= 0", "--matches", "1"]) == 0
     said = text((tmp_path / "r.html").read_text())
-    assert "That is right for 22 of the 26 pictures whose place is known for certain." in said
+    assert "That is right for 22 of the 26 photos whose place is known for certain." in said
     assert "30 queries (26 of known place, for certain, which are graded)" in said
     assert said.count("It is not graded, as no tile is right for certain") == len(DOUBTFUL)
     assert "84.6 % R@1" in said
@@ -123,8 +108,8 @@ def test_a_flight_is_judged_once_for_each_state_of_its_registration(
     ranking = workspace.rankings[TASK]
     for _ in range(3):
         assert int(workspace.graded(ranking).sum()) == PHOTOS - len(DOUBTFUL)
-    view = FlightService(workspace).view()
-    assert view.beliefs is FlightService(workspace).view().beliefs
+    seen = SharedFlight(workspace).snapshot()
+    assert seen.beliefs is SharedFlight(workspace).snapshot().beliefs
     assert judged == [workspace.flight]
     frames = [
         replace(one, stages={name: answer for name, answer in one.stages.items() if name != "registration"})

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from explorer.failure_lab.service import FailureLab
 
 import lpn
 from explorer.app import App
@@ -17,7 +16,6 @@ from explorer.screen import fields
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn import report
-from lpn.analysis import part_weights
 from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
 from lpn.flights import write_flight
@@ -29,7 +27,6 @@ from tests.explorer.conftest import TASK, answered
 from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures.screen_tab import ScreenTab
 from tools.fixtures.small_contracts import GATES, GateModel
-from tools.fixtures.waiting import TIMEOUT
 
 
 def _run(*arguments: object) -> None:
@@ -109,22 +106,13 @@ def test_a_link_names_a_tile_as_the_data_set_does(workspace: Workspace) -> None:
         assert "no such picture" in problems[0]
 
 
-def test_the_laboratory_and_reports_are_those_of_a_data_set(workspace: Workspace, live: Workspace) -> None:
-    ranks = []
-    for one in (workspace, live):
-        service = FailureLab(one)
-        assert service.build(TASK, "test").wait(TIMEOUT)
-        findings = service.findings(TASK)
-        assert findings is not None
-        ranks.append(findings.table.columns["rank"].values.tolist())
-        points = service.points("pca", TASK, "test")
-        assert points.wait(TIMEOUT)
-        assert points.value is not None
+def test_outcomes_and_reports_are_those_of_a_data_set(workspace: Workspace, live: Workspace) -> None:
+    tables = [one.outcomes(one.tasks[TASK]) for one in (workspace, live)]
+    ranks = [table.columns["rank"].values.tolist() for _, table in filter(None, tables)]
     assert ranks[0] == ranks[1]
     task = workspace.tasks[TASK]
     assert b"14 tiles" in report.build(task, [1], report.Options())
     assert effect_on(task, (1, 1, 1, 0)).after == pytest.approx(effect_on(live.tasks[TASK], (1, 1, 1, 0)).after)
-    assert not part_weights.why_not(task)
     assert not changes.why_not(task)
 
 

@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from explorer.compute.ranking_progress import RankingProgress
-from explorer.failure_lab.service import FailureLab
 
 import lpn
-from explorer.compute import scorings
-from explorer.compute.ranking_job import RankingJob
 from explorer.opening import open_model
 from explorer.screen import fields
-from explorer.workspace import LazyWorkspace, Workspace
+from explorer.workspace import Workspace
 from lpn import report
 from lpn.core import images
 from lpn.core.demo import DEMO, DEMO_MODEL
@@ -29,7 +24,6 @@ from lpn.tasks.task import SCORINGS, Scoring, scored_key
 from tests.conftest import MakeOnce
 from tests.explorer.conftest import TASK, RefusedError, answered
 from tools.fixtures import small_worlds
-from tools.fixtures.waiting import wait_until
 
 PATIENCE = 120.0
 
@@ -95,20 +89,19 @@ def test_contributions_and_evidence_add_up_to_what_is_ranked(
 
 
 @pytest.mark.parametrize("scoring", SCORINGS)
-def test_a_search_the_whole_ranking_the_laboratory_and_the_report_agree(workspace: Workspace, scoring: Scoring) -> None:
+def test_a_search_the_outcomes_and_the_report_agree(workspace: Workspace, scoring: Scoring) -> None:
     key = scored_key(TASK, scoring)
     job = workspace.rankings[key]
-    lab = FailureLab(workspace)
-    assert lab.build(key, lab).wait(PATIENCE)
-    findings = lab.findings(key)
-    assert findings is not None
+    known = workspace.outcomes(job.task)
+    assert known is not None
+    outcomes, table = known
     for query in range(len(job.task.queries)):
         analysis = answered(workspace, query=query, scoring=scoring).analysis
         assert analysis.positive is not None
-        assert analysis.positive.rank == findings.table.columns["rank"].values[query]
+        assert analysis.positive.rank == table.columns["rank"].values[query]
         negative = analysis.ranking.hardest_negative()
         assert negative is not None
-        margin = float(findings.outcomes.margin[query])
+        margin = float(outcomes.margin[query])
         assert negative.distance2 - analysis.positive.distance2 == pytest.approx(margin, abs=1e-5)
     page = report.build(job.task, [0], report.Options()).decode()
     assert f"{job.results['recall@1']:.1f}" in page
@@ -191,71 +184,12 @@ def test_the_demo_opens_by_the_calibration_that_ships_whatever_the_labels(
 ) -> None:
     opened = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
     assert opened.default_scoring(TASK) == expected
-    recalls = {one.scoring: round(one.recall or 0, 1) for one in scorings.choices(opened.rankings, TASK)}
+    recalls = {one: round(opened.rankings[scored_key(TASK, one)].results["recall@1"], 1) for one in SCORINGS}
     assert recalls == {"plain": 70.1, "calibrated": 84.7, "csls": 87.0}
     monkeypatch.setattr(opening, "labels_of", lambda of: labels_of(of)[:: -1 if is_query(of) else 1])
     reversed_labels = open_model(DEMO, DEMO_MODEL, calibrate=calibrate)
     assert reversed_labels.default_scoring(TASK) == expected
-    assert [one.ready for one in scorings.choices(reversed_labels.rankings, TASK)] == [True] * 3
-
-
-def test_the_switch_waits_for_the_scorings_that_are_not_shown(workspace: Workspace) -> None:
-    shown = workspace.rankings[scored_key(TASK, "calibrated")]
-    rankings = workspace.scored_rankings(shown.task)
-    assert rankings[0] is shown
-    assert {one.task.scoring for one in rankings} == set(SCORINGS)
-    main, *others = jobs = [RankingJob(one.task) for one in rankings]  # none of them is ranked yet
-    told, drawn = list[tuple[RankingJob, int]](), list[str]()
-
-    def tell(ranking: RankingJob) -> None:
-        told.append((ranking, sum(job.result is not None for job in jobs)))
-
-    progress = RankingProgress(tell, lambda: drawn.append("the page is shown anew"))
-    progress.follow(main, figures=others)
-    wait_until(lambda: (main, 3) in told)
-    assert {ranking for ranking, _ in told} == {main}, "the results are those that are shown"
-    progress.follow(main, figures=others)
-    assert len(drawn) == 1, "the figures of the others stand in its results alone"
-
-
-def test_a_second_model_is_calibrated_like_the_first_when_that_is_asked_for(
-    workspace: Workspace, wide: Path, one_part_model_file: Path
-) -> None:
-    second = LazyWorkspace("the other", lambda: open_model(wide, one_part_model_file))
-    workspace.beside = [second]
-    try:
-        assert second.open().wait(PATIENCE)
-        lab, key = FailureLab(workspace), scored_key(TASK, "calibrated")
-        assert lab.build(key, lab).wait(PATIENCE)
-        wait_until(lambda: lab.join_second(key, lab).text == "")
-        plain = lab.findings(key)
-        assert plain is not None
-        assert plain.second is not None
-        assert (plain.second.scorings, plain.second.preparable) == (("calibrated", "plain"), True)
-        # A failure is told, and the other ranks stay.
-        assert second.workspace is not None
-        failed = Mock(error="The disk is full.", cancelled=False, wait=lambda _: True)
-        lab._scoring[0] = failed
-        told = lab.join_second(key, lab)
-        assert (told.text, told.pending) == (
-            f"rank B: {second.workspace.model_name} is not calibrated. The disk is full.",
-            False,
-        )
-        assert not lab.scores_second()
-        assert lab.findings(key) is not None
-        lab.score_second(lab)
-        wait_until(lambda: lab.join_second(key, lab).text == "" and not lab.scores_second())
-        both = lab.findings(key)
-        assert both is not None
-        assert both.second is not None
-        assert both.second.scorings == ("calibrated", "calibrated")
-        assert both.second.alike
-        assert second.workspace is not None
-        ranked = second.workspace.rankings[key].result
-        assert ranked is not None
-        assert both.table.columns["rank B"].values.tolist() == (ranked.ranking.first + 1).tolist()
-    finally:
-        workspace.beside = []
+    assert all(scored_key(TASK, one) in reversed_labels.rankings for one in SCORINGS)
 
 
 def test_a_preparation_counts_its_pictures_and_ends_when_nobody_waits(

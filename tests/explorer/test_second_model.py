@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import shutil
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from explorer.failure_lab.service import FailureLab
 
 import explorer.app
 import explorer.cli
 import explorer.opening
 import lpn
 from explorer.cli import Explore
-from explorer.opening import open_model
+from explorer.opening import open_flight_over, open_model
 from explorer.workspace import Workspace
 from lpn.cli.failures import FailuresCommand
 from lpn.core.errors import DataError, InputError, ModelFileError, PictureError
@@ -45,7 +45,7 @@ def workspace(data: Path, model_file: Path, one_part_model_file: Path, tmp_path:
 
 def test_an_offered_model_is_opened_once_and_on_request(workspace: Workspace) -> None:
     (second,) = workspace.beside
-    assert (second.label, second.workspace, second.opening, second.error) == ("the baseline (n = 1)", None, False, "")
+    assert (second.label, second.workspace, second.asked, second.error) == ("the baseline (n = 1)", None, False, "")
     job = second.open()
     assert second.open() is job
     assert job.wait(PATIENCE)
@@ -115,8 +115,8 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
 
     monkeypatch.setattr("lpn.maps.open_map", lacking)
-    files = tmp_path, tmp_path, tmp_path / "model.onnx"
-    flight = explorer.opening.offered("a flight", files, lambda: explorer.opening.open_offered_flight(*files))
+    opens = partial(open_flight_over, tmp_path, tmp_path, ModelOptions(model=tmp_path / "model.onnx"))
+    flight = explorer.opening.offered("a flight", [tmp_path], opens)
     assert flight.open().wait(PATIENCE)
     assert flight.error == (
         "This needs the package rasterio, which is not installed; pip install 'lpn-explorer[maps]'."
@@ -211,7 +211,7 @@ def test_of_many_models_the_first_is_open_and_the_others_wait_for_a_browser(
     workspace = open_model(data, model_file, beside=[ModelOptions(model=one_part_model_file), ModelOptions(model=two)])
     first, last = workspace.beside
     wait_until(lambda: first.workspace is not None)
-    assert (last.workspace, last.opening, last.progress) == (None, False, (0, 0))
+    assert (last.workspace, last.asked, last.progress) == (None, False, (0, 0))
     assert last.open().wait(PATIENCE)
     assert last.workspace is not None
     assert last.workspace.contract.n_parts == 2
@@ -254,17 +254,3 @@ def test_a_model_is_compared_with_itself_in_a_weather(data: Path, model_file: Pa
     assert [task.metrics["recall@1"], task.metrics["ap"]] == pytest.approx([result.recall["1"], result.ap])
     with pytest.raises(InputError, match="expected weathers other than normal, each of them once"):
         open_model(data, model_file, beside_weathers=["fog", "fog"])
-
-
-def test_the_laboratory_ranks_all_queries_in_the_weather(data: Path, model_file: Path) -> None:
-    workspace = open_model(data, model_file, beside_weathers=["dark"])
-    name = TASK
-    laboratory, browser = FailureLab(workspace), object()
-    assert laboratory.build(name, browser).wait(PATIENCE)
-    laboratory.open_second()
-    wait_until(lambda: laboratory.join_second(name, browser).text == "")
-    findings = laboratory.findings(name)
-    assert findings is not None
-    assert findings.second is not None
-    assert findings.second.names == ("model.onnx", "model.onnx in the dark")
-    assert "rank B" in findings.table.columns

@@ -16,21 +16,20 @@ from explorer.server.page_server import CLOSE_TIMEOUT
 from lpn.tasks.notes import read_notes
 from tools.fixtures import small_worlds
 from tools.fixtures.processes import SOON, Process
-from tools.fixtures.websocket_client import WebSocketClient
+from tools.fixtures.screen_tab import ScreenTab
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="signals are POSIX's")
 
-TASK = "drone-to-satellite"
 SLOW_ANSWERS = """
 import time
-from explorer.workspace import StateAnalyser
-answer = StateAnalyser.analyse
-def slow(self, state, k):
+from explorer.screen.session import ScreenSession
+answer = ScreenSession._answer
+def slow(self, state):
     if state.angle:
         print("answering", flush=True)
         time.sleep(600)
-    return answer(self, state, k)
-StateAnalyser.analyse = slow
+    return answer(self, state)
+ScreenSession._answer = slow
 """
 SLOW_RANKING = """
 import time
@@ -42,14 +41,6 @@ def slow(*given, progress, **more):
     time.sleep(600)
 metrics.retrieve = slow
 """
-SLOW_REPORT = """
-import time
-from lpn import report
-def slow(*given):
-    print("reporting", flush=True)
-    time.sleep(600)
-report.build = slow
-"""
 SLOW_NOTES = """
 import time, lpn.core.own_files
 write = lpn.core.own_files.write_atomic
@@ -58,6 +49,10 @@ def slow(*given):
     time.sleep(SECONDS)
     write(*given)
 lpn.core.own_files.write_atomic = slow
+from pathlib import Path
+from explorer.screen.session import ScreenSession
+from lpn.tasks import notes
+ScreenSession._random = lambda *_: notes.set_note(Path(PLACE), "a.png", "night", "It must not be lost.")
 """
 SLOW_END = """
 import time, explorer.app
@@ -86,13 +81,13 @@ class Explorer(Process):
         super().__init__(given, cache, before, **environment)
 
     @contextlib.contextmanager
-    def browsers(self, count: int) -> Iterator[list[WebSocketClient]]:
+    def browsers(self, count: int) -> Iterator[list[ScreenTab]]:
         self.until(lambda: re.search(r"ready: http://", self.out))
         with contextlib.ExitStack() as all_of_them:
-            yield [
-                all_of_them.enter_context(WebSocketClient(f"http://127.0.0.1:{self.port}").greet("?query=0003"))
-                for _ in range(count)
-            ]
+            tabs = [all_of_them.enter_context(ScreenTab(f"http://127.0.0.1:{self.port}")) for _ in range(count)]
+            for tab in tabs:
+                tab.open("?query=0003")
+            yield tabs
 
     def stopped(self) -> float:
         """Assert that it ended well; return the seconds that this took."""
@@ -105,25 +100,23 @@ class Explorer(Process):
 
 @pytest.mark.parametrize("how", ["interrupt", "terminate"])
 def test_with_browsers_connected(how: str, places: Path, model_file: Path, tmp_path: Path) -> None:
-    with Explorer(places, model_file, tmp_path / "cache") as explorer, explorer.browsers(4) as talkers:
+    with Explorer(places, model_file, tmp_path / "cache") as explorer, explorer.browsers(4) as tabs:
         getattr(explorer, how)()
         explorer.stopped()
-        assert all(talker.gone() for talker in talkers)
+        assert all(tab.closed() for tab in tabs)
 
 
 def test_in_the_middle_of_an_answer(places: Path, model_file: Path, tmp_path: Path) -> None:
-    with Explorer(places, model_file, tmp_path / "cache", SLOW_ANSWERS) as explorer, explorer.browsers(2) as talkers:
-        talkers[0].set("Rotate", 30)
+    with Explorer(places, model_file, tmp_path / "cache", SLOW_ANSWERS) as explorer, explorer.browsers(2) as tabs:
+        tabs[0].set(angle=30)
         explorer.until(lambda: "answering" in explorer.out)
         explorer.terminate()
         explorer.stopped()
 
 
-def test_while_queries_are_ranked_and_a_report_is_made(places: Path, model_file: Path, tmp_path: Path) -> None:
-    slow = SLOW_RANKING + SLOW_REPORT
-    with Explorer(places, model_file, tmp_path / "cache", slow) as explorer, explorer.browsers(1) as talkers:
-        talkers[0].tell("report", None)
-        explorer.until(lambda: "ranking" in explorer.out and "reporting" in explorer.out)
+def test_while_queries_are_ranked(places: Path, model_file: Path, tmp_path: Path) -> None:
+    with Explorer(places, model_file, tmp_path / "cache", SLOW_RANKING) as explorer, explorer.browsers(1):
+        explorer.until(lambda: "ranking" in explorer.out)
         explorer.interrupt()
         explorer.stopped()
 
@@ -131,11 +124,9 @@ def test_while_queries_are_ranked_and_a_report_is_made(places: Path, model_file:
 @pytest.mark.parametrize("seconds", [0.8, CLOSE_TIMEOUT + 1.5])
 def test_a_note_that_is_being_saved_is_saved(seconds: float, places: Path, model_file: Path, tmp_path: Path) -> None:
     data = shutil.copytree(places, tmp_path / "places")
-    slow = SLOW_NOTES.replace("SECONDS", str(seconds))
-    with Explorer(data, model_file, tmp_path / "cache", slow) as explorer, explorer.browsers(1) as talkers:
-        talkers[0].set("All pictures in a table", True)
-        talkers[0].wait(lambda: 'lab-note" data-task' in talkers[0].html())
-        talkers[0].tell("lab-note", [TASK, 1, "night", "It must not be lost."])
+    slow = SLOW_NOTES.replace("SECONDS", str(seconds)).replace("PLACE", repr(str(data / "notes.csv")))
+    with Explorer(data, model_file, tmp_path / "cache", slow) as explorer, explorer.browsers(1) as tabs:
+        tabs[0].act("random")
         explorer.until(lambda: "writing" in explorer.out)
         explorer.interrupt()
         if seconds < CLOSE_TIMEOUT:

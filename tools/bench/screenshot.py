@@ -21,14 +21,9 @@ from lpn.core.files import write_atomic
 from lpn.models.timm_networks import import_timm
 from tools.bench.page import ServerProcess
 from tools.fixtures import seeded
-from tools.fixtures.chromium import launch, returning
+from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
-# Panels as a new browser has them, and without viser's notice about software WebGL.
-AS_OPENED = (
-    "localStorage.removeItem('lpn-panels'); localStorage.removeItem('lpn-open');"
-    "sessionStorage.setItem('lpn-software-webgl', 'seen')"
-)
 QUALITY, _WORST = 74, 46
 
 
@@ -39,72 +34,37 @@ class Shot:
     Attributes:
         file: its name.
         query: that is shown; the demo's first without one.
+        address: what follows it in the address, such as "panel=sweep".
         keys: pressed one after the other.
         baseline: whether the baseline answers.
         beside: whether the baseline is offered for comparison.
         vit: whether a DINOv2 ViT-S/14 with seeded weights answers by its rings, and the demo's LPN is offered for comparison.
-        tab: of the explain window, that is opened.
-        choose: a selector of what is pressed then.
-        wait: a selector of what is waited for.
-        address: that is opened; by default that of the query, which is ranked plain.
-        part: a selector of what the picture shows; the whole page without one.
+        demo: whether all places of the demo are offered, in place of the city ranked plain.
     """
 
     file: str
-    query: str
+    query: str = ""
+    address: str = ""
     keys: str = ""
     baseline: bool = False
     beside: bool = False
     vit: bool = False
-    tab: str | None = None
-    choose: str | None = None
-    wait: str | None = None
-    address: str = ""
-    part: str = "body"
+    demo: bool = False
 
 
-# Pictures of both models in the tab Two models.
-_BOTH = "#lpn-model-comparison .models > :nth-child(2) img"
 SHOTS = (
-    Shot("first-screen.webp", "", address="?screen=first&words=plain"),
-    Shot(
-        "why.webp",
-        "",
-        address="?show=place&query=IMG_9408.webp&screen=first&words=plain&why=1",
-        wait="#lpn-first .pins",
-    ),
-    Shot("success.webp", DEMO_QUERY, "m"),
+    Shot("first-screen.webp", demo=True),
+    Shot("why.webp", "IMG_9408.webp", "show=place&panel=why", demo=True),
+    Shot("success.webp", DEMO_QUERY, keys="x"),
     Shot("twin-n1.webp", "0447/07", baseline=True),
     Shot("twin-n4.webp", "0447/07"),
     Shot("failure.webp", "0449/05"),
-    Shot("failure-map.webp", "0449/05", "m"),
-    Shot("story-context.webp", "0445/05", "y", beside=True, tab="Two models", wait=_BOTH),
-    Shot(
-        "story-turn.webp",
-        "0334/08",
-        "y",
-        tab="Turn, shift, zoom",
-        choose=".chips a:has-text('Turn')",
-        wait=":root:has(#lpn-matches .row) #lpn-profile[data-done='24']",
-    ),
-    Shot("story-constant.webp", "0381/02", "y", tab="Why"),
-    Shot(
-        "dinov2-beside-lpn.webp",
-        "0445/05",
-        "y",
-        vit=True,
-        tab="Two models",
-        choose="#lpn-model-comparison a:has-text('Evidence')",
-        wait=f"#lpn-model-comparison:has(a.chosen:has-text('Evidence')) {_BOTH.removeprefix('#lpn-model-comparison ')}",
-    ),
-    Shot(
-        "flight.webp",
-        DEMO_QUERY,
-        address="?show=flight&flight=1&query=LPN_0100.webp",
-        choose="[data-photo=swipe]",
-        wait="#lpn-flight:has(.loading:empty) .status:empty",
-        part="#lpn-flight",
-    ),
+    Shot("failure-map.webp", "0449/05", keys="g"),
+    Shot("story-context.webp", "0445/05", "panel=compare", beside=True),
+    Shot("story-turn.webp", "0334/08", "panel=sweep"),
+    Shot("story-constant.webp", "0381/02", "shows=evidence"),
+    Shot("dinov2-beside-lpn.webp", "0445/05", "panel=compare&shows=evidence", vit=True),
+    Shot("flight.webp", "LPN_0100.webp", "show=flight&panel=flight", demo=True),
 )
 
 
@@ -142,8 +102,7 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
             model = _seeded_vit(Path(folder))
         beside = DEMO_MODEL if shot.vit else DEMO_BASELINE if shot.beside else None
         command = [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())]
-        command += ["--query", shot.query] if shot.query else []
-        command += [] if shot.address else [str(DEMO), "--model", model]
+        command += [] if shot.demo else [str(DEMO), "--model", model]
         command += ["--pooling", "rings:4"] if shot.vit else []
         command += [] if beside is None else ["--beside", str(beside)]
         with ServerProcess(command, dict(os.environ)) as app:
@@ -161,26 +120,18 @@ def _seeded_vit(folder: Path) -> str:
 
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
-    context = returning(browser, 1456, 835)
-    context.add_init_script(AS_OPENED)
+    context = browser.new_context(viewport={"width": 1456, "height": 835}, color_scheme="dark")
     page = context.new_page()
-    page.goto(f"{url}/classic/" + (shot.address or f"?query={shot.query}"))
-    page.wait_for_selector("#lpn-status:not([data-seq='0'])", state="attached", timeout=600_000)
-    page.wait_for_timeout(4000)
-    for key in shot.keys:
-        page.keyboard.press(key)
-        page.wait_for_timeout(6000)
-    if shot.tab is not None:
-        page.get_by_role("tab", name=shot.tab).click()
-        page.wait_for_timeout(1500)
-    if shot.choose is not None:
-        page.locator(shot.choose).first.click()
-    if shot.wait is not None:
-        page.wait_for_selector(shot.wait, state="attached", timeout=600_000)
-        page.wait_for_timeout(1500)
+    query = f"query={shot.query}" if shot.query else ""
+    page.goto(f"{url}/?{'&'.join(filter(None, (query, shot.address)))}")
+    for key in ("", *shot.keys):
+        if key:
+            page.keyboard.press(key)
+        page.wait_for_selector("body[data-sequence]:not(.wait):not(.turning)", timeout=600_000)
+        page.wait_for_timeout(6000)  # the scene, the curve, and what a panel computes
     with TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
-        page.locator(shot.part).screenshot(path=str(file))
+        page.screenshot(path=str(file))
         shown = cv2.imread(str(file))
         assert shown is not None
         write_atomic(out / shot.file, _encoded(np.asarray(shown, np.uint8), out / shot.file))

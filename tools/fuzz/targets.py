@@ -9,11 +9,13 @@ from __future__ import annotations
 import argparse
 import gzip
 import io
+import json
 import os
 import pickle
 import zipfile
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -350,29 +352,45 @@ def rankings(folder: Path) -> list[FuzzCase]:
 
 
 def links(folder: Path) -> list[FuzzCase]:
-    """The address of a page."""
+    """The address of a page, and the messages of its channel."""
     from explorer.opening import open_model
-    from explorer.session_state import SessionState
-    from explorer.url_state import UrlState
+    from explorer.screen import fields
+    from explorer.screen.session import Screens, ScreenSession
+    from explorer.services import WorkspaceServices
     from tools.fixtures import small_worlds
     from tools.fixtures.small_models import onnx_file
 
     os.environ["LPN_CACHE"] = str(folder / "cache")
     (folder / "model.onnx").write_bytes(onnx_file(sealed=True))
     workspace = open_model(small_worlds.make_dataset(folder / "places", train=1, test=3), folder / "model.onnx")
-    made, start = UrlState(workspace), SessionState(next(iter(workspace.tasks)), workspace.contract.n_parts)
-    seeds = [
-        b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&shift=3&down=-4&zoom=2&weights=1,0.5&off=1&region=0-1,3",
-        b"query=~1&with=truth&why=1&lab=1&apart=1&rings=0&heat=0&shows=evidence&part=2&opacity=0.3&theme=dark&map=1&city=0",
-        b"query=own&region=0-9999999&weights=1e-9,1e9&off=1,2,3&angle=nan&task=%00%ff%0a",
+    services = WorkspaceServices.of(workspace)
+    session = ScreenSession(Screens(lambda _: services, workspace.key, {workspace.key: "data"}), lambda _: None)
+    addresses = [
+        b"?task=drone-to-satellite&query=0003&with=0002&angle=-30.5&weights=1,0.5&scoring=plain&shows=evidence&panel=lab",
+        b"query=~1&with=~2&model=0&only=missed&find=00&view=apart&theme=dark&show=data&lab_order=rank",
+        b"query=own&weights=1e-9,1e9&angle=nan&task=%00%ff%0a&panel=nothing&show=../../etc",
+    ]
+    messages = [
+        b'{"set":{"angle":30.5,"query":1,"weights":[1,0.5],"heat":"occlusion","theme":"light","panel":"lab"}}',
+        b'{"do":"open","args":{"search":"?query=0003&angle=15"}}',
+        b'{"do":"upload","args":{"name":"a.png","size":5}}',
+        b'{"do":"hover","args":{"part":1}}',
+        b'{"do":"pick","args":{"x":0.5,"y":0.1}}',
+        b'{"do":"step","args":{"by":-1}}',
     ]
 
-    def read(data: bytes) -> None:
-        state, said = made.read(data.decode("utf-8", "replace"), start)
-        assert made.read(made.write(state), start) == (state, [])
+    def read_address(data: bytes) -> None:
+        state, said = fields.from_address(data.decode("utf-8", "replace"), workspace)
+        assert fields.from_address(fields.to_address(state, workspace), workspace) == (state, [])
         assert all("\n" not in text for text in said)
 
-    return [FuzzCase(seeds, read)]
+    def read_message(data: bytes) -> None:
+        with suppress(ValueError, RecursionError):  # as the channel drops what is no JSON
+            session.receive(json.loads(data.decode("utf-8", "replace")))
+        session.receive_bytes(data)
+
+    session.receive(json.loads(messages[1]))
+    return [FuzzCase(addresses, read_address), FuzzCase(messages, read_message)]
 
 
 def cities(folder: Path) -> list[FuzzCase]:

@@ -4,21 +4,25 @@ from __future__ import annotations
 
 import re
 import threading
-import time
 from contextlib import closing
 from pathlib import Path
 from types import FrameType
-from typing import Any, cast
+from typing import TYPE_CHECKING, cast
 
 from tools.keep.measures import Figures, Measure, Value, at_most, reported
 
+if TYPE_CHECKING:
+    from tools.fixtures.screen_tab import ScreenTab
+
 _WARM, _TURNS = 3, 5
-# Seconds for what goes on after an answer to end, before the next turn.
+# Seconds without a message, after which nothing goes on behind a result.
 _PAUSE = 1.0
-# The thread in which viser receives and sends; it is the only one without a name of its own.
+# The thread of the event loop, which receives and sends; it is the only one without a name of its own.
 _CONNECTIONS = "connections"
-# Functions of Python and viser that wake another thread or take a message.
-_HANDOVERS = ("queue_message", "submit", "set", "set_result", "notify", "notify_all")
+# Functions of Python that wake another thread.
+_HANDOVERS = ("submit", "set", "set_result", "notify", "notify_all", "call_soon_threadsafe", "run_in_executor")
+# Threads of what goes on behind a result.
+_BEHIND = ("explorer-job", "explorer-ranking")
 _COMPREHENSIONS = ("<genexpr>", "<listcomp>", "<dictcomp>", "<setcomp>")
 
 # The functions of a stack by the thread's name, the outermost first.
@@ -28,30 +32,28 @@ _Paths = dict[str, list[str]]
 def calls() -> Figures:
     """Count the calls of project functions on the longest path of a turn.
 
-    The app serves the demo's workbench to a client over a real connection. The client turns the query by a new angle, as a
-    browser does when the slider moves. A turn begins with its message. It ends when the answer's status is handed to viser, and
-    in the thread of the connections when the client has it.
+    The app serves the demo to one tab of the channel over a real connection. The tab sets another angle, as the page does when
+    the photo is turned. A turn begins with its message, and ends when the result is handed to the connection.
 
     In each thread the deepest stack of the turn counts: the frames of functions of `lpn` and `explorer` on it, without
     comprehensions and templates. "calls" is the sum over all threads. "calls at handovers" counts likewise the deepest stack
-    from which a thread wakes another one or hands viser a message. Threads of one pool count as one, and timers do not count.
+    from which a thread wakes another one or hands the result over. Threads of one pool count as one, and timers do not count.
     After warm turns, the turn of the median count is told.
     """
     from explorer.app import App
     from explorer.opening import open_model
     from lpn.core.demo import DEMO, DEMO_MODEL
     from lpn.retrieval.csls import NEIGHBOURS
-    from tools.fixtures.websocket_client import WebSocketClient
+    from tools.fixtures.screen_tab import ScreenTab
 
     recorder = _Recorder()
     threading.setprofile(recorder.profile)  # for threads that start from here on
     try:
-        # The baseline's page ranked by CSLS; by another scoring, other tiles are drawn for the first time.
         with closing(App(open_model(DEMO, DEMO_MODEL, csls=NEIGHBOURS), "127.0.0.1", 0)) as app:
             url = f"http://127.0.0.1:{app.server.get_port()}"
-            with WebSocketClient(url, origin=url) as client:
-                client.greet()
-                turns = [_turn(recorder, client, 10 + 7 * number) for number in range(_WARM + _TURNS)][_WARM:]
+            with ScreenTab(url, origin=url) as tab:
+                tab.open()
+                turns = [_turn(recorder, tab, 10 + 7 * number) for number in range(_WARM + _TURNS)][_WARM:]
     finally:
         threading.setprofile(None)
     deepest, handovers = sorted(turns, key=lambda turn: _count(turn[0]))[_TURNS // 2]
@@ -67,13 +69,12 @@ def _count(paths: _Paths) -> int:
     return sum(map(len, paths.values()))
 
 
-def _turn(recorder: _Recorder, client: Any, angle: int) -> tuple[_Paths, _Paths]:
-    recorder.begin(f'data-angle="{angle}"')
-    client.set("Rotate", angle)
-    client.wait(lambda: client.status("angle") == str(angle))
-    paths = recorder.end()
-    time.sleep(_PAUSE)
-    return paths
+def _turn(recorder: _Recorder, tab: ScreenTab, angle: float) -> tuple[_Paths, _Paths]:
+    while tab.receive(_PAUSE):  # what goes on behind the last result, such as its curve
+        pass
+    recorder.begin(f'"angle":{angle:g}')
+    tab.turn(angle)
+    return recorder.end()
 
 
 class _Recorder:
@@ -87,8 +88,8 @@ class _Recorder:
         self._active = False
 
     def begin(self, mark: str) -> None:
-        """Start recording; the answer is the first message to viser whose text has the mark."""
-        self._mark, self._answering = mark, ""
+        """Start recording; the result is the first message with the mark that a connection sends."""
+        self._mark, self._ended = mark, False
         self._deepest: _Paths = {}
         self._handovers: _Paths = {}
         self._active = True
@@ -101,18 +102,21 @@ class _Recorder:
     def profile(self, frame: FrameType, event: str, _: object) -> None:
         """Record a call; a function for `sys.setprofile`."""
         thread = threading.current_thread()
-        if not self._active or event != "call" or isinstance(thread, threading.Timer):
+        if not self._active or self._ended or event != "call" or isinstance(thread, threading.Timer):
             return
         name = _CONNECTIONS if thread.name.startswith("Thread-") else re.sub(r"[-_]\d+", "", thread.name)
-        if self._answering and name != _CONNECTIONS:
+        if name in _BEHIND:
             return
         if self._is_own(frame):
             self._record(self._deepest, name, frame)
         elif frame.f_code.co_name in _HANDOVERS:
             self._record(self._handovers, name, frame)
-            updates = getattr(frame.f_locals.get("message"), "updates", {})
-            if self._mark in str(updates.get("content")):
-                self._answering = name
+        elif frame.f_code.co_name == "send" and self._is_result(frame.f_locals.get("message")):
+            self._record(self._handovers, name, frame)
+            self._ended = True
+
+    def _is_result(self, message: object) -> bool:
+        return isinstance(message, str) and message.startswith('{"result"') and self._mark in message
 
     def _is_own(self, frame: FrameType) -> bool:
         code = frame.f_code

@@ -30,12 +30,11 @@ _EXPLORE = """
 from contextlib import closing
 from explorer.app import App
 from explorer.opening import open_model
-from tools.fixtures.websocket_client import WebSocketClient
+from tools.fixtures.screen_tab import ScreenTab
 with closing(App(open_model(DEMO, DEMO_MODEL), "127.0.0.1", 0)) as app:
-    url = f"http://127.0.0.1:{app.server.get_port()}"
-    with WebSocketClient(url, origin=url) as client:
-        client.greet().set("Rotate", 30)
-        client.wait(lambda: client.status("angle") == "30")
+    with ScreenTab(app.link) as tab:
+        tab.open()
+        tab.turn(30)
 """
 _MAPS = """
 for shot in shots:

@@ -9,11 +9,20 @@ from dataclasses import replace
 
 from playwright.sync_api import Browser, BrowserContext, Error, sync_playwright
 
-from tools.fixtures.chromium import launch, returning
-from tools.soak.client import BOUND, PARTS, FaultError, SoakClient
-from tools.soak.page import ClientState
+from tools.fixtures.chromium import launch
+from tools.soak.client import BOUND, FaultError, SoakClient
+from tools.soak.page import ClientState, PageContent, of_elements
 
-_SHOWN = f"[location.search, ...{list(PARTS)}.map((id) => document.getElementById(id)?.outerHTML ?? '')]"
+# The photo's label and angle, whether the page waits for a result, the labels of the tiles, and the numbers at the rows' heads.
+_SHOWN = """() => {
+  const frame = document.querySelector("#photo .frame");
+  const still = document.body.dataset.sequence && !/wait|turning|down/.test(document.body.className);
+  const texts = (selector, read) => [...document.querySelectorAll(selector)].map(read);
+  return [
+    frame?.querySelector(".picture").ariaLabel ?? "", Number(frame?.ariaValueNow ?? NaN), Boolean(still),
+    texts("#strip .tile", (tile) => tile.ariaLabel), texts("#rows .row b", (share) => share.textContent),
+  ];
+}"""
 
 
 class BrowserSoakClient(SoakClient):
@@ -28,15 +37,15 @@ class BrowserSoakClient(SoakClient):
             super().run()
 
     def _acts(self) -> dict[Callable[[], None], float]:
-        return {self._pick: 2, self._turn: 4, self._why: 1}
+        return {self._pick: 2, self._turn: 4}
 
     def _open(self, link: str) -> None:
         self._errors: list[str] = []
-        self._context = returning(self._browser, 1280, 800)
+        self._context = self._browser.new_context(viewport={"width": 1280, "height": 800})
         self._context.set_default_timeout(1000 * BOUND)
         self._page = self._context.new_page()
         self._page.on("pageerror", lambda error: self._errors.append(str(error)))
-        self._page.goto(f"{self._url}/classic/?{link}")
+        self._page.goto(f"{self._url}{'&' if '?' in self._url else '?'}{link}")
 
     def _pick(self) -> None:
         key, by = self._rng.choice([("n", 1), ("p", -1)])
@@ -44,19 +53,20 @@ class BrowserSoakClient(SoakClient):
         self._act("pick", lambda: self._page.keyboard.press(key), self._state.showing(query=query))
 
     def _turn(self) -> None:
-        angle = 180 - (175 - self._state.controls["Rotate"]) % 360
-        self._act("turn", lambda: self._page.keyboard.press("j"), self._state.with_control("Rotate", angle))
-
-    def _why(self) -> None:
-        self._act("why", lambda: self._page.keyboard.press("y"), replace(self._state, why=not self._state.why))
+        angle = (self._state.angle + 15 + 180) % 360 - 180
+        self._act("turn", lambda: self._page.keyboard.press("j"), replace(self._state, angle=angle))
 
     def _leave(self) -> None:
         with suppress(Error, AttributeError):
             self._context.close()
 
-    def _look(self) -> tuple[str, list[str]]:
-        link, *parts = self._page.evaluate(_SHOWN)
-        return link, parts
+    def _shows(self, state: ClientState) -> bool:
+        photo, angle, still, *_ = self._page.evaluate(_SHOWN)
+        return bool(still and photo == self._reference.label(state) and (angle - state.angle) % 360 == 0)
+
+    def _look(self) -> PageContent:
+        photo, _, _, labels, shares = self._page.evaluate(_SHOWN)
+        return of_elements(photo, labels, shares)
 
     def _wait(self, holds: Callable[[], bool]) -> bool:
         time.sleep(0.03)

@@ -1,174 +1,170 @@
-"""A client over a websocket, which moves controls as viser's page does, and sends hostile messages among them."""
+"""A client over the channel, which sets fields and does actions as the page does, and sends hostile messages among them."""
 
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
-from tools.fixtures.websocket_client import CHUNK, WebSocketClient
-from tools.soak.client import BOUND, PARTS, FaultError, SoakClient
-from tools.soak.page import ClientState, read_status
+from websockets.exceptions import ConnectionClosed
+
+from tools.fixtures.screen_tab import PART, ScreenTab
+from tools.soak.client import BOUND, FaultError, SoakClient
+from tools.soak.page import ClientState, PageContent, of_result
 
 
 class WebSocketSoakClient(SoakClient):
-    """A user of all controls."""
+    """A user of all fields."""
 
-    _talker: WebSocketClient
+    _tab: ScreenTab
 
     def _acts(self) -> dict[Callable[[], None], float]:
         return {
-            self._drag: 15, self._pick: 5, self._switch: 2, self._compare: 2, self._why: 2, self._laboratory: 1,
-            self._take: 2, self._upload: 2, self._hostile: 2, self._vanish: 1,
+            self._drag: 15, self._pick: 5, self._weigh: 3, self._compare: 2, self._heat: 2, self._take: 2,
+            self._upload: 2, self._hostile: 2, self._vanish: 1,
         }  # fmt: skip
 
     def _open(self, link: str) -> None:
-        """Connect, send a camera, and greet as the page does."""
-        self._talker = talker = WebSocketClient(self._url, origin=self._url, open_timeout=BOUND)
-        # The query that each task showed when this page left it.
-        self._last_queries: dict[str, int] = {}
-        self._before: list[ClientState] = []
-        talker.camera()
-
-        def greet() -> None:
-            if talker.find("page") is not None:  # while another place is opened, the page has no controls
-                talker.tell("hello", {"search": f"?{link}", "small": False})
-
-        # Repeat the greeting, as the page does: the app may not be listening yet.
-        self._until(lambda: talker.link is not None, "a first answer", greet)
+        self._tab = ScreenTab(self._url, origin=self._url.partition("?")[0].rstrip("/"), open_timeout=BOUND)
+        self._own = ""
+        self._tab.act("open", search=f"?{link}")
 
     def _drag(self) -> None:
-        """Drag a slider, or two in turns, as two fingers do."""
-        sliders, paths = self._reference.sliders(), {}
-        for label in self._rng.sample([*sliders], self._rng.choice([1, 1, 1, 2])):
-            values, speed = sliders[label], self._rng.choice([1, 2, 5])
-            start, count = self._rng.randrange(len(values)), self._rng.randint(4, 20)
-            path = dict.fromkeys(values[(start + speed * i) % len(values)] for i in range(count))
-            # Without the value that is there already, so that the answer to the last one is unmistakable.
-            paths[label] = [value for value in path if value != self._state.controls[label]]
-        self._begin(f"dragged {paths}")
-        state, passed = self._state, []
-        for step in zip(*paths.values(), strict=False):
-            for label, value in zip(paths, step, strict=True):
-                self._send(partial(self._talker.set, label, value))
-                state = state.with_control(label, value)
-                passed.append(state)
-                self._rest(0.05)  # as long as viser's page waits
-        self._settle("drag", state, passed)
+        """Turn the photo by many angles, of which the server may leave some out."""
+        start, speed = self._rng.randint(-180, 180), self._rng.choice([1, 2, 5])
+        angles = [float((start + speed * i + 180) % 360 - 180) for i in range(self._rng.randint(4, 20))]
+        angles = [angle for angle in dict.fromkeys(angles) if angle != self._state.angle]
+        self._begin(f"dragged by {angles}")
+        passed = [replace(self._state, angle=angle) for angle in angles]
+        for state in passed:
+            self._send(partial(self._tab.set, angle=state.angle))
+            self._rest(0.03)
+        self._settle("drag", passed[-1], passed)
 
     def _pick(self) -> None:
         """Choose any query."""
         query = self._rng.randrange(len(self._reference.tasks[self._state.task].queries))
-        kind = "lab-open" if self._state.lab else "query"
-        self._act("pick", lambda: self._talker.tell(kind, query), self._state.showing(query=query))
+        self._act("pick", lambda: self._tab.set(query=query, own=""), self._state.showing(query=query))
 
-    def _switch(self) -> None:
-        """Switch a part on or off."""
-        label = f"Part {self._rng.choice(self._reference.names)}"
-        on = not self._state.controls[label]
-        self._act("parts", lambda: self._talker.set(label, on), self._state.with_control(label, float(on)))
+    def _weigh(self) -> None:
+        """Weigh the parts, or count all alike."""
+        weights = self._weights() if self._rng.random() < 0.7 else ()
+        self._act("parts", lambda: self._tab.set(weights=list(weights)), replace(self._state, weights=weights))
 
     def _compare(self) -> None:
-        """Compare with any tile, or with the positive."""
+        """Compare with any tile."""
         tile = self._rng.randrange(len(self._reference.tasks[self._state.task].gallery))
-        if tile % 3:
-            self._act("compare", lambda: self._talker.tell("compare", tile), replace(self._state, tile=tile))
-        else:
-            self._act("compare", lambda: self._talker.set("true tile", True), replace(self._state, tile="truth"))
+        self._act("compare", lambda: self._tab.set(compare=tile), replace(self._state, compare=tile))
+
+    def _heat(self) -> None:
+        """Show another heat, which alters no number."""
+        heat = self._rng.choice(["activation", "evidence", "occlusion"])
+        self._act("heat", lambda: self._tab.set(heat=heat), self._state)
 
     def _take(self) -> None:
-        """Choose a task."""
+        """Choose a task, which begins with its first query."""
         task = self._rng.choice(list(self._reference.tasks))
         if task != self._state.task:
-            self._last_queries[self._state.task] = self._state.query
-            query = self._reference.same_place(self._state, task, self._last_queries.get(task, 0))
-            self._act("task", lambda: self._talker.tell("task", task), self._state.showing(task=task, query=query))
+            self._act(
+                "task", lambda: self._tab.set(task=task, scoring="plain"), self._state.showing(task=task, query=0)
+            )
 
     def _upload(self) -> None:
         """Upload a unique picture."""
         own = self._reference.own_picture(self._rng, f"{self._name} {self._visit} {self._step}".replace(" ", "-"))
-        send = partial(self._talker.upload, own.name, own.content, transfer=own.name)
-        self._act("upload", send, self._state.showing(own_picture=own))
-
-    def _why(self) -> None:
-        """Open or close the explain window; sometimes start a sweep there, and leave it."""
-        state = replace(self._state, why=not self._state.why)
-        self._act("why", lambda: self._talker.set("Why this answer?", True), state)
-        if state.why and self._rng.random() < 0.5:
-            self._talker.tell("sweep", self._rng.choice(["rotation", "shift", "zoom"]))
-            self._rest(self._rng.uniform(0, 2))
-            self._talker.tell("cancel", None)
-
-    def _laboratory(self) -> None:
-        """Open or close the failure laboratory, and click through its tabs."""
-        state = replace(self._state, lab=not self._state.lab)
-        self._act("laboratory", lambda: self._talker.set("All pictures in a table", True), state)
-        if state.lab:
-            self._until(lambda: "lpn-lab-table" in self._talker.elements, "the laboratory's table")
-            self._talker.tell("lab-outcome", "failed")
-            self._talker.tell("lab-tab", self._rng.choice(["breakdown", "table"]))
+        self._act("upload", lambda: self._tab.upload(own.name, own.content), self._state.showing(own=own))
 
     def _vanish(self) -> None:
         """Vanish in the middle of a drag and an upload, and come back."""
         self._begin("vanished")
-        self._talker.set("Rotate", 77)
-        self._talker.begin_upload(f"{self._name} {self._visit} {self._step}", CHUNK, 3)
-        self._talker.abort()
+        self._tab.set(angle=77)
+        self._tab.act("upload", name="half.jpg", size=3 * PART)
+        self._tab.socket.send(bytes(PART))
+        self._tab.abort()
         self._enter()
 
     def _hostile(self) -> None:
-        """Send invalid messages, which must change nothing, or garbage, which must end the connection."""
+        """Send invalid messages, which must change nothing, or a frame that is too large, which ends the connection."""
         self._begin("sent what no page would")
-        choose = self._rng.choice
         for _ in range(self._rng.randint(2, 12)):
-            value = choose(["abc", None, [1, 2], {"a": 1}, math.nan, math.inf, 1e300, b"x"])
-            self._send(choose(self._attacks(choose(["Rotate", "Zoom", "Opacity"]), value)))
+            self._send(self._rng.choice(self._attacks()))
+        self._send(lambda: self._tab.error())
         if self._rng.random() < 0.2:
-            self._begin("sent garbage")
-            self._talker.raw(choose([b"\xff" * 1000, b"\x91" * 2000, b""]) if self._step % 4 else "text")
-            if not self._talker.gone(BOUND):
-                raise FaultError("garbage", f"the connection still stands {BOUND:g} s after a frame that is no message")
+            self._begin("sent too much")
+            self._tab.socket.send("x" * 2_000_000)
+            if not self._tab.closed(BOUND):
+                raise FaultError("garbage", f"the connection still stands {BOUND:g} s after a frame of 2 MB")
             self._enter()
         else:
             self._drag()
 
-    def _attacks(self, label: str, value: object) -> list[Callable[[], None]]:
-        talker, long = self._talker, "x" * self._rng.randint(1, 59_000)
+    def _attacks(self) -> list[Callable[[], object]]:
+        tab, choose, long = self._tab, self._rng.choice, "x" * self._rng.randint(1, 15_000)
+        value = choose(["abc", None, [1, 2], {"a": 1}, math.nan, math.inf, 1e300, -1])
+        name = choose(["angle", "query", "weights", "compare", "task", "place", "heat"])
         return [
-            lambda: talker.set(label, value),
-            lambda: talker.tell("task", "../../etc"),
-            lambda: talker.set("Heat of", long),
-            lambda: talker.set(label, "x", "removed"),
-            lambda: talker.tell("no such kind", long[:2000]),
-            lambda: talker.tell("region", [value]),
-            lambda: talker.tell("lab-where", {"a": long[:500]}),
-            lambda: talker.send("ShareUrlRequest"),
-            lambda: talker.send("GuiUpdateMessage", uuid=long[:100], updates={"value": 77}),
-            lambda: talker.camera(position=[0, 0]),
-            lambda: talker.upload("../../etc/passwd", b"no picture", transfer=f"{self._name} {time.monotonic()}"),
+            lambda: tab.socket.send(long),
+            lambda: tab.send({"set": value}),
+            lambda: tab.send({"do": long, "args": {}}),
+            lambda: tab.set(task="../../etc", removed=long),
+            lambda: tab.set(**{name: {"a": long}}),
+            lambda: tab.send({"do": "upload", "args": {"name": "../../etc/passwd", "size": value}}),
+            lambda: tab.act("upload", name=long, size=10**12),
+            lambda: tab.act("pick", x=value, y=value),
+            lambda: tab.act("hover", part=value),
+            lambda: tab.socket.send(b"bytes that belong to nothing"),
+            lambda: tab.set(query=-1),
         ]
 
     def _leave(self) -> None:
         with suppress(AttributeError):  # it never came in
-            self._talker.close()
+            self._tab.close()
 
-    def _look(self) -> tuple[str, list[str]]:
-        return self._talker.link or "", [self._talker.elements.get(part, "") for part in PARTS]
+    def _shows(self, state: ClientState) -> bool:
+        result = self._tab.last.get("result")
+        return (
+            result is not None
+            and _of(result["state"]) == _fields(state)
+            and (result["photo"]["name"] == state.own.name if state.own else not result["state"]["own"])
+        )
+
+    def _look(self) -> PageContent:
+        return of_result(self._tab.last["result"])
 
     def _wait(self, holds: Callable[[], bool]) -> bool:
-        done = self._talker.until(holds, 0.5)
-        if not done and self._talker.closed.is_set():
-            raise FaultError("disconnected", "the server ended the connection while an answer was awaited")
-        return done
+        if holds():
+            return True
+        try:
+            self._tab.receive(0.5)
+        except ConnectionClosed as error:
+            raise FaultError("disconnected", "the server ended the connection while a result was awaited") from error
+        return holds()
 
     def _check(self, states: Sequence[ClientState]) -> None:
-        talker, known, self._before = self._talker, [*states, *self._before], [self._state]
-        lines, talker.statuses, notices, talker.notices = talker.statuses, [], talker.notices, []
-        if refused := [text for title, text in notices if title == "No answer"]:
-            raise FaultError("refused", " ".join(refused))
-        odd = [line for line in map(read_status, lines) if line and not any(self._shows(one, line) for one in known)]
+        tab = self._tab
+        results, tab.results = tab.results, []
+        known = [*map(_fields, states), _fields(self._state)]
+        odd = [found for found in map(_of, results) if found not in known]
+        before, self._before = getattr(self, "_before", []), [_fields(self._state)]
+        odd = [found for found in odd if found not in before]
         if states and odd:
             raise FaultError("foreign state", f"the page showed {odd}, which was not asked for")
+
+
+def _fields(state: ClientState) -> dict[str, Any]:
+    """The fields of a state that its numbers depend on; while a photo of one's own is shown, the query does not matter."""
+    weights = list(state.weights)
+    return {
+        "task": state.task,
+        "query": state.query,
+        "angle": state.angle,
+        "weights": weights,
+        "compare": state.compare,
+    }
+
+
+def _of(state: dict[str, Any]) -> dict[str, Any]:
+    return {name: state[name] for name in ("task", "query", "angle", "weights", "compare")}

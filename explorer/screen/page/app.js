@@ -27,6 +27,7 @@ const view = { page: null, state: null, result: null, rail: null, curve: null, y
 const [photo, tile, rows, curve, strip, sum] = ["#photo", "#tile", "#rows", "#curve", "#strip", "#sum"].map((one) => find(one));
 const list = new RailList(find("#list"));
 
+let kept = null;
 // What a result depends on: while the state differs from it, the numbers are faded.
 const OF_RESULT = ["place", "task", "model", "scoring", "query", "own", "compare", "weights", "heat"];
 const isStale = () => view.result.angle !== view.angle || OF_RESULT.some((name) => JSON.stringify(view.result.state[name]) !== JSON.stringify(view.state[name]));
@@ -96,10 +97,6 @@ const channel = connect(
     if (view.lost) scene.reload();
     view.lost = false;
     const search = new URLSearchParams(location.search);
-    let kept = null;
-    try {
-      kept = localStorage.getItem(KEPT);
-    } catch {} // the browser may deny its storage
     if (!search.has("theme")) search.set("theme", kept ?? (matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark"));
     channel.act("open", { search: `?${search}` });
   },
@@ -111,6 +108,11 @@ const channel = connect(
     say("Connection lost. Trying again.", true);
   },
 );
+
+// While the connection opens.
+try {
+  kept = localStorage.getItem(KEPT);
+} catch {} // the browser may deny its storage
 
 /** Say something in the headline's place; the result that is shown stays, faded. */
 const say = (text, busy = false) => {
@@ -164,6 +166,7 @@ const setTheme = (theme) => {
 };
 const flipTheme = () => {
   const theme = view.state.theme === "dark" ? "light" : "dark";
+  kept = theme;
   try {
     localStorage.setItem(KEPT, theme);
   } catch {}
@@ -195,7 +198,7 @@ const draw = () => {
   document.body.classList.toggle("down", Boolean(view.said && result && view.said.result === result));
   drawHeadline(view);
   if (!page || !state) return;
-  drawHead(view);
+  redraw("head", [page, state, view.rail], () => drawHead(view));
   panels.show(page.panels, state.panel);
   if (!result) return drawTurn(view);
   const stale = isStale();
@@ -208,9 +211,11 @@ const draw = () => {
     showSums(sum, result);
     showStrip(strip, result);
   });
-  for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  redraw("focus", [...from, view.colour, loaded, view.focus], () => {
+    for (const one of [rows, strip, sum]) markFocus(one, view.focus);
+  });
   drawTurn(view);
-  scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`);
+  redraw("scene", [...from, state.view], () => scene.show(result.scene, state.view, page.place, `${result.number} ${state.theme}`));
   drawCurve(find("canvas", curve), view.curve?.points ?? [], result, view.angle, stale);
   find("canvas", curve).setAttribute("aria-label", `Rank against angle; at ${view.angle}°: ${result.rank ?? "not known"}`);
   document.body.dataset.sequence = String(Number(document.body.dataset.sequence ?? 0) + 1);
@@ -239,21 +244,29 @@ for (const one of [rows, strip, sum]) {
   one.addEventListener("pointerleave", () => focusOn(-1));
 }
 
-// Part weights: the number at a row's head is dragged.
+// Part weights: the number at a row's head is dragged, or moved by arrows.
+const weigh = (before, part, by) => {
+  const weights = [...before];
+  weights[part] = Math.round(20 * Math.max(0, Math.min(2, before[part] + by))) / 20;
+  if (weights.some(Boolean)) set({ weights });
+};
+const weightsNow = () => (view.result.weights.length ? view.result.weights : Array(view.page.parts).fill(1));
 rows.addEventListener("pointerdown", (event) => {
   const head = event.target.closest("[data-weight]");
   if (!head || !view.result) return;
-  event.preventDefault();
   head.setPointerCapture(event.pointerId);
-  const part = Number(head.dataset.weight);
-  const before = view.result.weights.length ? view.result.weights : Array(view.page.parts).fill(1);
-  const weigh = (move) => {
-    const weights = [...before];
-    weights[part] = Math.round(20 * Math.max(0, Math.min(2, before[part] + (move.clientX - event.clientX) / 60))) / 20;
-    if (weights.some(Boolean)) set({ weights });
-  };
-  head.addEventListener("pointermove", weigh);
-  head.addEventListener("pointerup", () => head.removeEventListener("pointermove", weigh), { once: true });
+  const before = weightsNow();
+  const drag = (move) => weigh(before, Number(head.dataset.weight), (move.clientX - event.clientX) / 60);
+  head.addEventListener("pointermove", drag);
+  head.addEventListener("pointerup", () => head.removeEventListener("pointermove", drag), { once: true });
+});
+rows.addEventListener("keydown", (event) => {
+  const head = event.target.closest("[data-weight]");
+  const by = { ArrowRight: 0.1, ArrowUp: 0.1, ArrowLeft: -0.1, ArrowDown: -0.1 }[event.key];
+  if (!head || !by) return;
+  event.preventDefault();
+  event.stopPropagation();
+  weigh(weightsNow(), Number(head.dataset.weight), by);
 });
 
 // Clicks.

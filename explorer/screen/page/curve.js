@@ -1,9 +1,9 @@
 // The curve under the photo: the truth's rank, or the nearest distance, against the angle.
 
-import { prepare, shown, variable } from "./dom.js";
+import { picture, prepare, shown, variable } from "./dom.js";
 
 const LEFT = 52;
-const RIGHT = 34;
+const RIGHT = 46;
 const FONT = "Inter, Helvetica, Arial";
 
 /** @returns {number} the angle at a place of the curve, in CSS pixels from its left edge */
@@ -27,6 +27,7 @@ export const drawCurve = (canvas, points, result, angle, stale) => {
   const right = width - RIGHT;
   const x = (degrees) => LEFT + ((degrees + 180) / 360) * (right - LEFT);
   const y = (one) => (ranked ? 7 + (Math.log(one) / Math.log(most)) * (height - 26) : height - 19 - (Math.min(one / most, 1)) * (height - 26));
+  if (result.photo.around) drawWhole(pen, result.photo, x, angle, height);
   const [soft, ink, good, bad] = ["--soft", "--ink", "--right", "--wrong"].map(variable);
   pen.font = `12px ${FONT}`;
   pen.textBaseline = "middle";
@@ -67,6 +68,24 @@ export const drawCurve = (canvas, points, result, angle, stale) => {
   pen.font = `600 15px ${FONT}`;
   pen.fillStyle = ranked ? (value(own) === 1 ? good : bad) : ink;
   pen.fillText(ranked ? String(result.rank) : shown(own[2]), width, 17);
+};
+
+/** The whole panorama behind its curve: the line stands in the middle of what the photo shows of it. */
+const drawWhole = (pen, photo, x, angle, height) => {
+  const image = picture(photo.src);
+  const [left, right, low] = [x(-180), x(180), height - 14];
+  if (!image.complete || !image.naturalWidth) return;
+  pen.save();
+  pen.beginPath();
+  pen.rect(left, 0, right - left, low);
+  pen.clip();
+  pen.globalAlpha = 0.4;
+  pen.drawImage(image, left, 0, right - left, low);
+  pen.globalAlpha = 1;
+  pen.strokeStyle = variable("--ink");
+  const wide = (right - left) / photo.aspect;
+  for (const turn of [-360, 0, 360]) pen.strokeRect(x(angle + turn) - wide / 2, 0.5, wide, low - 1);
+  pen.restore();
 };
 
 /** A point: a dot for the first rank or where no truth is known, a square for another. */

@@ -32,8 +32,13 @@ export const makeSvg = (name, attributes = {}, ...children) => {
   return element;
 };
 
-/** @returns {string} the value of a CSS variable */
-export const variable = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+const variables = new Map();
+/** @returns {string} the value of a CSS variable that is a colour of the theme */
+export const variable = (name) => {
+  const key = `${document.documentElement.className} ${name}`;
+  if (!variables.has(key)) variables.set(key, getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+  return variables.get(key);
+};
 /** @returns {string} the colour of a part, of `count`; one part has none of its own */
 export const partColour = (part, count) => variable(count === 1 ? "--soft" : `--part${part % 4}`);
 /** @returns {string} the colour of a text that is legible on another colour, given as #rrggbb */
@@ -48,14 +53,14 @@ export const isPhone = () => innerWidth <= 760;
 
 // Pictures by their addresses; each asks for a new drawing when it has come.
 const pictures = new Map();
-let redraw = () => {};
-export const onPicture = (callback) => (redraw = callback);
+let whenLoaded = () => {};
+export const onPicture = (callback) => (whenLoaded = callback);
 /** @returns {HTMLImageElement} a picture, which may still be loading */
 export const picture = (source) => {
   let known = pictures.get(source);
   if (!known) {
     known = new Image();
-    known.onload = () => redraw();
+    known.onload = () => whenLoaded();
     known.src = source;
     if (pictures.size > 400) pictures.delete(pictures.keys().next().value);
     pictures.set(source, known);

@@ -5,7 +5,7 @@ import { paintKey } from "./heat.js";
 import { photoTurn, rollPicture, showPicture } from "./pictures.js";
 import { sign } from "./rows.js";
 
-const [photo, tile] = ["#photo", "#tile"].map((one) => find(one));
+const [photoBox, tileBox] = ["#photo", "#tile"].map((one) => find(one));
 
 /** @returns {number} the tile that stands beside the photo: the truth while T is held, the pinned one, or the answer */
 export const shownTile = ({ result, truth }) => (truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer);
@@ -41,14 +41,14 @@ export const drawHeadline = ({ said, note, page, result }) => {
 
 /** Show the photo of the state, which may be there before its result. */
 export const drawTurn = ({ state, result, angle }) => {
-  const frame = find(".frame", photo);
+  const frame = find(".frame", photoBox);
   const coming = !result || state.photo !== result.photo.src;
-  photo.classList.toggle("coming", coming);
+  photoBox.classList.toggle("coming", coming);
   if (coming) {
-    find(".picture", photo).style.backgroundImage = `url("${state.photo}")`;
+    find(".picture", photoBox).style.backgroundImage = `url("${state.photo}")`;
     if (!result) return;
   }
-  rollPicture(photo, result.photo, angle);
+  rollPicture(photoBox, result.photo, angle);
   frame.setAttribute("aria-valuenow", String(angle));
   frame.setAttribute("aria-valuetext", `${angle} degrees`);
   find("#degrees").textContent = `${Math.round(angle)}°`;
@@ -57,33 +57,33 @@ export const drawTurn = ({ state, result, angle }) => {
 export const drawPictures = (view) => {
   const { page, result, mark, focus, angle } = view;
   const own = result.photo;
-  showPicture(photo, own, focus, page.parts, photoTurn(own, angle), `${own.name}`);
-  find(".frame", photo).classList.toggle("fixed", !page.turns);
-  find("figcaption b", photo).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
-  find("figcaption .hint", photo).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
-  find("figcaption .key", photo).hidden = !own.heat;
-  paintKey(find(".key canvas", photo), own.signed);
-  findAll(".key u", photo).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
-  if (result.measured) find(".key u", photo).textContent = result.measured;
+  showPicture(photoBox, own, focus, page.parts, photoTurn(own, angle), `${own.name}`);
+  find(".frame", photoBox).classList.toggle("fixed", !page.turns);
+  find("figcaption b", photoBox).textContent = page.photo[0].toUpperCase() + page.photo.slice(1);
+  find("figcaption .hint", photoBox).textContent = own.own ? "yours" : page.turns ? (own.around ? "drag to roll" : "drag to turn") : "";
+  find("figcaption .key", photoBox).hidden = !own.heat;
+  paintKey(find(".key canvas", photoBox), own.signed);
+  findAll(".key u", photoBox).forEach((word, end) => (word.textContent = (own.signed ? ["against", "for"] : ["weak", "strong"])[end]));
+  if (result.measured) find(".key u", photoBox).textContent = result.measured;
   const shown = shownTile(view);
   const answer = result.tiles[shown];
   const role = shown === result.answer ? "Answer" : shown === result.truth ? "Truth" : "Pinned";
   const colour = answer.true === null ? "--line" : role === "Pinned" ? "--ink" : answer.true ? "--right" : "--wrong";
-  tile.style.setProperty("--verdict", variable(colour));
-  find("figcaption b", tile).replaceChildren(role, " ", sign(answer.true));
-  find("figcaption .name", tile).textContent = answer.name;
-  find("figcaption .key", tile).textContent = role === "Pinned" ? `rank ${answer.rank} · Esc` : "";
+  tileBox.style.setProperty("--verdict", variable(colour));
+  find("figcaption b", tileBox).replaceChildren(role, " ", sign(answer.true));
+  find("figcaption .name", tileBox).textContent = answer.name;
+  find("figcaption .key", tileBox).textContent = role === "Pinned" ? `rank ${answer.rank} · Esc` : "";
   const checked = mark?.own === result.state.own ? mark : null;
   const marks = role === "Answer" ? [...result.marks, checked].filter(Boolean) : [];
-  const place = find("figcaption .mark", tile);
+  const place = find("figcaption .mark", tileBox);
   place.replaceChildren(...marks.flatMap((one) => [sign(one.sign), ` ${one.text}`]));
   place.title = marks.map((one) => one.why ?? "").join(" ");
-  showPicture(tile, answer, focus, page.parts, `rotate(${-90 * answer.quarter}deg)`, `Tile ${answer.name}`);
+  showPicture(tileBox, answer, focus, page.parts, `rotate(${-90 * answer.quarter}deg)`, `Tile ${answer.name}`);
 };
 
 /** Light one part in both pictures. */
 export const focusPictures = (view, part) => {
   const { page, result } = view;
-  for (const [figure, described] of [[photo, result.photo], [tile, result.tiles[shownTile(view)]]])
+  for (const [figure, described] of [[photoBox, result.photo], [tileBox, result.tiles[shownTile(view)]]])
     showPicture(figure, described, part, page.parts, find(".picture", figure).style.transform, "");
 };

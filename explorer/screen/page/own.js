@@ -2,7 +2,7 @@
 
 import { find } from "./dom.js";
 
-const MOST = 200; // photos of one tab
+const MOST_OWN = 200; // photos of one tab
 const PICTURE = /\.(jpe?g|png|webp)$/i;
 
 export class OwnSender {
@@ -44,7 +44,7 @@ export class OwnSender {
 
   async send(files) {
     const running = this.queue.length > 0;
-    this.queue.push(...files.slice(0, MOST));
+    this.queue.push(...files.slice(0, MOST_OWN));
     if (running || !this.queue.length) return;
     const whole = this.queue;
     for (let at = 0; this.queue === whole && at < whole.length; at++) {
@@ -89,7 +89,7 @@ const filesOf = async (entry, named = false) => {
   const files = [];
   for (;;) {
     const some = await new Promise((done, fail) => reader.readEntries(done, fail));
-    if (!some.length || files.length >= MOST) return files;
+    if (!some.length || files.length >= MOST_OWN) return files;
     for (const one of some) files.push(...(await filesOf(one)));
   }
 };

@@ -2,7 +2,7 @@
 
 import { find, findAll, make } from "./dom.js";
 
-const STEP = 62; // pixels of an entry
+const ENTRY = 62; // pixels of an entry
 const PIECE = 100; // entries that the server sends at once
 
 /** A query's button: its thumbnail, and its mark. */
@@ -38,11 +38,11 @@ export class RailList {
     if (rail.feed !== this.rail?.feed) this.pieces.clear();
     const moved = query !== this.query || rail.feed !== this.rail?.feed;
     [this.rail, this.query] = [rail, query];
-    this.inner.style.height = `${STEP * rail.total + 8}px`;
+    this.inner.style.height = `${ENTRY * rail.total + 8}px`;
     if (moved && rail.chosen >= 0) {
-      const top = STEP * rail.chosen;
+      const top = ENTRY * rail.chosen;
       const { scrollTop, clientHeight } = this.list;
-      if (top < scrollTop || top + 2 * STEP > scrollTop + clientHeight) this.list.scrollTop = Math.max(0, top - clientHeight / 3);
+      if (top < scrollTop || top + 2 * ENTRY > scrollTop + clientHeight) this.list.scrollTop = Math.max(0, top - clientHeight / 3);
     }
     this.draw();
   }
@@ -59,8 +59,8 @@ export class RailList {
 
   async draw() {
     const rail = this.rail;
-    const first = Math.max(0, Math.floor(this.list.scrollTop / STEP) - 2);
-    const last = Math.min(rail.total, first + Math.ceil(this.list.clientHeight / STEP) + 5);
+    const first = Math.max(0, Math.floor(this.list.scrollTop / ENTRY) - 2);
+    const last = Math.min(rail.total, first + Math.ceil(this.list.clientHeight / ENTRY) + 5);
     const entries = [];
     for (let at = first; at < last; ) {
       const piece = await this.piece(Math.floor(at / PIECE));
@@ -71,7 +71,7 @@ export class RailList {
     const focused = document.activeElement?.closest?.("#list .query")?.getAttribute("data-query");
     this.inner.replaceChildren(...entries.map(([at, entry]) => {
       const button = queryButton(rail, entry, rail.chosen < 0 ? -1 : this.query);
-      button.style.top = `${STEP * at + 4}px`;
+      button.style.top = `${ENTRY * at + 4}px`;
       if (entry[0] !== this.query) button.tabIndex = -1;
       return button;
     }));

@@ -27,10 +27,10 @@ const layRows = (rows, count) => {
   rows.classList.toggle("many", count > 6);
   const crops = () => [0, 1, 2].map(() => make("canvas", { width: CROP, height: CROP, "aria-hidden": "true" }));
   const bar = (part) => make("div", { class: "bar" },
-    make("div", { class: "line" }, make("span", { class: "number", "data-weight": part }), make("b"), make("i")),
+    make("div", { class: "line" }, make("span", { class: "number", "data-weight": part, role: "slider", tabindex: 0, "aria-valuemin": 0, "aria-valuemax": 2, "aria-label": `Weight of part ${part + 1}` }), make("b"), make("i")),
     make("div", { class: "track" }, make("i")), make("div", { class: "track2" }, make("i")));
   rows.replaceChildren(make("div", { class: "head" }),
-    ...Array.from({ length: count }, (_, part) => make("div", { class: "row", "data-part": part, role: "group" }, ...crops(), bar(part))));
+    ...Array.from({ length: count }, (_, part) => make("div", { class: "row", "data-part": part, role: "group" }, ...crops(), bar(part))), make("p", { class: "beside" }));
 };
 
 /** Show the rows of a result. */
@@ -55,9 +55,10 @@ export const showRows = (rows, page, result, colour) => {
     const number = find(".number", row);
     number.textContent = part + 1;
     number.hidden = count === 1;
-    number.title = "Drag to weigh this part";
+    number.title = "Drag, or arrows, to weigh this part";
     number.style.background = tone;
     number.style.color = inkOn(tone);
+    number.setAttribute("aria-valuenow", String(result.weights[part] ?? 1));
     if (result.weights.length) number.prepend(make("u", { text: `×${result.weights[part]}` }));
     find("b", row).textContent = shown(answer.shares[part]);
     const { gain, minus, prefers } = result.rows[part];
@@ -70,7 +71,15 @@ export const showRows = (rows, page, result, colour) => {
     const against = rival ? `, ${result.rival_word} ${shown(rival.shares[part])}` : "";
     row.setAttribute("aria-label", `${page.word} ${page.names[part]}: answer ${shown(answer.shares[part])}${against}`);
   });
+  const line = find(".beside", rows);
+  line.hidden = count > 1;
+  if (count === 1) showBeside(line, result);
 };
+
+/** Beside the one part of a baseline: the rank of the truth by each other model. */
+const showBeside = (line, result) =>
+  line.replaceChildren(...result.beside.flatMap(([label, rank]) => [
+    `${label.replace(/\.onnx$/, "")} on this photo: `, sign(rank === 1), make("b", { text: rank === 1 ? " found" : ` truth is ${rank}.` }), make("br")]));
 
 const fill = (track, share, most, colour = "") => {
   track.classList.toggle("cut", share > most);

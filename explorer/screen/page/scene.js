@@ -6,12 +6,7 @@ import { find, findAll, make } from "./dom.js";
 const PATIENCE = 1500; // ms until the frame is made although the page is busy
 const SETTLED = 250; // ms after which the server knows a new size
 
-let depth = null;
-/** @returns {boolean} whether this browser has WebGL, without which all but the scene works */
-const drawsInDepth = () => {
-  depth ??= Boolean(document.createElement("canvas").getContext("webgl2"));
-  return depth;
-};
+const whenIdle = (work) => (window.requestIdleCallback ? requestIdleCallback(work, { timeout: PATIENCE }) : setTimeout(work, PATIENCE));
 
 export class SceneFrame {
   /**
@@ -30,46 +25,56 @@ export class SceneFrame {
     this.asked = "";
     this.waiting = 0;
     this.key = "";
+    /** @type {boolean | null | undefined} whether this browser has WebGL; null before it is looked for */
+    this.live = null;
     addEventListener("resize", () => this.resized());
   }
 
   /**
    * Make the frame, or hide the box of a task that has no place, which is called a city or a map.
-   * @param {string} key of what is to be seen; without WebGL a still of it is asked for
+   * @param {string} key of what is to be seen; a still of it is asked for until the frame shows it, or always without WebGL
    */
   show(views, view, place, key) {
     find("[data-view=city]", this.box).textContent = place;
-    const live = drawsInDepth();
-    this.box.hidden = live ? !views.length : !views.includes("city");
+    this.box.hidden = this.live === false ? !views.includes("city") : !views.length;
     for (const button of findAll("[data-view]", this.box)) {
-      button.hidden = !views.includes(button.dataset.view) || !live;
+      button.hidden = !views.includes(button.dataset.view) || this.live === false;
       button.setAttribute("aria-pressed", String(button.dataset.view === (views.includes(view) ? view : views[0])));
     }
-    if (!live && !this.box.hidden && key !== this.key) {
+    if (this.box.hidden) return;
+    if (this.live === null) {
+      this.live = undefined; // it is looked for once
+      whenIdle(() => {
+        this.live = Boolean(document.createElement("canvas").getContext("webgl2"));
+        if (this.live) this.begin();
+        this.show(views, view, place, key);
+      });
+    }
+    if (!this.box.classList.contains("ready") && views.includes("city") && key !== this.key) {
       this.key = key;
       this.channel.act("still", { width: this.box.clientWidth, height: this.box.clientHeight });
     }
-    if (!live) return;
-    if (this.frame || this.box.hidden) return;
+  }
+
+  begin() {
     this.frame = make("iframe", { title: "The place in 3-D", tabindex: -1 });
-    const begin = () => {
-      this.frame.src = `scene/${tab}/?darkMode&hideViserLogo&fixedDpr=1`;
-      this.frame.addEventListener("load", () => this.listen());
-      this.box.append(this.frame);
-    };
-    if (window.requestIdleCallback) requestIdleCallback(begin, { timeout: PATIENCE });
-    else setTimeout(begin, PATIENCE);
+    this.frame.src = `scene/${tab}/?darkMode&hideViserLogo&fixedDpr=1`;
+    this.frame.addEventListener("load", () => this.listen());
+    this.box.append(this.frame);
   }
 
   /** A still has been drawn, in place of the frame. */
   still(address) {
+    if (this.box.classList.contains("ready")) return;
     const image = find("img", this.box) ?? this.box.appendChild(make("img", { alt: "The place, with the nearest tiles" }));
     image.src = address;
   }
 
   /** The server has drawn in the frame. */
   ready() {
+    if (!this.box.classList.contains("ready")) this.resized(); // viser's panel has taken its width only now
     this.box.classList.add("ready");
+    find("img", this.box)?.remove();
   }
 
   /** The connection is lost: what viser's page says of its own is not shown. */
@@ -121,7 +126,6 @@ export class SceneFrame {
 
   resized() {
     clearTimeout(this.waiting);
-    this.key = "";
     this.waiting = setTimeout(() => this.channel.act("scene"), SETTLED);
   }
 }

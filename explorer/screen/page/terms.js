@@ -19,19 +19,19 @@ export const meanings = () =>
   }));
 
 /** @type {any} */
-let shown = null;
+let explainedTerm = null;
 const hide = () => {
   find("#tip")?.remove();
-  shown?.removeAttribute("aria-describedby");
-  shown = null;
+  explainedTerm?.removeAttribute("aria-describedby");
+  explainedTerm = null;
 };
-const show = async (one) => {
-  if (one === shown) return;
+const explain = async (one) => {
+  if (one === explainedTerm) return;
   hide();
-  shown = one;
+  explainedTerm = one;
   const { term: name, tip: own } = one.dataset;
   const text = own ?? `${name}: ${(await meanings())[name] ?? ""}`;
-  if (one !== shown) return;
+  if (one !== explainedTerm) return;
   // A modal dialog covers what lies outside it.
   const tip = (one.closest("dialog") ?? document.body).appendChild(make("div", { id: "tip", role: "tooltip", text }));
   one.setAttribute("aria-describedby", "tip");
@@ -45,13 +45,13 @@ const termAt = (event) => event.target.closest?.(".term");
 document.addEventListener("pointerover", (event) => {
   if (event.pointerType !== "mouse") return;
   const one = termAt(event) ?? find(".term:focus-visible");
-  if (one) show(one);
+  if (one) explain(one);
   else hide();
 });
 for (const kind of ["focusin", "click"])
   document.addEventListener(kind, (event) => {
     const one = termAt(event);
-    if (one) show(one);
+    if (one) explain(one);
     else hide();
   });
 document.addEventListener("scroll", hide, true);

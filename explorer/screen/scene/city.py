@@ -19,14 +19,14 @@ from lpn.tasks.gallery_geometry import GalleryGeometry
 
 # Vertical field of view in radians.
 FOV = math.radians(38)
-# Metres above the ground at which frames of tiles lie.
-LIFT = 3.0
+# Metres above the ground at which frames of tiles lie, and from the drone's camera to its photo.
+LIFT, DEPTH = 3.0, 34.0
 # The view: degrees beside the photo's heading, and below the horizon; share of the picture that it fills.
 _BESIDE, _BELOW, _ROOM = 35.0, -38.0, 0.8
 # Ranked tiles that have frames.
 _FRAMES = 3
 # Height of a badge as a share of the picture's.
-_BADGE = 0.085
+_BADGE = 0.09
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class PhotoCamera:
 
 
 @dataclass(eq=False)
-class City:
+class CityView:
     """What is drawn over the ground.
 
     Attributes:
@@ -78,10 +78,10 @@ class City:
     target: Float64Array = field(default_factory=lambda: np.zeros(3))
 
 
-def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> City:
+def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> CityView:
     """Return what the city shows of a result, for a picture of an aspect: the nearest tiles, the truth, and the camera."""
     photo, heading = _photo(result, places)
-    city = City(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
+    city = CityView(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
     seen = [] if photo is None else [photo.place]
     matches = [*result.analysis.matches[:_FRAMES]]
     truth = result.analysis.positive
@@ -122,7 +122,9 @@ def _half(match: Match, places: GalleryGeometry) -> float:
     return (places.tiles[match.index].width or places.width) / 2
 
 
-def _frame(city: City, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> list[Float64Array]:
+def _frame(
+    city: CityView, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool
+) -> list[Float64Array]:
     """Frame a tile, and return its corners."""
     middle, half = places.ground[match.index], _half(match, places)
     thickness = 3 if match.true or match.index == result.first.index else 2
@@ -132,19 +134,33 @@ def _frame(city: City, match: Match, result: ScreenResult, places: GalleryGeomet
     return [*segments[:, 0].astype(np.float64)]
 
 
-def _badge(city: City, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
-    """Put a tile's rank and verdict at its right corner, as large in the picture as those of all others."""
+def _badge(city: CityView, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+    """Put a tile's rank and verdict at a corner, as large in the picture as those of all others, and beside the photo."""
     middle, half = places.ground[match.index], _half(match, places)
-    corner = np.array([*(middle + half * np.sign(city.axes[:2, 0] - city.axes[:2, 2])), LIFT])
-    depth = float((corner - city.position) @ city.axes[:, 2])
-    high = 2 * math.tan(FOV / 2) * depth * _BADGE
     sign = match.true if match.true or match.index == result.first.index else None
     pixels = shapes.badge(str(match.rank), _colour(match, result, dark), sign)
-    wide = high * pixels.shape[1] / pixels.shape[0]
-    city.badges[f"tile{match.index}/rank"] = Badge(pixels, corner - city.axes[:, 1] * high, (wide, high))
+    share = pixels.shape[1] / pixels.shape[0]
+    corners = np.array([[*(middle + np.array(side) * half), LIFT] for side in ((-1, -1), (-1, 1), (1, -1), (1, 1))])
+    corners = corners[np.argsort(-(corners @ city.axes[:, 0]))]  # from right to left
+    high = 2 * math.tan(FOV / 2) * ((corners - city.position) @ city.axes[:, 2]) * _BADGE
+    places_of = corners - city.axes[:, 1] * high[:, None]
+    at = next((at for at in (0, 3, 1, 2) if not _hidden(city, places_of[at], high[at], share)), 0)
+    size = float(high[at]) * share, float(high[at])
+    city.badges[f"tile{match.index}/rank"] = Badge(pixels, places_of[at], size)
 
 
-def _footprint(city: City, photo: PhotoCamera, dark: bool) -> None:
+def _hidden(city: CityView, middle: Float64Array, high: float, share: float) -> bool:
+    """Return whether a badge lies behind the photo."""
+    if city.photo is None:
+        return False
+    photo, across = city.photo, DEPTH * math.tan(city.photo.fov / 2)
+    corners = [photo.place + photo.axes @ np.array([x, y, DEPTH]) for x in (-across, across) for y in (-across, across)]
+    seen = (np.array([*corners, middle]) - city.position) @ city.axes
+    flat, off = seen[:, :2] / seen[:, 2:], np.array([share, 1.0]) * high / 2 / seen[-1, 2]
+    return bool((flat[-1] + off > flat[:-1].min(axis=0)).all() and (flat[-1] - off < flat[:-1].max(axis=0)).all())
+
+
+def _footprint(city: CityView, photo: PhotoCamera, dark: bool) -> None:
     """Draw the ground that the photo shows, and the rays to its corners."""
     across = math.tan(photo.fov / 2)
     rays = [photo.axes @ np.array([x * across, y * across, 1.0]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -156,7 +172,7 @@ def _footprint(city: City, photo: PhotoCamera, dark: bool) -> None:
         city.lines["footprint"] = Lines(segments, shapes.INK[dark], 1)
 
 
-def _way(city: City, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+def _way(city: CityView, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
     """Draw a dashed line with its metres from a wrong answer to the truth."""
     truth = result.analysis.positive
     if result.first.true is not False or truth is None:

@@ -17,10 +17,10 @@ from lpn.core.numbers import rounded_to_sum
 from lpn.drawing.theme import Colour
 from lpn.tasks.gallery_geometry import GalleryGeometry
 
-# Vertical field of view in radians of the rings, which are seen from far away; metres from the drone's camera to its picture.
-_APART_FOV, _DEPTH = math.radians(16), 34.0
-# Pixels of a picture of the scene; the tallest stack of rings, its distance from the middle, and its turn.
-_PIXELS, _TALL, _APART, _TURN = 256, 2.3, 3.1, math.radians(33)
+# Vertical field of view in radians of the rings, which are seen from far away.
+_APART_FOV = math.radians(16)
+# Pixels of a picture of the scene; the height of a stack of rings, and its turn.
+_PIXELS, _TALL, _TURN = 256, 2.3, math.radians(33)
 
 
 class Scene:
@@ -40,6 +40,7 @@ class Scene:
         # What the pointer can hit: in the city gallery positions with middle and half side, else the layers.
         self._tiles: list[tuple[int, Float64Array, float]] = []
         self._layers: list[tuple[float, float, float]] = []
+        self._apart_by = 0.0
         client.gui.configure_theme(dark_mode=True, show_logo=False, show_share_button=False)
         client.gui.main_panel.dock_right()
         client.gui.main_panel.set_width(240)
@@ -87,7 +88,7 @@ class Scene:
                 return {"tile": index}
         for part, (z, half, hole) in sorted(enumerate(self._layers), key=lambda layer: -layer[1][0]):
             hit = shapes.on_level(origin, direction, z)
-            for side in (-_APART, _APART):
+            for side in (-self._apart_by, self._apart_by):
                 if hit is None:
                     continue
                 off = np.array([hit[0] - side, hit[1]])
@@ -152,7 +153,7 @@ class Scene:
             "/city/camera",
             fov=photo.fov,
             aspect=1.0,
-            scale=_DEPTH,
+            scale=city.DEPTH,
             thickness=1.5,
             thickness_units="screen",
             color=shapes.INK[dark],
@@ -171,6 +172,8 @@ class Scene:
         compared, count = result.compared, len(halves)
         order = sorted(range(count), key=lambda part: halves[part])
         step = _TALL / max(count - 1, 1)
+        aspect = self._client.camera.aspect
+        self._apart_by = beside = min(1.3 + 0.65 * aspect, 3.1)  # a narrow frame has less room
         tile = result.described(result.first)
         quarter = result.quarter(result.first)
         workspace, task = result.workspace, result.task
@@ -186,7 +189,7 @@ class Scene:
             half, hole, z = halves[part], halves[order[place - 1]] if place else 0.0, (count - 1 - place) * step
             self._layers[part] = z, half, hole
             colour = shapes.SOFT[dark] if count == 1 else shapes.PARTS[dark][part % 4]
-            for side, picture in zip((-_APART, _APART), pictures, strict=True):
+            for side, picture in zip((-beside, beside), pictures, strict=True):
                 name = f"/apart/{'photo' if side < 0 else 'tile'}/{part}"
                 self.nodes[name] = self._client.scene.add_frame(
                     name, show_axes=False, position=(side, 0, z), wxyz=level.wxyz
@@ -195,7 +198,7 @@ class Scene:
                     self._image(f"{name}/{number}", pixels, (wide, high), np.array([x, y, 0.0]), None)
                 self._lines(f"{name}/outer", shapes.rectangle((0, 0), half, -0.004), colour, 2)
             corner = turn.apply(np.array([half, -half, 0.0]))
-            begin, end = np.array([-_APART + corner[0], corner[1], z]), np.array([_APART - corner[0], corner[1], z])
+            begin, end = np.array([corner[0] - beside, corner[1], z]), np.array([beside - corner[0], corner[1], z])
             rival = None if compared is None else float(compared.contributions[part])
             length = float(end[0] - begin[0])
             text = f"{part + 1}   {shares[part]:.3f}" if count > 1 else f"{shares[part]:.3f}"
@@ -203,9 +206,9 @@ class Scene:
             upright = np.stack([np.array([1.0, 0, 0]), np.array([0, 0, -1.0]), np.array([0, 1.0, 0])], axis=1)
             self._image(f"/apart/ribbon/{part}", drawn, (length, high), (begin + end) / 2, upright)
         axes = shapes.camera_axes(0.0, -26.0)
-        reach = _APART + math.sqrt(2) * max(halves)
+        reach = beside + math.sqrt(2) * max(halves)
         points = np.array([(x, y, z) for x in (-reach, reach) for y in (-1.2, 1.2) for z in (-0.1, _TALL)])
-        position, target = shapes.fitting(points, axes, _APART_FOV, self._client.camera.aspect, 0.96)
+        position, target = shapes.fitting(points, axes, _APART_FOV, aspect, 0.96)
         self._look(position, target, _APART_FOV, 0.1, 200.0)
 
     # Nodes.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 import signal
 import threading
 import time
@@ -12,13 +11,11 @@ from collections.abc import Callable
 import pytest
 
 from explorer.compute.background_jobs import (
-    BackgroundJob,
     BackgroundJobs,
     ReportProgress,
     WorkCancelledError,
     run_in_process,
 )
-from explorer.failure_lab import table
 from lpn.core.errors import InputError, LPNError
 from lpn.tasks import notes
 from tools.fixtures.waiting import TIMEOUT, wait_until
@@ -85,29 +82,8 @@ def test_a_failed_job_has_one_sentence_and_starts_again_once_forgotten() -> None
     assert job.wait(TIMEOUT)
     assert job.error == "The file is damaged."
     assert jobs.join("k", 1, work) is job
-    html = table.waiting(job, "The <map>", False, "pca")
-    assert "The &lt;map&gt; failed: The file is damaged." in html
-    assert "lab-go" in html
     jobs.forget_failed("k")
     assert jobs.join("k", 1, lambda _: 3) is not job
-
-
-def test_the_page_shows_a_jobs_progress_and_a_button_to_cancel() -> None:
-    release = threading.Event()
-
-    def work(progress: ReportProgress) -> None:
-        progress(1000, 4000)
-        release.wait(TIMEOUT)
-
-    job = BackgroundJob(work, "me")
-    wait_until(lambda: job.total > 0)
-    html = table.waiting(job, "Ranking", False, "table")
-    assert "25 % (1,000 of 4,000 queries)" in html
-    assert "lab-stop" in html
-    assert "lab-go" in table.waiting(None, "Ranking", True, "table")
-    job.total = 0
-    assert re.search(r"Ranking: \d+ s so far", table.waiting(job, "Ranking", False, "table"))
-    release.set()
 
 
 def test_another_process_returns_its_result_or_error_or_is_killed() -> None:

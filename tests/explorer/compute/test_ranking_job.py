@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import threading
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
 
-from explorer.browse.query_list import entries
 from explorer.compute import ranking_job
 from explorer.compute.ranking_job import RankingJob
-from explorer.compute.ranking_progress import RankingProgress
-from explorer.explain_window import model_comparison
-from explorer.failure_lab.service import FailureLab
+from explorer.feeds import Feeds
 from explorer.opening import open_model
-from explorer.panels import pages
+from explorer.screen.fields import opening
+from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
 from lpn.core.errors import LPNError
 from lpn.tasks import ranking_cache
 from tools.fixtures import small_worlds
-from tools.fixtures.waiting import TIMEOUT, wait_until
+from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
 
@@ -72,17 +67,14 @@ def test_a_ranking_is_cached_until_a_picture_changes(data: Path, workspace: Work
     assert open_model(data, model_file).rankings[TASK].result is None
 
 
-def test_pages_show_progress_and_mark_nothing_before_the_ranking_is_done(workspace: Workspace) -> None:
-    ranking = workspace.rankings[TASK]
-    assert "Results: ranking 0 of 9 queries" in pages.header(workspace, ranking.task)
-    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [None, None]
-    assert model_comparison.changes(ranking, ranking, workspace.graded(ranking)) is None
+def test_nothing_is_marked_before_the_ranking_is_done(workspace: Workspace) -> None:
+    ranking, feeds = workspace.rankings[TASK], Feeds(workspace)
+    state = opening(workspace)
+    assert Rail().message(replace(state, filter="missed"), workspace, ranking, feeds)["total"] == 0
+    assert not workspace.graded(ranking).any()
     assert ranking.join("me").wait(TIMEOUT)
-    assert "R@1" in pages.header(workspace, ranking.task)
-    assert [right for _, _, right in entries(ranking, [0, 1], workspace.graded(ranking))] == [
-        int(not failed) for failed in ranking.failed[:2]
-    ]
-    assert model_comparison.changes(ranking, ranking, workspace.graded(ranking)) is not None
+    assert Rail().message(state, workspace, ranking, feeds)["missed"] == int(ranking.failed.sum())
+    assert workspace.graded(ranking).all()
 
 
 def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> None:
@@ -96,67 +88,6 @@ def test_a_ranking_without_clients_pauses_and_resumes(workspace: Workspace) -> N
     assert ranking.error == ""
     assert going.wait(TIMEOUT)
     assert ranking.result is not None
-
-
-def test_the_failure_laboratory_uses_the_same_ranking(workspace: Workspace) -> None:
-    laboratory, ranking = FailureLab(workspace), workspace.rankings[TASK]
-    job = laboratory.build(TASK, "me")
-    assert job.wait(TIMEOUT)
-    assert job.error is None
-    found = laboratory.findings(TASK)
-    assert found is not None
-    np.testing.assert_array_equal(found.outcomes.rank, ranking.ranks)
-
-
-def test_a_page_shows_the_progress_and_the_end(workspace: Workspace) -> None:
-    one, other = workspace.rankings.values()
-    told, ends = [], threading.Semaphore(0)
-    progress = RankingProgress(lambda ranking: told.append(ranking.task.name), ends.release)
-    progress.follow(one, other)
-    for _ in range(2):
-        assert ends.acquire(timeout=TIMEOUT)
-    assert one.result is not None
-    assert other.result is not None
-    assert set(told) == {one.task.name}
-    progress.follow(other)
-    wait_until(lambda: progress._thread is None)
-
-
-def test_a_ranking_that_is_chosen_while_its_figures_are_waited_for_draws_the_page(workspace: Workspace) -> None:
-    chosen = RankingJob(workspace.rankings[TASK].task)
-    ended, begun, drawn = threading.Event(), threading.Event(), threading.Event()
-    background: Any = SimpleNamespace(wait=lambda _: (begun.set(), ended.wait(TIMEOUT))[1], cancelled=False)
-    chosen.join = lambda _: background  # type: ignore[method-assign]
-    shown, told = workspace.rankings[TASK], list[RankingJob]()
-    assert shown.join(object()).wait(TIMEOUT)
-    progress = RankingProgress(told.append, drawn.set)
-    progress.follow(shown, figures=[chosen])
-    assert begun.wait(TIMEOUT)
-    progress.follow(chosen, figures=[shown])
-    assert told[-1] is chosen
-    ended.set()
-    assert drawn.wait(TIMEOUT)
-    assert told[-1] is chosen
-    progress.close()
-
-
-def test_a_closed_page_no_longer_waits(workspace: Workspace) -> None:
-    ranking = workspace.rankings[TASK]
-    ended: list[int] = []
-    progress = RankingProgress(lambda _: None, lambda: ended.append(1))
-    with ranking._rank_lock:
-        progress.follow(ranking)
-        wait_until(lambda: ranking._job is not None)
-        job = ranking.join("me")
-        ranking.leave("me")
-        progress.close()
-    assert job.wait(TIMEOUT)
-    assert job.cancelled
-    assert not ended
-    wait_until(lambda: progress._thread is None)
-    progress.follow(ranking)  # by an answer that was being computed when the page closed
-    assert progress._thread is None
-    assert ranking._job is job
 
 
 def test_a_failed_ranking_reports_its_error(workspace: Workspace) -> None:
@@ -176,22 +107,3 @@ def test_a_failed_ranking_can_start_again(workspace: Workspace, monkeypatch: pyt
         with pytest.raises(LPNError, match="ZeroDivisionError"):
             ranking.wait("me", lambda *_: None)
     assert ranking.wait("me", lambda *_: None) is ranking.result
-
-
-def test_a_page_whose_progress_report_fails_can_follow_again(
-    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    ranking, told = workspace.rankings[TASK], []
-
-    def tell(shown: RankingJob) -> None:
-        told.append(shown)
-        if threading.current_thread().name == "explorer-ranking" and len(told) < 3:
-            raise RuntimeError("the page is not there yet")
-
-    monkeypatch.setattr(threading, "excepthook", lambda _: None)
-    ended = threading.Event()
-    progress = RankingProgress(tell, ended.set)
-    progress.follow(ranking)
-    wait_until(lambda: progress._thread is None)
-    progress.follow(ranking)
-    assert ranking.result is not None or ended.wait(TIMEOUT)

@@ -6,6 +6,7 @@ import asyncio
 import gzip
 import http.client
 import json
+import re
 import threading
 from base64 import b64decode
 from collections.abc import Callable, Sequence
@@ -51,13 +52,28 @@ def test_the_page_and_its_files_are_served_with_a_policy_that_runs_only_its_own_
     assert "script-src 'self';" in headers["Content-Security-Policy"]
     assert b"<script>" not in body
     assert b"onclick" not in body
-    for name in [file.name for file in PAGE.iterdir() if file.suffix != ".html"]:  # the browser asks for all at once
-        assert f"screen/page/{name}".encode() in body
-        assert get(app, f"/screen/page/{name}")[0] == 200
+    for name in (b"screen/page/screen.css", b"screen/page/bundle.js"):
+        assert name in body
+        assert get(app, f"/{name.decode()}")[0] == 200
     assert get(app, "/screen/page/nothing.js")[0] == 404
     assert get(app, "/screen/page/../session.py")[0] == 404
     assert b"viser" in get(app, f"/scene/{TAB}/")[2].lower()
     assert b"viser" not in get(app, "/classic/")[2].lower()
+
+
+def test_the_bundle_has_each_module_once_and_no_name_twice(app: App) -> None:
+    bundle = get(app, "/screen/page/bundle.js")[2].decode()
+    assert not re.findall("^import ", bundle, re.MULTILINE)
+    for file in PAGE.glob("*.js"):
+        text = file.read_text("utf-8")
+        within = bundle.count(text.partition("\n")[0])
+        shown = 'export * from "./bundle.js";' if within else text
+        assert within <= 1, file.name
+        assert get(app, f"/screen/page/{file.name}")[2].decode() == shown, file.name
+    named = re.findall(r"^(?:export )?(?:const|let|class) (\w+|\[[^\]]*\]|\{[^}]*\})", bundle, re.MULTILINE)
+    names = [name for group in named for name in re.findall(r"\w+", group)]
+    assert {name for name in names if names.count(name) > 1} == set()
+    assert {"find", "term", "Panels", "press"} <= set(names)
 
 
 def test_the_page_gets_the_meanings_of_terms_and_panels_name_no_others(app: App) -> None:
@@ -70,10 +86,10 @@ def test_the_page_gets_the_meanings_of_terms_and_panels_name_no_others(app: App)
 
 
 def test_a_browser_gets_a_file_again_only_if_it_has_changed(app: App) -> None:
-    _, headers, packed = get(app, "/screen/page/app.js", Accept_Encoding="gzip")
+    _, headers, packed = get(app, "/screen/page/bundle.js", Accept_Encoding="gzip")
     assert headers["Content-Encoding"] == "gzip"
-    assert gzip.decompress(packed) == get(app, "/screen/page/app.js")[2]
-    assert get(app, "/screen/page/app.js", If_None_Match=headers["ETag"])[0] == 304
+    assert gzip.decompress(packed) == get(app, "/screen/page/bundle.js")[2]
+    assert get(app, "/screen/page/bundle.js", If_None_Match=headers["ETag"])[0] == 304
 
 
 def test_a_page_opens_with_all_that_it_shows(app: App, tab: Tab, workspace: Workspace) -> None:
@@ -163,6 +179,26 @@ def test_a_place_that_cannot_be_opened_is_named_and_the_page_stays(tab: Tab) -> 
     assert tab.result(angle=5)["state"]["place"] == "data"
     other = tab.open("?show=broken&query=0003")
     assert other["state"]["place"] == "data"
+
+
+def test_beside_a_baseline_stands_the_rank_of_the_other_model(tab: Tab, workspace: Workspace) -> None:
+    ranks = workspace.rankings["drone-to-satellite"].ranks + 1
+    for query in range(3):
+        result = tab.open(f"?model=1&query=~{query}")
+        assert result["beside"] == [[workspace.model_name, ranks[query]]]
+    tab.send({"set": {"angle": 30}})
+    assert tab.result(angle=30)["beside"] == [], "the ranks are those of upright photos"
+
+
+def test_the_word_missed_lists_the_missed_queries_that_a_text_names(tab: Tab, workspace: Workspace) -> None:
+    tab.open()
+    ranking = workspace.rankings["drone-to-satellite"]
+    missed = [name for name, rank in zip(ranking.task.query_names, ranking.ranks, strict=True) if rank > 0]
+    assert 0 < len(missed) < len(ranking.ranks)
+    tab.send({"set": {"find": "Missed"}})
+    tab.until(lambda last: last["rail"]["total"] == len(missed))
+    tab.send({"set": {"find": f"missed {missed[0]}"}})
+    tab.until(lambda last: last["rail"]["total"] == 1)
 
 
 def test_an_angle_of_the_curve_needs_no_further_pass_in_any_tab(

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import viser.transforms as tf
 
-from explorer.screen.scene import plan, shapes
+from explorer.screen.scene import city, plan, shapes
 from explorer.screen.scene.scene import Scene, views_of
 from explorer.workspace import Workspace
 from lpn.datasets.geo import Position
@@ -96,6 +96,33 @@ def test_the_city_has_the_tiles_of_the_result_and_shows_them(workspace: Workspac
     assert scene.pick(x, y) in [{"tile": index} for index in shown]
 
 
+@pytest.mark.parametrize("query", range(8))
+def test_badges_are_equally_large_and_none_lies_behind_the_photo(workspace: Workspace, query: int) -> None:
+    result = result_of(workspace, query=query)
+    places = result.task.geometry
+    assert places is not None
+    laid = city.lay(result, places, 1.3, dark=True)
+    photo = laid.photo
+    assert photo is not None
+    side = city.DEPTH * math.tan(photo.fov / 2)
+    corners = [photo.place + photo.axes @ np.array([x, y, city.DEPTH]) for x in (-side, side) for y in (-side, side)]
+
+    def seen(points: Any) -> Any:
+        turned = (np.array(points) - laid.position) @ laid.axes
+        return turned[:, :2] / turned[:, 2:], turned[:, 2]
+
+    frame, _ = seen(corners)
+    heights = []
+    for badge in laid.badges.values():
+        (middle,), (depth,) = seen([badge.middle])
+        heights.append(badge.size[1] / depth)
+        off = np.array(badge.size) / depth / 2
+        assert ((middle + off <= frame.min(axis=0)) | (middle - off >= frame.max(axis=0))).any()
+    assert np.allclose(heights, heights[0], rtol=0.15)
+    signs = {match.index for match in result.analysis.matches[:3]} | {result.analysis.positive.index}  # type: ignore[union-attr]
+    assert set(laid.badges) == {f"tile{index}/rank" for index in signs}
+
+
 def test_the_camera_sees_what_the_photo_shows(workspace: Workspace) -> None:
     client = Client()
     result = result_of(workspace, query=1)
@@ -140,7 +167,7 @@ def test_the_rings_apart_have_ribbons_and_layers_of_each_part(workspace: Workspa
     assert all(node.visible for name, node in client.nodes.items() if name.startswith("/apart/"))
     z, half, hole = scene._layers[3]
     corner = tf.SO3.from_z_radians(math.radians(33)).apply(np.array([(half + hole) / 2, 0.0, 0.0]))
-    assert scene.pick(*looking(client, corner + np.array([-3.1, 0.0, z]))) == {"part": 3}
+    assert scene.pick(*looking(client, corner + np.array([-scene._apart_by, 0.0, z]))) == {"part": 3}
     assert scene.pick(0.5, 0.02) is None
 
 

@@ -150,7 +150,10 @@ def test_each_step_of_the_shipped_stories_shows_what_its_caption_says() -> None:
     turned = STORIES["A first look"].steps[3]
     state, _ = fields.from_address(turned.shows, workspace)
     angles = [state.with_value("angle", float(angle)) for angle in range(-180, 180, 15)]
-    ranks = [positive(analyser.analyse(workspace.ranking(one.task, one.scoring).task, one.question(), STRIP)).rank for one in angles]
+    ranks = [
+        positive(analyser.analyse(workspace.ranking(one.task, one.scoring).task, one.question(), STRIP)).rank
+        for one in angles
+    ]
     assert set(ranks) == {1}, "it is found at every angle of the curve"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 from collections.abc import Iterator
+from contextlib import closing
 from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
@@ -12,9 +13,10 @@ from typing import Any, cast
 import pytest
 
 from explorer.app import App
+from explorer.opening import open_model
 from explorer.screen.panels.stories import story as files
 from explorer.screen.panels.stories.story import Step, Story
-from explorer.workspace import Workspace
+from explorer.workspace import LazyWorkspace, Workspace
 from lpn.core.demo import DEMO, DEMO_MODEL
 from lpn.core.errors import DataError, InputError, OutputError
 from tests.explorer.screen.conftest import Tab
@@ -121,6 +123,32 @@ def test_a_saved_story_shows_each_step_and_needs_nothing_else(app: App, tab: Tab
     files.change(file, Story("Old", (Step("query=gone"),)), lambda one: one)
     tab.act("stories.export", story="Old")
     assert "Step 1 cannot be shown: query" in tab.until(lambda last: "error" in last)["error"]
+
+
+def test_a_step_of_another_place_leads_back_there(workspace: Workspace, model_file: Path, tmp_path: Path) -> None:
+    def opened() -> Workspace:
+        return open_model(workspace.root, model_file)
+
+    others = {"second": LazyWorkspace("a second place", opened)}
+    app = App(opened(), "127.0.0.1", 0, None, "places", others, stories=tmp_path / "own.json")
+    with closing(app):
+        tab = Tab(app)
+        tab.open("?theme=light")
+        tab.send({"set": {"place": "second"}})
+        tab.result(place="second")
+        tab.send({"set": {"query": 3}})
+        tab.result(query=3)
+        assert tab.last["state"]["address"].startswith("show=second&"), "a reloaded page stays there"
+        tab.act("stories.keep")
+        tab.until(lambda last: "note" in last)
+        tab.send({"set": {"place": "data"}})
+        tab.result(place="data")
+        ((step,),) = (story.steps for story in files.read_stories(tmp_path / "own.json"))
+        tab.act("open", search=step.shows)
+        assert tab.result(place="second", query=3)["state"]["theme"] == "light"
+        tab.act("open", search="query=0002")
+        assert tab.result(query=0)["state"]["place"] == "second", "an address without a place stays there"
+        tab.socket.close()
 
 
 def test_commands_save_reports_of_what_is_shown(app: App, tab: Tab, workspace: Workspace) -> None:

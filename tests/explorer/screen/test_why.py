@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from explorer.session_state import SessionState
 
 from explorer.parameters import UnusableError
 from explorer.screen import fields
 from explorer.screen.panels.compare.models import changes
 from explorer.screen.panels.compare.pair import TilePair
-from explorer.screen.panels.region import MapCells, message
+from explorer.screen.panels.region import CellRuns, message
 from explorer.screen.panels.why import words
-from explorer.workspace import StateAnalyser, StateAnalysis, Workspace
+from explorer.workspace import Workspace, WorkspaceAnalyser
 from lpn.analysis.comparison import effect_on
 from lpn.core.numbers import shown_difference
 from lpn.explain import sweeps
+from lpn.library.answer import Answer
 from lpn.retrieval import scoring
 from tests.explorer.screen.conftest import Tab
 from tests.explorer.screen.test_result import result_of
@@ -26,13 +26,14 @@ from tests.explorer.screen.test_result import result_of
 TASK = "drone-to-satellite"
 
 
-def analysed(workspace: Workspace, **state: Any) -> StateAnalysis:
-    made = SessionState(TASK, workspace.contract.n_parts, **state)
-    return StateAnalyser(workspace).analyse(made, 6)
+def analysed(workspace: Workspace, **state: Any) -> Answer:
+    made = replace(fields.opening(workspace), **state)
+    return WorkspaceAnalyser(workspace).analyse(workspace.tasks[TASK], made.question(), 6)
 
 
 def shown(tab: Tab, key: str) -> dict[str, Any]:
-    """Return the newest message of the open panel that has a key."""
+    """Return the newest message of the open panel that has a key; a state that changes nothing has it sent again."""
+    tab.send({"set": {}})
     tab.until(lambda last: key in last.get("panel", {"message": {}})["message"])
     return dict(tab.last["panel"]["message"])
 
@@ -130,8 +131,19 @@ def test_the_painted_places_make_the_lead(workspace: Workspace) -> None:
     assert told["photo"]["signed"] is True
 
 
+def test_the_account_of_the_answer_adds_up_to_its_score(workspace: Workspace) -> None:
+    result = result_of(workspace, query=3)
+    account = TilePair.of(result).message(trying=False)["account"]
+    terms = [[float(term.replace("−", "-")) for term in part] for part in account["parts"]]
+    assert sum(part[-1] for part in terms) == pytest.approx(result.first.score, abs=3e-3)
+    for part in terms:
+        assert sum(part[:3]) == pytest.approx(part[3], abs=1e-9)
+    assert f"{result.first.score:.3f}" in account["said"][0]
+
+
 def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspace, tab: Tab) -> None:
     tab.open("?query=~2&panel=compare")
+    tab.send({"set": {}})
     tab.until(lambda last: ((last.get("panel") or {"message": {}})["message"].get("models") or {}).get("alone"))
     told = tab.last["panel"]["message"]["models"]
     other = workspace.beside[0].workspace
@@ -202,7 +214,7 @@ def test_a_region_ranks_as_the_library_does(workspace: Workspace) -> None:
     ("text", "cells"), [("", ()), ("7", (7,)), ("3-6,19", (3, 4, 5, 6, 19)), ("9,1-2", (1, 2, 9)), ([5, 4, 4], (4, 5))]
 )
 def test_cells_are_written_as_runs(workspace: Workspace, text: object, cells: tuple[int, ...]) -> None:
-    state, kind = fields.opening(workspace), MapCells()
+    state, kind = fields.opening(workspace), CellRuns()
     assert kind.read(text, state, workspace) == cells
     assert kind.read(kind.write(cells, state, workspace), state, workspace) == cells
 
@@ -210,7 +222,7 @@ def test_cells_are_written_as_runs(workspace: Workspace, text: object, cells: tu
 @pytest.mark.parametrize("value", ["x", "1-", "99999", [True], [-1], ["2"], [4096], {}, 3])
 def test_other_cells_are_refused(workspace: Workspace, value: object) -> None:
     with pytest.raises(UnusableError, match="cells"):
-        MapCells().read(value, fields.opening(workspace), workspace)
+        CellRuns().read(value, fields.opening(workspace), workspace)
 
 
 def test_another_photo_has_no_region(workspace: Workspace) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import gc
-import gzip
 import http.client
 import logging
 import os
@@ -15,40 +14,38 @@ import urllib.error
 import urllib.request
 import weakref
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from unittest.mock import Mock
 from urllib.parse import urlsplit
 
 import cv2
 import msgspec
 import pytest
+import viser
 import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
-from websockets.exceptions import InvalidStatus
-from websockets.sync.client import connect
-from websockets.typing import Origin, Subprotocol
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 
 from explorer.app import App, serve_in_background
 from explorer.compute.own_photos import CameraPicture
 from explorer.opening import open_model
-from explorer.panels.upload_control import UploadControl
 from explorer.server import gateway, picture_route
 from explorer.server.auth import Authenticator
-from explorer.server.gateway import Gateway
-from explorer.server.message_filter import MAX_UPLOADS
 from explorer.server.picture_route import PREFIX, EncodedPicture, PictureRoute
 from explorer.server.rate_limiter import GUESSES, RateLimiter, TokenBucket
-from explorer.session_state import SessionState
-from explorer.workspace import StateAnalyser, Workspace
+from explorer.workspace import Workspace
 from lpn.core.errors import DataError, InputError, MissingPackageError
+from tests.explorer.conftest import answered
 from tools.fixtures import small_worlds
+from tools.fixtures.screen_tab import ScreenTab, camera_message, scene_socket
 from tools.fixtures.small_proxy import SmallProxy
 from tools.fixtures.waiting import TIMEOUT, wait_until
-from tools.fixtures.websocket_client import WebSocketClient
 
 T = TypeVar("T")
 TOKEN = "correct horse battery"
+TAB = "0123456789abcdef"
 
 
 def picture(size: int = 48) -> bytes:
@@ -148,15 +145,17 @@ def test_pages_are_answered_while_pictures_are_computed_and_too_many_pictures_ar
 def refused(app: App, **options: object) -> int:
     """Return the status with which a connection is refused."""
     with pytest.raises(InvalidStatus) as raised:
-        WebSocketClient(url(app), **options)
+        ScreenTab(url(app), **options)
     return raised.value.response.status_code
 
 
 def test_the_page_may_load_from_and_connect_to_its_own_server_only(app: App) -> None:
-    status, headers, body = get(app, "/classic/")
+    status, headers, _ = get(app)
+    assert status == 200
+    assert "unsafe" not in headers["Content-Security-Policy"].replace("style-src 'self' 'unsafe-inline'", "")
+    status, headers, body = get(app, f"/scene/{TAB}/")
     assert status == 200
     assert "viser" in body.lower()
-    assert "unsafe" not in get(app)[1]["Content-Security-Policy"].replace("style-src 'self' 'unsafe-inline'", "")
     rules = dict(rule.strip().split(" ", 1) for rule in headers["Content-Security-Policy"].split(";"))
     host = urlsplit(url(app)).netloc
     assert set(rules["connect-src"].split()) == {"'self'", f"ws://{host}", f"wss://{host}", "data:", "blob:"}
@@ -165,17 +164,17 @@ def test_the_page_may_load_from_and_connect_to_its_own_server_only(app: App) -> 
 
 
 def test_a_page_for_a_notebook_may_be_framed_by_this_machine_and_ends_when_it_is_closed(app: App) -> None:
-    page = serve_in_background(lambda: app._first.workspace)
+    page = serve_in_background(lambda: app_workspace(app))
     with urllib.request.urlopen(page.url, timeout=60) as response:
         policy = response.headers["Content-Security-Policy"]
     assert "frame-ancestors 'self' http://localhost:* http://127.0.0.1:* " in policy
     assert page._repr_html_().startswith(f'<iframe src="{page.url}"')
     with pytest.raises(InputError, match="is in use"):
-        serve_in_background(lambda: app._first.workspace, port=urlsplit(page.url).port or 0)
+        serve_in_background(lambda: app_workspace(app), port=urlsplit(page.url).port or 0)
     page.close()
     with pytest.raises(urllib.error.URLError, match="refused"):
         urllib.request.urlopen(page.url, timeout=60)
-    with serve_in_background(lambda: app._first.workspace, authenticator=Authenticator("127.0.0.1", TOKEN)) as other:
+    with serve_in_background(lambda: app_workspace(app), authenticator=Authenticator("127.0.0.1", TOKEN)) as other:
         assert "iframe" not in other._repr_html_()
 
 
@@ -187,8 +186,8 @@ def test_another_site_reaches_neither_page_nor_websocket(app: App) -> None:
     assert get(app, "/?websocket=ws://evil.example", Upgrade="WebSocket")[0] == 426, "no page"
     assert refused(app, origin="https://evil.example") == 403
     assert refused(app, origin="null") == 403
-    with WebSocketClient(url(app), origin=url(app)):
-        pass
+    with ScreenTab(url(app), origin=url(app)) as tab:
+        tab.open()
 
 
 def raw(app: App, data: bytes) -> bytes:
@@ -205,7 +204,7 @@ def test_proxies_that_ask_by_http_1_0_or_whether_the_server_is_up_are_answered(l
     locked.authenticator.token = None
     assert raw(locked, b"GET / HTTP/1.0\r\nHost: localhost\r\n\r\n") == b"HTTP/1.1 200 OK"
     connection = http.client.HTTPConnection("127.0.0.1", locked.server.get_port(), timeout=TIMEOUT)
-    connection.request("HEAD", "/classic/")
+    connection.request("HEAD", f"/scene/{TAB}/")
     response = connection.getresponse()
     assert (response.status, response.read(), response.headers["Connection"]) == (200, b"", "close")
     assert int(response.headers["Content-Length"]) > 100_000
@@ -235,7 +234,7 @@ def test_a_connection_that_is_no_request_is_named_on_the_terminal_once(
 
 def test_the_page_is_served_below_any_folder(app: App, picture_source: dict[str, Callable[[], EncodedPicture]]) -> None:
     picture_source["tile/0"] = lambda: EncodedPicture(b"JPEG", "image/jpeg")
-    for folder in ("/maps/", "//", "/user/alice/proxy/absolute/8080/", "/a/index.html"):
+    for folder in ("/maps/", "//", "/user/alice/proxy/absolute/8080/"):
         assert get(app, folder)[0] == 200, folder
     assert get(app, "/maps/pictures/tile/0")[::2] == (200, "JPEG")
     status, _, body = get(app, "/proxy/8080?query=3", accept="text/html")
@@ -261,15 +260,6 @@ def test_a_websocket_that_a_proxy_changes_is_answered_with_the_reason(app: App) 
     head = f"GET /maps HTTP/1.0\r\nHost: 127.0.0.1:{port}\r\nConnection: upgrade\r\n".encode()
     opened = raw(app, head + b"Upgrade: WebSocket\r\n" + lines + protocol + b"\r\n")
     assert opened == b"HTTP/1.1 101 Switching Protocols", "as Apache's mod_proxy_wstunnel writes it"
-
-
-def test_the_pages_own_websocket_is_greeted_and_is_no_browser(app: App) -> None:
-    before = len(app.server.get_clients())
-    for path in ("/", "/maps/", "/maps"):
-        address = f"{url(app)}{path}".replace("http", "ws")
-        with connect(address, subprotocols=[Subprotocol("lpn-check")], origin=Origin(url(app))) as checking:
-            assert checking.recv(60) == "open"
-    assert len(app.server.get_clients()) == before
 
 
 @dataclass(frozen=True)
@@ -300,7 +290,7 @@ def test_the_terminal_names_what_a_proxy_does_wrong(
         origin = f"http://127.0.0.1:{proxy.port}"
         for _ in range(3):
             with pytest.raises(InvalidStatus) as raised:
-                WebSocketClient(proxy.url, origin=origin)
+                ScreenTab(proxy.url, origin=origin)
             assert raised.value.response.status_code == told.status
     (record,) = caplog.records
     assert f"A page at {origin} cannot connect: " in record.getMessage()
@@ -322,10 +312,10 @@ def test_a_proxy_that_passes_the_host_needs_nothing_else(
     app: App, options: dict[str, Any], caplog: pytest.LogCaptureFixture
 ) -> None:
     with SmallProxy(app.server.get_port(), **options) as proxy:
-        with urllib.request.urlopen(f"{proxy.url}classic/", timeout=60) as response:
-            assert "lpn-loading" in response.read().decode()
-        with WebSocketClient(proxy.url, origin=f"http://127.0.0.1:{proxy.port}") as talker:
-            talker.greet()
+        with urllib.request.urlopen(proxy.url, timeout=60) as response:
+            assert 'id="photo"' in response.read().decode()
+        with ScreenTab(proxy.url, origin=f"http://127.0.0.1:{proxy.port}") as tab:
+            tab.open()
     assert not caplog.records
 
 
@@ -343,11 +333,11 @@ def test_malformed_requests_are_refused_without_a_traceback(
     for data in (b"\x16\x03\x01\r\n", b"POST / HTTP/1.1\r\n\r\n", head + b"Content-Length: 3\r\n\r\nabc"):
         assert raw(app, data) == b""
     for data in (
-        head.replace(b"/", b"/" + b"a" * 400, 1) + b"\r\n",
         head + b"Accept-Encoding: gzip\r\nAccept-Encoding: br\r\n\r\n",
         head + b"Upgrade: websocket\r\nUpgrade: h2c\r\n\r\n",
     ):
         assert raw(app, data).startswith(b"HTTP/1.1 400 "), data
+    assert raw(app, head.replace(b"/", b"/" + b"a" * 400, 1) + b"\r\n").startswith(b"HTTP/1.1 404 ")
     assert get(app)[0] == 200
     assert "Traceback" not in capfd.readouterr().err
     assert not [record for record in caplog.records if record.exc_info]
@@ -407,11 +397,10 @@ def test_page_and_websocket_need_the_token_or_its_cookie(locked: App) -> None:
     assert "correct" not in body
     held = headers["Set-Cookie"].partition(";")[0]
     assert get(locked, cookie=held)[0] == 200
-    with WebSocketClient(url(locked), additional_headers={"Cookie": held}, origin=url(locked)) as talker:
-        talker.greet()
-        assert talker.status("seq")
-    with WebSocketClient(url(locked) + "/?token=correct+horse+battery"):
-        pass
+    with ScreenTab(url(locked), additional_headers={"Cookie": held}, origin=url(locked)) as tab:
+        tab.open()
+    with ScreenTab(url(locked) + "/?token=correct+horse+battery") as tab:
+        tab.open()
 
 
 def test_an_address_that_sends_many_wrong_tokens_is_blocked_until_it_stops(
@@ -458,283 +447,196 @@ def test_guesses_from_all_addresses_of_this_machine_count_together(
     assert status("127.0.0.1", "correct+horse+battery") == 200, "also for a proxy's visitors"
 
 
-def test_an_unsupported_viser_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Other:
-        stopped = False
-
-        def stop(self) -> None:
-            self.stopped = True
-
-    other = Other()
-    with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
-        Gateway(Authenticator("127.0.0.1")).protect(lambda: other)  # type: ignore[arg-type,return-value]
-    assert other.stopped
+def test_an_unsupported_viser_is_refused(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        server = Mock()
+        patch.setattr(viser, "ViserServer", lambda **_: server)
+        with pytest.raises(MissingPackageError, match=r"install viser==1\.1\.1"):
+            App(app_workspace(app), "127.0.0.1", 0)
+        server.stop.assert_called()
     with monkeypatch.context() as patch:
         patch.delattr(viser_infra, "websockets")
         with pytest.raises(MissingPackageError, match="starts its server"):
-            Gateway(Authenticator("127.0.0.1"))
-    monkeypatch.setattr(viser_messages, "FileTransferPart", object)
-    with pytest.raises(MissingPackageError, match="FileTransferPart"):
-        Gateway(Authenticator("127.0.0.1"))
+            App(app_workspace(app), "127.0.0.1", 0)
+    monkeypatch.setattr(viser_messages, "ViewerCameraMessage", object)
+    with pytest.raises(MissingPackageError, match="ViewerCameraMessage"):
+        App(app_workspace(app), "127.0.0.1", 0)
 
 
-# A hostile page, and another browser that must not be affected.
+# Hostile tabs and scenes, and another tab that must not be affected.
 
 
 @pytest.fixture
-def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[WebSocketClient]:
-    """Another browser: its page must not change, and its next answer must equal a direct computation."""
-    with WebSocketClient(url(app), origin=url(app)) as talker:
-        talker.greet("?query=0005")
-        # The last message of its answer: a greeting that is slow to arrive finds an answer of the default query.
-        talker.wait(lambda: "0005" in (talker.link or ""))
-        before, at = [talker.status(name) for name in ("seq", "name", "angle", "top")], len(talker.kinds)
-        yield talker
-        shown = [kind for kind in talker.kinds[at:] if not kind.startswith(("Gui", "Set"))]
-        assert [talker.status(name) for name in ("seq", "name", "angle", "top")] == before
-        assert not shown, "it was sent something"
-        talker.set("Rotate", 30)
-        talker.wait(lambda: talker.status("angle") == "30")
-        workspace = app_workspace(app)
-        task = workspace.tasks["drone-to-satellite"]
-        state = SessionState(task.name, 4, query=task.query_names.index("0005"), angle=30.0)
-        answer = StateAnalyser(workspace).analyse(state, 10)
-        assert talker.status("top") == str(answer.matches[0].index)
+def witness(app: App, capfd: pytest.CaptureFixture[str]) -> Iterator[ScreenTab]:
+    """Another browser: nothing is sent to its page, and its next result equals a direct computation."""
+    with ScreenTab(url(app), origin=url(app)) as tab:
+        tab.open("?query=0005")
+        tab.until(lambda last: len(last.get("curve", {"points": []})["points"]) == 24)
+        while tab.receive(0.2):
+            pass
+        yield tab
+        assert not tab.receive(0.2), f"it was sent {tab.last}"
+        expected = answered(app_workspace(app), "?query=0005", angle=30.0).message()
+        result = tab.turn(30)
+        assert (result["answer"], result["strip"]) == (expected["answer"], expected["strip"])
+        assert result["rows"] == expected["rows"]
         assert "Traceback" not in capfd.readouterr().err
 
 
 def app_workspace(app: App) -> Workspace:
-    return next(iter(app._sessions.values()))._workspace
+    (services,) = app._services.values()
+    return services.workspace
 
 
 @pytest.fixture
-def hostile(app: App, witness: WebSocketClient) -> Iterator[WebSocketClient]:  # noqa: ARG001
-    """A client that completed the page's handshake."""
-    with WebSocketClient(url(app)) as talker:
-        yield talker.greet("?query=0004")
+def hostile(app: App, witness: ScreenTab) -> Iterator[ScreenTab]:  # noqa: ARG001
+    """A tab that has been opened."""
+    with ScreenTab(url(app)) as tab:
+        tab.open("?query=0004")
+        yield tab
 
 
-def works(talker: WebSocketClient, angle: int = 45) -> None:
-    """Check that the client still gets answers."""
-    talker.set("Rotate", angle)
-    talker.wait(lambda: talker.status("angle") == str(angle))
+def works(tab: ScreenTab, angle: float = 45) -> None:
+    """Check that the tab still gets results, of the photo that it had."""
+    assert tab.turn(angle)["state"]["query"] == 2
 
 
-def test_values_are_clamped_to_their_range(hostile: WebSocketClient) -> None:
-    for sent, shown in ((99999, "180"), (-1e9, "-180"), (True, "1")):
-        hostile.set("Rotate", sent)
-        hostile.wait(lambda shown=shown: hostile.status("angle") == shown)
-        works(hostile)
-
-
-def test_values_of_wrong_types_are_dropped(hostile: WebSocketClient) -> None:
-    for value in ("abc", None, [1, 2], {"a": 1}, float("nan"), float("inf"), 1e300, b"x"):
-        for label in ("Rotate", "Zoom", "Weight 1 centre", "Rings", "Opacity"):
-            hostile.set(label, value)
+def test_values_of_wrong_types_and_ranges_are_refused_in_a_sentence_each(hostile: ScreenTab) -> None:
+    wrong: dict[str, list[object]] = {
+        "angle": ["abc", None, [1, 2], {"a": 1}, True, 1e300, 181, "nan"],
+        "query": [-1, 99, 1.5, True, None, "nobody", [0]],
+        "weights": [[1], [1, 1, 1, -1], [0, 0, 0, 0], "1,1", {"a": 1}, [[1]]],
+        "task": ["../../etc", 7, None],
+        "place": ["../../etc"],
+        "heat": ["<b>", 3],
+        "compare": [99, "nobody", True],
+        "own": [7, "x" * 5000],
+        "panel": ["nothing", None],
+    }
+    for name, values in wrong.items():
+        for value in values:
+            hostile.set(**{name: value})
+            hostile.error()
+    hostile.socket.send('{"set": {"angle": NaN, "removed": 1, "__class__": 2}}')
+    hostile.error()
     works(hostile)
-    assert hostile.status("name") == "0004"
 
 
-def test_unknown_options_are_ignored(hostile: WebSocketClient) -> None:
-    for label in ("Heat of", "Heat type", "Go to"):
-        for option in ("../../etc", "", "<b>", "x" * 50_000, 7):
-            hostile.set(label, option)
+def test_messages_of_any_shape_change_nothing(hostile: ScreenTab) -> None:
+    odd: list[object] = [None, -1, 10**30, "", "x" * 2000, [], [[[]]], {"search": 5}, {"a": {}}, True, ["table", -1]]
+    actions = ["open", "step", "random", "upload", "forget", "hover", "pick", "scene", "lab.open", "no such", ""]
+    for value in odd:
+        hostile.send(value)
+        hostile.send({"set": value})
+        for action in actions[1:]:
+            hostile.send({"do": action, "args": value})
+            hostile.send({"do": action, "args": {"by": value, "name": value, "size": value, "part": value, "x": value}})
+    hostile.send({"do": "open", "args": {"search": "?query=0004&" + "x" * 9000}})
+    hostile.socket.send("[" * 19_000)
+    hostile.socket.send("x" * 900_000)
+    hostile.set(query=2, own="")
     works(hostile)
-    assert hostile.status("name") == "0004"
 
 
-def test_long_texts_are_truncated_or_end_the_connection(hostile: WebSocketClient) -> None:
-    hostile.set("Find name", "x" * 59_000)
-    hostile.set("page", "[" * 59_000)
-    hostile.set("Find name", "y" * 500_000)
-    works(hostile)
-    assert "x" * 201 not in hostile.html()
-    hostile.set("Find name", "z" * 2_000_000)
-    assert hostile.gone()
+def test_a_message_beyond_the_limit_ends_the_connection(hostile: ScreenTab) -> None:
+    hostile.socket.send("x" * 2_000_000)
+    assert hostile.closed()
 
 
-def test_uploads_beyond_the_limits_are_not_stored(app: App, hostile: WebSocketClient) -> None:
-    client = max(app.server.get_clients().items())[1]
-    hostile.upload("big.png", b"x" * 1000, size=10**11, transfer="huge")
-    hostile.wait(lambda: "big.png is empty, or has more than 30 MB" in str(hostile.controls))
-    for number in range(20):
-        hostile.upload("slow.png", b"", size=9_000_000, transfer=f"t{number}")
-        hostile.send(
-            "FileTransferStartUpload",
-            source_component_uuid=hostile.find("Use my own picture"),
-            transfer_uuid=f"s{number}",
-            filename="slow.png",
-            mime_type="",
-            part_count=100,
-            size_bytes=9_000_000,
-        )
-        hostile.part(0, b"x" * 500_000, f"s{number}")
-    works(hostile)
-    states = client.gui._current_file_upload_states
-    assert len(states) <= 2
-    assert sum(len(piece) for state in states.values() for piece in state["parts"].values()) <= 1_000_000
-
-
-def test_files_for_other_controls_are_not_stored_and_incomplete_uploads_are_bounded(
-    app: App, hostile: WebSocketClient
-) -> None:
-    client = max(app.server.get_clients().items())[1]
-    button = hostile.find("Use my own picture")
-    for label in ("Rotate", "Zoom", "Find name"):
-        fields = {"source_component_uuid": hostile.find(label), "transfer_uuid": label}
-        start = {"filename": "a", "mime_type": "", "part_count": 1, "size_bytes": 9}
-        hostile.send("FileTransferStartUpload", **fields, **start)
-        hostile.send("FileTransferPart", **fields, part_index=0, content=b"x" * 9)
-    for number in range(4):
-        fields = {"source_component_uuid": button, "transfer_uuid": f"twice {number}"}
-        start = {"filename": "a", "mime_type": "", "part_count": 2, "size_bytes": 1000}
-        hostile.send("FileTransferStartUpload", **fields, **start)
-        for _ in range(3):
-            hostile.send("FileTransferPart", **fields, part_index=0, content=b"x" * 500)
-    works(hostile)
-    assert len(client.gui._current_file_upload_states) == MAX_UPLOADS
-    for handle in client.gui._gui_input_handle_from_uuid.values():
-        assert not getattr(handle._impl.value, "content", b"")
-
-
-def test_an_uploads_name_is_shown_escaped_and_without_folders(hostile: WebSocketClient, tmp_path: Path) -> None:
+def test_photos_beyond_the_limits_are_not_kept(app: App, hostile: ScreenTab, tmp_path: Path) -> None:
     before = set(tmp_path.rglob("*"))
+    hostile.act("upload", name="big.png", size=10**11)
+    assert "big.png has" in hostile.error()
+    hostile.socket.send(b"x" * 1000)  # belongs to nothing
+    for _ in range(20):
+        hostile.act("upload", name="slow.png", size=9_000_000)
+        hostile.socket.send(b"x" * 500_000)
+    works(hostile)
+    (held,) = [one for session in app._channel.sessions.values() if (one := incoming(session))]
+    assert held == 500_000, "of several that were begun, the last one"
     hostile.upload('../../<img src=x onerror="alert(1)">.png', picture())
-    hostile.wait(lambda: "onerror" in (hostile.status("name") or ""))
-    assert "<img src=x" not in hostile.html()
-    assert "../" not in (hostile.status("name") or "")
+    hostile.until(lambda last: last["result"]["photo"]["own"] or "error" in last)
     assert set(tmp_path.rglob("*")) == before
 
 
-def test_attributes_of_controls_cannot_be_set(app: App, hostile: WebSocketClient) -> None:
-    client = max(app.server.get_clients().items())[1]
-    before = {uuid: dict(vars(handle._impl)) for uuid, handle in client.gui._gui_input_handle_from_uuid.items()}
-    for prop in (
-        "removed",
-        "sync_cb",
-        "update_cb",
-        "gui_api",
-        "props",
-        "label",
-        "visible",
-        "uuid",
-        "is_button",
-        "__class__",
-    ):
-        hostile.set("Rotate", "x", prop)
-        hostile.set("Use my own picture", "x", prop)
-    works(hostile, 0)
-    for uuid, handle in client.gui._gui_input_handle_from_uuid.items():
-        found = vars(handle._impl)
-        kept = [name for name in before[uuid] if name not in ("value", "update_timestamp")]
-        assert all(found[name] is before[uuid][name] for name in kept)
+def incoming(session: object) -> int:
+    """The bytes of a photo that a tab's session is receiving."""
+    found = [
+        value for holder in (session, *vars(session).values()) for value in getattr(holder, "_incoming", None) or ()
+    ]
+    return max((len(one) for one in found if isinstance(one, bytearray)), default=0)
 
 
-def test_no_page_can_open_a_public_tunnel(app: App, hostile: WebSocketClient, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_page_can_open_a_public_tunnel(app: App, monkeypatch: pytest.MonkeyPatch) -> None:
     import viser._viser
 
     asked_for: list[object] = []
     monkeypatch.setattr(viser._viser, "ViserTunnel", lambda *given: asked_for.append(given))
-    hostile.send("ShareUrlRequest")
-    hostile.send("ShareUrlDisconnect")
-    works(hostile)
+    with scene_socket(url(app), TAB) as scene:
+        for kind in ("ShareUrlRequest", "ShareUrlDisconnect"):
+            scene.send(msgspec.msgpack.encode({"type": kind}))
+        wait_until(lambda: camera_of(app, 0.7))
     assert app.server.request_share_url() is None, "viser would call this"
     assert app.server._share_tunnel is None
     assert not asked_for
-    assert "ShareUrlUpdated" not in hostile.kinds
+
+
+def camera_of(app: App, fov: float) -> bool:
+    """Return whether a client of viser has a camera of a field of view, after one was sent."""
+    return any(abs(client.camera.fov - fov) < 1e-6 for client in app.server.get_clients().values())
 
 
 @pytest.mark.usefixtures("witness")
-def test_a_garbage_frame_ends_its_own_connection(app: App) -> None:
-    garbage = b"\xff" * 1000, os.urandom(4000), b"\x91" * 200_000, msgspec.msgpack.encode({"a": 1})
-    for frame in ("text", b"", *garbage):
-        with WebSocketClient(url(app)) as talker:
-            talker.greet("?query=0004").raw(frame)
-            assert talker.gone(), frame[:40]
-
-
-def test_messages_of_wrong_shapes_are_dropped(hostile: WebSocketClient) -> None:
-    for kind in dir(viser_messages):
-        if kind.endswith("Message") or kind.startswith(("File", "Share", "Gui")):
-            hostile.send(kind)
-            hostile.send(kind, uuid="x", name="/", updates={}, value=3)
-    hostile.camera(position=[0, 0])
-    hostile.camera(wxyz=["a", None, 1, 2], image_height=-1)
-    hostile.camera(fov=float("nan"))
-    works(hostile)
-
-
-def test_another_browsers_controls_cannot_be_changed(witness: WebSocketClient, hostile: WebSocketClient) -> None:
-    for uuid in list(witness.controls):
-        hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": 77})
-        hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": "satellite-to-drone"})
-        hostile.send("CommandTriggerMessage", uuid=uuid)
-        hostile.send("GuiFormDirtyMessage", uuid=uuid)
-        hostile.send("GuiFormSubmitMessage", uuid=uuid)
-    works(hostile)
-
-
-def test_messages_of_the_pages_script_may_contain_anything(app: App, hostile: WebSocketClient) -> None:
-    session = app._sessions[max(app._sessions)]
-    odd = [
-        None,
-        -1,
-        10**30,
-        "",
-        "x" * 2000,
-        "../../etc",
-        [],
-        [[[]]],
-        [1, 2, 3, 4],
-        {"search": 5},
-        {"a": {}},
-        True,
-        "<b>",
-        ["table", -1],
-    ]
-    for kind in [*session.views.bridge._receivers.kinds, "no such kind", ""]:
-        for value in odd:
-            hostile.tell(kind, value)
-            session.views.bridge.receive(msgspec.json.encode({"kind": kind, "value": value}).decode())
-    session.change(lambda state: replace(state, why=False, lab=False))
-    works(hostile)
+def test_a_scene_takes_cameras_alone(app: App) -> None:
+    """Messages of all other kinds, and cameras of wrong shapes, are dropped; bytes that are no message end the connection."""
+    with scene_socket(url(app), TAB, fov=0.7) as scene:
+        wait_until(lambda: camera_of(app, 0.7))
+        for kind in dir(viser_messages):
+            if kind.endswith("Message") or kind.startswith(("File", "Share", "Gui")):
+                scene.send(msgspec.msgpack.encode({"type": kind, "uuid": "x", "name": "/", "updates": {}, "value": 3}))
+        wrong: list[dict[str, object]] = [{"position": [0, 0]}, {"wxyz": ["a", None, 1, 2]}, {"fov": 1e300}]
+        for changed in [*wrong, {"more": 1}, {"image_height": True}]:
+            scene.send(camera_message(fov=0.9) if not changed else camera_message(**{"fov": 0.9, **changed}))
+        scene.send(camera_message(near=0.02, fov=0.8))
+        wait_until(lambda: camera_of(app, 0.8))
+        assert not camera_of(app, 0.9)
+    for garbage in ("text", b"", b"\xff" * 1000, os.urandom(4000), b"\x91" * 200_000, msgspec.msgpack.encode({"a": 1})):
+        with scene_socket(url(app), TAB) as scene:
+            scene.send(garbage)
+            with contextlib.suppress(ConnectionClosed):
+                while True:
+                    scene.recv(TIMEOUT)
+            assert scene.close_code == 1007
 
 
 @pytest.mark.slow
-def test_a_flood_of_messages_delays_only_its_sender(hostile: WebSocketClient) -> None:
-    uuid = hostile.find("Rotate")
+def test_a_flood_of_messages_delays_only_its_sender(hostile: ScreenTab) -> None:
     for number in range(1500):
-        hostile.send("GuiUpdateMessage", uuid=uuid, updates={"value": number % 180})
+        hostile.set(angle=number % 180)
     works(hostile, -90)
 
 
 @pytest.mark.usefixtures("witness")
 def test_a_flood_of_small_frames_ends_its_connection(app: App) -> None:
     for small in (b"\x89\x80" + bytes(4), b"\x00\x80" + bytes(4)):
-        with WebSocketClient(url(app)) as talker:
-            raw_socket = talker.greet("?query=0004")._socket.socket
+        with ScreenTab(url(app)) as tab:
+            tab.open("?query=0004")
             with contextlib.suppress(OSError):
-                raw_socket.sendall(b"\x02\x80" + bytes(4))  # the first piece of a message
+                tab.socket.socket.sendall(b"\x02\x80" + bytes(4))  # the first piece of a message
                 for _ in range(50):
-                    raw_socket.sendall(small * 100)
-            assert talker.gone(), small
+                    tab.socket.socket.sendall(small * 100)
+            assert tab.closed(), small
 
 
-def test_an_upload_is_freed_when_its_browser_leaves(app: App) -> None:
+def test_a_photo_is_freed_when_its_tab_leaves(app: App) -> None:
     workers_before = threads_of("explorer-worker")
-    with WebSocketClient(url(app)) as talker:
-        talker.greet()
-        session = weakref.ref(app._sessions[max(app._sessions)])
-        handle = weakref.ref(session().client)  # type: ignore[union-attr]
-        talker.upload("mine.png", picture(600))
-        talker.wait(lambda: talker.status("name") == "mine.png")
-        assert sum(one.picture.size > 0 for one in alive(CameraPicture)) == 1  # the list of own pictures has no pixels
-        contents = [control._button.value.content for control in alive(UploadControl)]
-        assert set(contents) == {b""}, "viser's own copy of the bytes"
-    wait_until(
-        lambda: not alive(CameraPicture) and session() is None and handle() is None,
-        lambda: (alive(CameraPicture), session()),
-    )
+    with ScreenTab(url(app), TAB) as tab:
+        tab.open()
+        session = weakref.ref(app._channel.sessions[TAB])
+        tab.upload("mine.png", picture(600))
+        tab.until(lambda last: last["result"]["photo"]["own"])
+        assert alive(CameraPicture)
+    wait_until(lambda: not alive(CameraPicture) and session() is None, lambda: (alive(CameraPicture), session()))
     wait_until(lambda: threads_of("explorer-worker") <= workers_before)
 
 
@@ -745,17 +647,3 @@ def alive(kind: type[T]) -> list[T]:
 
 def threads_of(name: str) -> int:
     return sum(thread.name.startswith(name) for thread in threading.enumerate())
-
-
-@pytest.mark.parametrize("encoding", ["identity", "gzip"])
-def test_the_page_says_that_it_is_being_opened_until_its_script_comes(app: App, encoding: str) -> None:
-    request = urllib.request.Request(f"{url(app)}/classic/", headers={"Accept-Encoding": encoding})
-    with urllib.request.urlopen(request, timeout=60) as response:
-        content = response.read()
-    assert response.headers["Content-Length"] == str(len(content))
-    assert response.headers["Content-Encoding"] == encoding
-    page = (gzip.decompress(content) if encoding == "gzip" else content).decode()
-    _, body, shown = page.partition("<body>")
-    assert body
-    assert shown.startswith('<div id="lpn-loading"')
-    assert "Opening LPN Explorer" in shown.partition('<div id="root"')[0]

@@ -10,9 +10,6 @@ from typing import Any
 import pytest
 import viser
 import viser._assignable_props_api as viser_properties
-import viser._gui_api as viser_gui_api
-import viser._gui_handles as viser_gui_handles
-import viser._icons as viser_icons
 import viser._messages as viser_messages
 import viser.infra._infra as viser_infra
 from viser._messages import Message, RunJavascriptMessage
@@ -21,7 +18,7 @@ from viser.infra._async_message_buffer import AsyncMessageBuffer
 from explorer.server import viser_compat
 from explorer.server.message_filter import FIELDS
 from explorer.server.viser_compat import SendBuffer
-from tools.fixtures.websocket_client import WebSocketClient
+from tools.fixtures.screen_tab import scene_socket
 
 MESSAGES_PER_THREAD = 300
 TIMEOUT = 60.0  # seconds for a message that must arrive
@@ -29,7 +26,7 @@ TIMEOUT = 60.0  # seconds for a message that must arrive
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[viser.ViserServer]:
-    """A bare viser server with one upload button."""
+    """A bare viser server."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(viser_infra, "AsyncMessageBuffer", AsyncMessageBuffer)
         viser_compat.use_thread_safe_buffers()
@@ -49,8 +46,7 @@ def client(server: viser.ViserServer) -> Iterator[viser.ClientHandle]:
         arrived.set()
 
     server.on_client_connect(greet)
-    with WebSocketClient(f"http://127.0.0.1:{server.get_port()}") as talker:
-        talker.camera()
+    with scene_socket(f"http://127.0.0.1:{server.get_port()}", ""):
         assert arrived.wait(TIMEOUT)
         yield connected[0]
 
@@ -73,41 +69,13 @@ CONTRACT: dict[str, Callable[[viser.ViserServer, viser.ClientHandle], bool]] = {
     "AsyncMessageBuffer.event_loop": lambda *_: "event_loop" in AsyncMessageBuffer.__dataclass_fields__,
     "AsyncMessageBuffer.message_event": lambda *_: "message_event" in AsyncMessageBuffer.__dataclass_fields__,
     "AsyncMessageBuffer._warned_push_after_done": lambda *_: hasattr(AsyncMessageBuffer, "_warned_push_after_done"),
-    "viser._icons.svg_from_icon in its two modules": lambda _, client: _keeps_icons(client),
     "AssignablePropsBase._prop_hints": lambda _, client: _keeps_property_types(client),
-    "GuiHandle._impl.uuid": lambda _, client: bool(viser_compat.uuid_of(client.gui.add_text("text", ""))),
-    "GuiHandle._impl.removed": lambda _, client: _is_removed_by_a_reset(client),
-    "GuiApi._thread_executor": lambda _, client: viser_compat.thread_pool(client.gui).submit(lambda: True).result(),
-    "GuiApi._gui_input_handle_from_uuid": lambda server, client: _tells_upload_buttons(server, client),
-    "GuiUploadButtonHandle._impl.value": lambda _, client: _forgets(client),
 }
 
 
 @pytest.mark.parametrize("name", CONTRACT)
 def test_viser_has_the_private_attribute(name: str, server: viser.ViserServer, client: viser.ClientHandle) -> None:
     assert CONTRACT[name](server, client), f"viser {viser.__version__} changed {name}"
-
-
-def _tells_upload_buttons(server: viser.ViserServer, client: viser.ClientHandle) -> bool:
-    button, text = client.gui.add_upload_button("upload"), client.gui.add_text("text", "")
-    return viser_compat.is_upload_button(server, viser_compat.uuid_of(button)) and not viser_compat.is_upload_button(
-        server, viser_compat.uuid_of(text)
-    )
-
-
-def _keeps_icons(client: viser.ClientHandle) -> bool:
-    """Add a button and a tab with icons, and tell if both have viser's own drawings, of which the archive was opened once."""
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (viser_gui_api, viser_gui_handles):
-            patch.setattr(module, "svg_from_icon", module.svg_from_icon)  # it is put back
-        viser_compat.keep_icons()
-        button = client.gui.add_button("button", icon=viser.Icon.DRONE)
-        drawn = viser_gui_handles.svg_from_icon(viser.Icon.MAP_2)  # type: ignore[attr-defined]
-    own = viser_icons.svg_from_icon
-    return (button._icon_html, drawn) == (
-        own(viser.Icon.DRONE),
-        own(viser.Icon.MAP_2),
-    ) and own is not viser_compat._icon
 
 
 def _keeps_property_types(client: viser.ClientHandle) -> bool:
@@ -123,23 +91,9 @@ def _keeps_property_types(client: viser.ClientHandle) -> bool:
     return shared and one.content == "changed"
 
 
-def _is_removed_by_a_reset(client: viser.ClientHandle) -> bool:
-    element = client.gui.add_html("")
-    before = viser_compat.is_removed(element)
-    client.gui.reset()
-    return viser_compat.is_removed(element) and not before
-
-
-def _forgets(client: viser.ClientHandle) -> bool:
-    button = client.gui.add_upload_button("upload")
-    button._impl.value = viser.UploadedFile("a.png", b"content")
-    viser_compat.forget_upload(button)
-    return button.value.content == b""
-
-
 def test_a_message_class_that_viser_lacks_has_no_fields(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(viser_messages, "FileTransferPart", object)
-    assert viser_compat.message_fields("FileTransferPart") is None
+    monkeypatch.setattr(viser_messages, "ViewerCameraMessage", object)
+    assert viser_compat.message_fields("ViewerCameraMessage") is None
     assert viser_compat.message_fields("NoSuchMessage") is None
 
 

@@ -54,17 +54,6 @@ def test_a_guessed_heading_is_judged_by_the_known_one(known: float, judged: str)
     assert verdicts.describe_heading(sweep, ("drone", "satellite"), known).endswith(judged)
 
 
-def test_a_margin_leads_or_trails() -> None:
-    assert verdicts.describe_margin(0.3, "the true tile") == "The true tile leads by 0.300 (d²)."
-    assert verdicts.describe_margin(-0.2, "this tile") == "This tile is 0.200 (d²) behind."
-
-
-def test_parts_that_lead_alike_lead_together() -> None:
-    assert verdicts.leading_parts(np.array([0.312, -0.1, 0.309])) == [0, 2]
-    assert verdicts.leading_parts(np.array([0.3, 0.26])) == [0]
-    assert verdicts.leading_parts(np.array([-0.1, -0.1])) == [0], "no part leads"
-
-
 @pytest.mark.parametrize(
     ("row", "column", "picture", "tile"),
     [(0, 3, "upper right", "north-east"), (3, 0, "lower left", "south-west"), (1, 3, "right", "east")],

@@ -27,7 +27,7 @@ from lpn.core.texts import ordinal
 from lpn.datasets import Picture, open_dataset
 from lpn.descriptors.transforms import Change
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
-from lpn.report import Options, OwnPicture, Said, SaidPicture, _rendering
+from lpn.report import Options, OwnPicture, _rendering
 from lpn.retrieval import Ranking
 from lpn.tasks.notes import NAME as NOTES
 from lpn.tasks.opening import describe_task
@@ -135,41 +135,6 @@ def test_it_begins_with_what_was_found_and_figures_of_the_field_follow(task: Tas
     few, _, _ = Page(report.build(task, [1, 2], Options(selection="the worst of 3"))).text.partition("measured")
     assert "That is right for" not in few, "the share of chosen pictures is no accuracy"
     assert "The photos of this report are chosen: the worst of 3." in few
-
-
-def test_the_words_of_a_screen_stand_first(task: Task) -> None:
-    picture = SaidPicture("The answer", "on <the> map", "data:image/png;base64,", True, turn=-30.0)
-    said = Said(
-        "Where was it taken?",
-        "✓ Right.",
-        ("How far to trust it: far.",),
-        (picture,),
-        (("Camera", "<b>X</b>"),),
-        reasons=(("By its <look>", ("Ring 2 speaks most for it.",)),),
-        judged=("Right is a piece.",),
-    )
-    page = Page(report.build(task, [1], Options(said=said)))
-    one, _, experts = page.text.partition("For experts")
-    for text in (
-        "Where was it taken?",
-        *said.sentences,
-        "By its <look>",
-        "Ring 2 speaks most for it.",
-        "Right is a piece.",
-        "The answer",
-        "on <the> map",
-        "<b>X</b>",
-        task.queries[1].name,
-    ):
-        assert text in one
-    assert any(image.get("style") == "transform:rotate(-30deg)" for image in page.all("img"))
-    assert not any(figure.get("class") == "doubted" for figure in page.all("figure"))
-    doubted = Page(report.build(task, [1], Options(said=replace(said, pictures=(replace(picture, doubted=True),)))))
-    assert next(figure.get("class") for figure in doubted.all("figure")) == "doubted"
-    assert "R@1" in experts
-    folded = page.all("details")
-    assert [(fold.get("class"), fold.get("open")) for fold in folded] == [("said", None), ("experts", None)]
-    assert not any(table.get("class") == "contents" for table in page.all("table")), "it would have one line"
 
 
 def test_each_picture_is_described_and_each_tile_is_read_once(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,7 +15,7 @@ export const open = (box, { set, act, view }) => {
   const lines = (texts) => texts.filter(Boolean).map((text) => make("p", { text }));
 
   const drawPair = () => {
-    const { said, rows, change, weights, effect, trying, photo, places } = told.pair;
+    const { said, rows, change, weights, effect, trying, photo, places, account } = told.pair;
     const several = rows.length > 1;
     pair.replaceChildren(make("h3", { text: "The two tiles of the verdict" }), ...lines(said));
     if (!rows.length) return;
@@ -40,6 +40,11 @@ export const open = (box, { set, act, view }) => {
         actions.append(trial);
       }
       pair.append(actions, ...lines(effect));
+    }
+    if (account) {
+      const head = [view.page.word, "cells for", "cells against", "constant", "sum"].map((text) => make("th", { scope: "col", text }));
+      const body = account.parts.map((terms, part) => make("tr", {}, make("th", { scope: "row", text: rows[part].name }), ...terms.map((text) => make("td", { text }))));
+      pair.append(make("details", {}, make("summary", { text: "The exact account of the answer" }), make("table", {}, make("tr", {}, ...head), ...body), ...lines(account.said)));
     }
     if (!photo) return;
     const figure = makePicture();
@@ -68,7 +73,7 @@ export const open = (box, { set, act, view }) => {
     }
     if (!all.columns) return;
     models.append(make("div", { class: "columns" }, ...all.columns.map(column)));
-    if (!all.alone) return models.append(...lines(["All photos are still being ranked by both models."]));
+    if (!all.alone) return models.append(...lines([all.text ? "" : "All photos are still being ranked by both models."]));
     const [count, mine, theirs] = all.alone;
     const [one, other] = all.columns.map((of) => of.model);
     models.append(...lines([`Of ${count.toLocaleString("en")} photos, ${one} alone finds ${mine.toLocaleString("en")}, and ${other} alone ${theirs.toLocaleString("en")}.`]),
@@ -89,7 +94,8 @@ export const open = (box, { set, act, view }) => {
   };
   const photos = (title, list) => (!list.length ? [] : [make("h4", { text: title }), make("div", { class: "photos" }, ...list.map(({ query, name, src, ranks }) => make("button", { "data-query": query, title: name }, make("u", { class: "image", style: { "background-image": `url("${src}")` } }), make("span", { text: `${ranks[0]} → ${ranks[1]}` }))))]);
 
-  let [drawn, light] = ["", false];
+  /** @type {any[]} */
+  let drawn = [];
   return {
     receive: (message) => {
       Object.assign(told, message);
@@ -97,12 +103,11 @@ export const open = (box, { set, act, view }) => {
       if ("models" in message) drawModels();
     },
     draw: () => {
-      const now = document.documentElement.classList.contains("light");
-      const state = `${view.focus}`;
-      if (!told.pair || !view.result || (now === light && state === drawn)) return;
-      [drawn, light] = [state, now];
+      const now = [view.result, view.focus, view.state?.theme];
+      if (!told.pair || !view.result || now.every((one, at) => one === drawn[at])) return;
+      drawn = now;
       drawPair();
-      drawModels();
+      if (told.models) drawModels();
     },
     close: () => page.remove(),
   };

@@ -102,11 +102,12 @@ class SecondModel:
             if task.key == result.task.key
             else f"Compared by {task.scoring} distances: not both models have {result.task.scoring} ones."
         )
+        failed = next((ranking.error for ranking in rankings if ranking.error), "")
         columns = [
             self._column(result, one, of_one, ranking)
             for (one, of_one), ranking in zip(((own, analysis), (other, theirs)), rankings, strict=True)
         ]
-        values = shown | {"columns": columns, "unlike": unlike, **self._changes(result, rankings)}
+        values = shown | {"text": failed, "columns": columns, "unlike": unlike, **self._changes(result, rankings)}
         return ModelsMessage(values, _INTERVAL if waits else None)
 
     def _column(

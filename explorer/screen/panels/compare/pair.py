@@ -15,6 +15,7 @@ from lpn.core.numbers import rounded_to_sum, shown_difference, signed
 from lpn.core.texts import ordinal
 from lpn.explain import lead_cells
 from lpn.explain.counterfactual import Effect
+from lpn.library.answer import pair_evidence
 from lpn.retrieval import Match, scoring
 
 # The lead is that of rounded distances, and differs from the cells' sum by less than this.
@@ -61,6 +62,7 @@ class TilePair:
             "weights": list(self.usable),
             "effect": _described(self.effect),
             "trying": trying,
+            "account": self._account(),
             **painted,
         }
 
@@ -121,6 +123,23 @@ class TilePair:
         rest = f" {signed(nowhere)} has no place, such as CSLS." if at != lead else ""
         said = f"Magenta places speak for the {'truth' if compared.followed.true else 'answer'}, green for the other tile: "
         return {"photo": self.result.painted(cells), "places": f"{said}{signed(at)} together.{rest}"}
+
+    def _account(self) -> dict[str, Any] | None:
+        """Return the answer's score as the sum of its cells and constants, part by part; None without cells."""
+        result, first, ranking = self.result, self.result.first, self.result.analysis.ranking
+        csls = ranking.csls_of(first.index)
+        pair = pair_evidence(result.analysis.query, result.described(first), ranking.weights, csls=csls)
+        if pair is None:
+            return None
+        evidence = pair.evidence
+        parts = [rounded_to_sum(list(map(float, terms))) for terms in zip(*evidence.part_sums, strict=True)]
+        less = f" CSLS takes {signed(sum(evidence.csls_shares))}." if csls is not None else ""
+        score = f"The answer's score, {first.score:.3f}, is the sum of all these terms"
+        said = f"{score}; its distance is 2 less twice the score.{less}"
+        return {
+            "said": [said, f"Level of evidence: {result.workspace.contract.claim}."],
+            "parts": [[signed(term) for term in (*of, sum(of))] for of in parts],
+        }
 
 
 def _usable(result: ScreenResult, compared: Comparison) -> list[float]:

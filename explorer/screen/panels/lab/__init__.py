@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.compute.ranking_job import RankingJob
 from explorer.screen.fields import ScreenState
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.lab import charts, points, table
@@ -54,7 +53,7 @@ class LabPart(PanelPart):
             "csv": self._csv,
             "calibrate": self._calibrate,
         }
-        self._feeds, self._closed = tab.services.feeds, False
+        self._services, self._feeds, self._closed = tab.services, tab.services.feeds, False
         # The laboratories that this tab has waited for, and the filter in force.
         self._labs: set[Lab] = set()
         self._where = ""
@@ -65,7 +64,9 @@ class LabPart(PanelPart):
         self._compared: tuple[tuple[object, ...], LabFindings] | None = None
         # The map that this tab has waited for.
         self._map: tuple[Lab, tuple[PlaneKind, str]] | None = None
-        self._calibrating: BackgroundJob[None] | None = None
+        # The second model, and its preparation for further scorings.
+        self._other: Workspace | None = None
+        self._calibrating: tuple[Workspace, BackgroundJob[None]] | None = None
         self._busy: dict[str, Any] = {}
         # Published feeds by name, each with what it was made of.
         self._published: dict[str, tuple[object, str]] = {}
@@ -83,7 +84,7 @@ class LabPart(PanelPart):
             for ranking in workspace.rankings.values():
                 ranking.leave(self)
         if self._calibrating is not None:
-            self._calibrating.leave(self)
+            self._calibrating[1].leave(self)
 
     def show(self) -> None:
         """Send the table of the newest state, and its charts or map; the ranks of a second model follow."""
@@ -117,9 +118,7 @@ class LabPart(PanelPart):
         selection = LabSelection.of(findings, state, self._where)
         self._where, self._shown = selection.where, selection
         rows, ordered = selection.rows(), selection.ordered()
-        if not np.array_equal(ordered, self._ordered):
-            self._ordered = ordered
-        ordered = self._ordered
+        self._ordered = ordered
         shown, task = selection.columns(), findings.task
         feed = self._publish(
             "rows",
@@ -152,6 +151,7 @@ class LabPart(PanelPart):
             return
         found = self._points = job.value
         coloured, picture = points.colours(findings, state[COLOUR]), found.ground
+        outcomes, known = findings.outcomes, findings.graded.known[state.query]
         data = {
             "kind": kind,
             "axes": found.axes,
@@ -164,7 +164,7 @@ class LabPart(PanelPart):
             "colour": state[COLOUR] if state[COLOUR] in findings.table.columns else "",
             "lines": points.lines(findings, found, rows),
             "ground": points.ground(found),
-            "answers": [findings.outcomes.answer[state.query].item(), findings.outcomes.true[state.query].item()],
+            "answers": [int(tiles[state.query]) for tiles in (outcomes.answer, outcomes.true) if known],
         }
         if picture is not None:
             data["picture"] = self._bytes("ground", found, lambda: images.jpeg(picture[0], 85), "image/jpeg")
@@ -187,48 +187,49 @@ class LabPart(PanelPart):
     # The second model.
 
     def _models(self) -> list[Workspace]:
-        base = self.tab.services.workspace
+        base = self._services.workspace
         return [base, *(one.workspace for one in base.beside if one.workspace is not None)]
 
     def _labels(self, state: ScreenState) -> dict[str, str]:
         """Return the models that can be the second one, by their numbers."""
-        base = self.tab.services.workspace
+        base = self._services.workspace
         labels = [base.model_name, *(one.label for one in base.beside)]
         return {str(number): label for number, label in enumerate(labels) if str(number) != state.model}
 
     def _second(self, state: ScreenState, findings: LabFindings) -> LabFindings | None:
         """Wait for the second model and its ranks, and return the findings with them; None without them."""
-        number = state[SECOND]
+        number, base = state[SECOND], self._services.workspace
         if number not in self._labels(state):
             return None
-        other, base = self.tab.services.workspace, self.tab.services.workspace
-        if number != "0":
-            beside = base.beside[int(number) - 1]
-            if beside.workspace is None and not self._wait(beside.open(), f"rank B: opening {beside.label}", state):
-                return None
-            assert beside.workspace is not None
-            other = beside.workspace
-        job = self._calibrating
-        if job is not None and not self._wait(job, f"rank B: calibrating {other.model_name}", state):
+        beside = base.beside[int(number) - 1] if number != "0" else None
+        opened = beside is None or beside.workspace is not None
+        if beside is not None and not (opened or self._wait(beside.open(), f"rank B: opening {beside.label}", state)):
             return None
-        ranking: RankingJob | None = other.ranked_as(findings.task)
+        other = base if beside is None else beside.workspace
+        assert other is not None
+        calibrated, job = self._calibrating or (None, None)
+        if job is not None and calibrated is other and not self._wait(job, "rank B: calibrating", state):
+            return None
+        ranking = other.ranked_as(findings.task)
         if ranking is None:
             raise LPNError(f"{other.model_name} does not know the views of {findings.task.name}; choose another model.")
-        if ranking.result is None and not self._wait(
-            ranking.join(self), f"rank B: {other.model_name} is ranking", state
-        ):
+        if ranking.result is None and not self._wait(ranking.join(self), "rank B: ranking", state):
             return None
-        if self._compared is None or self._compared[0] != (findings, number, ranking.task.scoring):
+        key = findings, number, ranking.task.scoring
+        if self._compared is None or self._compared[0] != key:
             names = self.tab.workspace.model_name, other.model_name
-            self._compared = (findings, number, ranking.task.scoring), findings.compared(names, ranking)
+            self._compared = key, findings.compared(names, ranking)
+            self._other = other
         return self._compared[1]
 
     def _calibrate(self, _: Mapping[str, Any]) -> None:
         """Prepare the further scorings of the second model, so that both models are ranked alike."""
-        number = self.tab.state[SECOND]
-        for other in self._models():
-            if other is not self.tab.workspace and (number == "0") == (other is self.tab.services.workspace):
-                self._calibrating = other.scorings.prepare(self)
+        other = self._other
+        job = None if other is None else other.scorings.prepare(self)
+        if other is None or job is None:
+            self._say("The second model has no other rankings.", failed=True)
+            return
+        self._calibrating = other, job
         self.tab.set({})
 
     # What the page asks for.
@@ -321,7 +322,7 @@ class LabPart(PanelPart):
         if shown is not None:
             findings = shown.findings
             feed = self._feeds.publish_bytes(self, "csv", lambda: findings.table.to_csv(rows), "text/csv")
-            workspace = self.tab.services.workspace
+            workspace = self._services.workspace
             name = re.sub(r"[^\w-]+", "-", f"{workspace.data_name}-{findings.task.name}-{len(rows)}-queries")
             self._send("file", {"address": f"{self._feeds.address}{feed}0", "name": f"{name}.csv"})
 

@@ -33,7 +33,7 @@ class Laboratory {
           make("input", { class: "field", type: "search", "aria-label": "Filter", maxlength: 1000, spellcheck: "false", autocomplete: "off" }),
           make("details", { class: "help" }, make("summary", { class: "chip", text: "?", title: "How to filter", "aria-label": "How to filter" }), make("div"))),
         make("div", { class: "error", role: "alert", hidden: true }),
-        make("div", { class: "line counts" }, make("span", { role: "status" }), make("i", { class: "gap" }), make("select", { class: "field", "aria-label": "Ranks of a second model" })),
+        make("div", { class: "line counts" }, make("span", { role: "status" }), make("i", { class: "gap" }), make("input", { class: "field tag", "aria-label": "Tags for all these rows", placeholder: "Tag all", maxlength: 1000 }), make("select", { class: "field", "aria-label": "Ranks of a second model" })),
         make("div", { class: "line busy", role: "status", hidden: true }),
         make("div", { class: "body" }, ...Object.keys(TABS).map((name) => make("div", { class: name }))),
         make("form", { class: "note", hidden: true },
@@ -57,8 +57,13 @@ class Laboratory {
     this.input = find(".filter input", box);
     this.input.addEventListener("input", () => {
       clearTimeout(this.typing);
-      this.typing = setTimeout(() => set({ lab_where: this.input.value }), PAUSE);
+      this.typing = setTimeout(() => {
+        this.typing = 0;
+        set({ lab_where: this.input.value });
+      }, PAUSE);
     });
+    const tag = find(".tag", box);
+    tag.addEventListener("keydown", (event) => event.key === "Enter" && tag.value.trim() && act("tag", { tags: tag.value }));
     find(".counts select", box).addEventListener("change", (event) => set({ lab_second: event.target.value }));
     find(".columns", box).addEventListener("change", () => {
       const names = findAll(".columns input:checked", box).map((one) => one.value);
@@ -91,10 +96,7 @@ class Laboratory {
     else if (button?.dataset.act === "none") this.table.takeMarked();
     else if (button?.dataset.act === "picked") set({ lab_picked: "" });
     else if (button?.dataset.act === "calibrate") act("calibrate");
-    else if (button?.dataset.act === "tag") {
-      const tags = prompt(`Tags for all ${this.head.total.toLocaleString("en")} rows:`);
-      if (tags) act("tag", { tags });
-    } else if (button?.classList.contains("csv")) act("csv");
+    else if (button?.classList.contains("csv")) act("csv");
     else if (button?.dataset.column) {
       this.input.value = `${this.input.value}${this.input.value ? " and " : ""}${button.dataset.column} `;
       this.input.focus();
@@ -142,7 +144,7 @@ class Laboratory {
     for (const one of findAll("[data-show]", this.box)) one.setAttribute("aria-pressed", String(one.dataset.show === state.lab_show));
     for (const one of find(".body", this.box).children) one.hidden = !one.classList.contains(state.lab_tab);
     find(".columns", this.box).hidden = state.lab_tab !== "table";
-    if (document.activeElement !== this.input) this.input.value = state.lab_where;
+    if (!this.typing && document.activeElement !== this.input) this.input.value = state.lab_where;
     find(".note", this.box).hidden = state.lab_tab === "charts" || this.note.query < 0;
     if (state.lab_tab === "table") this.table.redraw();
     if (state.lab_tab === "charts") this.charts.draw(state.theme);
@@ -169,8 +171,9 @@ class Laboratory {
     find(".columns div", this.box).replaceChildren(...open);
     const select = find(".counts select", this.box);
     const second = this.context.view.state.lab_second;
-    const models = [["", "Second model"], ...Object.entries(head.beside)];
-    select.replaceChildren(...models.map(([number, label]) => make("option", { value: number, selected: number === second, text: number ? `rank B: ${label}` : label })));
+    const models = [["", "Model B"], ...Object.entries(head.beside)];
+    select.replaceChildren(...models.map(([number, label]) => make("option", { value: number, selected: number === second, text: number ? `B: ${label}` : label })));
+    select.title = second ? `Rank B is that of ${head.beside[second]}` : "Compare with the ranks of a second model";
     select.hidden = models.length < 2;
     this.drawCounts();
   }
@@ -187,11 +190,10 @@ class Laboratory {
       make("span", { text: `${photos}${share}${ungraded ? `, ${number(ungraded)} not graded` : ""}`, title }), " ",
       ...(head.picked ? [chip(`${number(head.picked)} picked ✕`, { "data-act": "picked", title: "Show the others again" })] : []),
       ...(marked ? [chip(`Only the ${number(marked)} marked`, { "data-act": "only" }), chip("✕", { "data-act": "none", "aria-label": "Mark none" })] : []),
-      ...(!marked && head.total ? [chip("Tag", { "data-act": "tag", title: "Tag all these rows" })] : []),
     );
   }
 
-  showBusy({ text, done, total, failed }) {
+  showBusy({ text, failed, done = 0, total = 0 }) {
     const line = find(".busy", this.box);
     line.hidden = !text;
     line.classList.toggle("failed", failed);
@@ -216,12 +218,15 @@ class Laboratory {
   }
 
   showSaved({ text, good, query, stored }) {
-    if (query >= 0 && query !== this.note.query) return;
+    if (query < 0) {
+      if (good) find(".tag", this.box).value = "";
+      return this.showBusy({ text, failed: !good });
+    }
+    if (query !== this.note.query) return;
     const form = find(".note", this.box);
     const said = find("span", form);
     said.textContent = text;
     said.classList.toggle("wrong", !good);
-    if (query < 0) return;
     const words = { tags: find("input", form).value, text: find("textarea", form).value };
     if (good) Object.assign(this.note, words);
     else if (stored) Object.assign(this.note, stored);

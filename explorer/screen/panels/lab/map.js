@@ -128,7 +128,7 @@ export class PointMap {
     const scale = legend.ends ? [legend.ends[0], make("i", { class: "ramp", style: { background: `linear-gradient(90deg, ${legend.palette.filter((_, at) => at % 16 === 0).join(",")})` } }), legend.ends[1]] : [];
     find(".legend", this.box).replaceChildren(
       ...legend.labels.map((text, code) => entry(code, text, legend.counts[code])), ...scale,
-      ...(legend.unknown ? [entry(UNKNOWN, "not known", legend.unknown)] : []),
+      ...(legend.unknown ? [entry(UNKNOWN, this.message.colour ? "not known" : "? not graded", legend.unknown)] : []),
       make("span", { class: "soft", text: `× missed, □ tile${axes ? `; ${axes}` : ""}` }));
     this.box.dataset.points = String(queries);
   }
@@ -254,6 +254,7 @@ export class PointMap {
     this.hovered = query;
     clearTimeout(this.resting);
     find(".tip", this.box).hidden = true;
+    find(".plane", this.box).style.cursor = query < 0 ? "" : "pointer";
     if (query >= 0) this.resting = setTimeout(() => this.act("tip", { query }), REST);
     this.paint();
   }

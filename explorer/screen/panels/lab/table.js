@@ -3,11 +3,13 @@
 import { find, make, partColour } from "../../page/dom.js";
 import { load } from "./vendor.js";
 
-const ROW = 34; // pixels
+const ROW = 33; // pixels without the line below; lab.css has the same height for rows that are still empty
 const PIECE = 100; // rows that the server sends at once
-const WIDTHS = { name: 84, rank: 62, margin: 88, part: 84, answer: 104, number: 88, text: 112 };
+const WIDTHS = { rank: 62, margin: 88, part: 84, answer: 104, number: 88, text: 112 };
 
 const verdict = (found) => (found === null ? "" : make("b", { class: found ? "right" : "wrong", text: found ? "✓" : "✗" }));
+
+const thumbnail = (source) => (source ? make("img", { src: source, alt: "" }) : "");
 
 export class QueryTable {
   constructor(box, { open, sort, chosen }) {
@@ -51,17 +53,15 @@ export class QueryTable {
         find(".tabulator-table", this.holder).setAttribute("role", "presentation");
         this.holder.addEventListener("scroll", () => this.fill());
         this.queries = [];
-        this.choose(this.at);
+        this.choose(this.at, true);
       });
       this.grid.on("rowClick", (event, row) => this.clicked(event, row.getData().at));
       return;
     }
     if (heading(head) !== heading(before)) this.grid.setColumns(this.columns());
     this.queries = [];
-    const { scrollTop } = this.holder;
     await this.grid.setData(rows);
-    this.holder.scrollTop = scrollTop;
-    this.choose(this.at);
+    this.choose(this.at, true);
   }
 
   redraw() {
@@ -73,7 +73,8 @@ export class QueryTable {
   }
 
   columns() {
-    const { columns, sort, descending } = this.head;
+    const { columns, sort, descending, longest } = this.head;
+    const width = ({ name, kind }) => (name === "name" ? Math.max(84, Math.min(170, 8 * longest + 14)) : WIDTHS[kind]);
     const title = ({ name, unit, hint }) => {
       const sign = name === sort ? (descending ? " ▾" : " ▴") : "";
       const button = make("button", { title: `${hint}; click to sort`, text: `${name}${unit ? ` ${unit}` : ""}${sign}` });
@@ -81,23 +82,19 @@ export class QueryTable {
       return button;
     };
     return [
-      { title: "photo", field: "query", width: 46, frozen: true, formatter: (cell) => this.thumbnail(0, cell.getValue()), titleFormatter: () => make("span", { class: "unseen", text: "photo" }) },
+      { title: "photo", field: "query", width: 46, frozen: true, formatter: (cell) => thumbnail(cell.getValue()), titleFormatter: () => make("span", { class: "unseen", text: "photo" }) },
       ...columns.map((column) => ({
-        title: column.name, field: `=${column.name}`, width: WIDTHS[column.name] ?? WIDTHS[column.kind],
+        title: column.name, field: `=${column.name}`, width: width(column),
         hozAlign: column.kind === "number" ? "right" : "left", headerHozAlign: column.kind === "number" ? "right" : "left",
         titleFormatter: () => title(column), formatter: (cell) => this.cell(column.kind, cell.getValue()),
       })),
     ];
   }
 
-  thumbnail(side, index) {
-    return index === undefined || index < 0 ? "" : make("img", { src: `${this.head.thumbnails[side]}${index}`, alt: "" });
-  }
-
   cell(kind, value) {
     if (value === undefined || value === null) return "";
     if (kind === "rank") return make("span", {}, verdict(value[1]), ` ${value[0]}`);
-    if (kind === "answer") return make("span", { title: value[0] }, this.thumbnail(1, value[1]), value[0]);
+    if (kind === "answer") return make("span", { title: value[0] }, thumbnail(value[1]), value[0]);
     if (kind === "part") return make("span", {}, make("i", { class: "swatch", style: { background: value[1] < 0 ? "none" : partColour(value[1], 2) } }), value[0]);
     if (kind !== "margin") return make("span", { text: value, title: value });
     const share = (50 * Math.abs(value)) / this.head.limit;
@@ -143,31 +140,33 @@ export class QueryTable {
   }
 
   /** Highlight the row of the shown query, and bring it in sight. */
-  choose(at) {
+  async choose(at, again = false) {
     const before = this.at;
     this.at = at;
     if (!this.holder) return;
-    for (const one of [before, at]) if (one >= 0 && one < this.head.total) this.decorate(this.grid.getRow(one));
-    const { scrollTop, clientHeight } = this.holder;
-    const top = ROW * at;
-    if (at >= 0 && (at !== before || before < 0) && (top < scrollTop || top + ROW > scrollTop + clientHeight)) this.holder.scrollTop = Math.max(0, top - clientHeight / 3);
+    for (const one of [before, at]) {
+      const row = one >= 0 && one < this.grid.getDataCount() && this.grid.getRow(one);
+      if (row) this.decorate(row);
+    }
+    if (at >= 0 && (at !== before || again)) await this.grid.scrollToRow(at, "center", false).catch(() => {}); // it may have gone meanwhile
     this.fill();
   }
 
   /** Ask for the rows in sight. */
   async fill() {
-    const { feed, total, address, columns } = this.head;
-    const first = Math.floor(this.holder.scrollTop / ROW / PIECE);
-    const last = Math.floor((this.holder.scrollTop + this.holder.clientHeight) / ROW / PIECE);
+    const { feed, total, address, columns, thumbnails } = this.head;
+    const shown = (kind, value) => (kind === "answer" ? [value[0], value[1] < 0 ? "" : thumbnails[1] + value[1]] : value);
+    const seen = this.grid.getRows("visible").map((row) => row.getData().at);
+    const [first, last] = [seen[0], seen.at(-1)].map((at) => Math.floor((at ?? 0) / PIECE));
     for (let number = first; number <= last && number * PIECE < total; number++) {
       if (this.pieces.has(number)) continue;
       this.pieces.set(number, true);
-      const answer = await fetch(`${address}${feed}${number}`).catch(() => null);
+      const answer = await fetch(`${address}${feed}${number}`).catch(() => this.pieces.delete(number) && null); // asked for again
       const entries = answer?.ok && answer.headers.get("Content-Length") !== "0" ? await answer.json().catch(() => []) : [];
       if (feed !== this.head.feed) return;
       const rows = entries.map(([query, cells], place) => {
         this.queries[number * PIECE + place] = query;
-        return { at: number * PIECE + place, query, ...Object.fromEntries(cells.map((cell, column) => [`=${columns[column].name}`, cell])) };
+        return { at: number * PIECE + place, query: thumbnails[0] + query, ...Object.fromEntries(columns.map(({ name, kind }, column) => [`=${name}`, shown(kind, cells[column])])) };
       });
       await this.grid.updateData(rows);
     }

@@ -94,6 +94,7 @@ def message(selection: LabSelection, rows: Int64Array) -> dict[str, Any]:
         "columns": columns(selection),
         "further": selection.further_columns(),
         "names": list(table.columns),
+        "longest": max(map(len, table.columns["name"].values)),
         "sort": name,
         "descending": descending,
         "limit": float(np.nanmax(margins)) if np.isfinite(margins).any() else 1.0,

@@ -21,7 +21,7 @@ _RUNS = re.compile(r"\d{1,4}(-\d{1,4})?(,\d{1,4}(-\d{1,4})?)*", re.ASCII)
 
 
 @dataclass(frozen=True)
-class MapCells:
+class CellRuns:
     """Cells of a feature map, row by row: a list of numbers, in an address as runs such as "3-6,19"; empty for none."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> tuple[int, ...]:  # noqa: ARG002
@@ -44,7 +44,7 @@ class MapCells:
         return ",".join(f"{a}-{b}" if a < b else str(a) for a, b in zip(firsts, lasts, strict=True))
 
 
-CELLS: PanelField[tuple[int, ...]] = PanelField("region_cells", MapCells(), (), "cells", of_query=True)
+CELLS: PanelField[tuple[int, ...]] = PanelField("region_cells", CellRuns(), (), "cells", of_query=True)
 
 
 class _Region(PanelPart):

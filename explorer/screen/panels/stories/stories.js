@@ -53,14 +53,11 @@ export const open = (box, context) => {
     if (focused) find(`[aria-label="${CSS.escape(focused)}"]`, steps)?.focus();
     foot.replaceChildren(remove, make("span", { text: `S keeps a step in ${shown.place}.` }));
   };
-  return {
-    receive(message) {
-      shown = message;
-      // A button that is being pressed stays until it is clicked.
-      if (find(":active", steps)) addEventListener("pointerup", () => setTimeout(draw), { once: true });
-      else draw();
-    },
-    draw() {},
-    close() {},
+  const receive = (message) => {
+    shown = message;
+    // A button that is being pressed stays until it is clicked.
+    if (find(":active", steps)) addEventListener("pointerup", () => setTimeout(draw), { once: true });
+    else draw();
   };
+  return { receive, draw() {}, close() {} };
 };

@@ -33,7 +33,7 @@ export const tell = ({ name, steps }, { go, set, view }) => {
     const press = event.key === "Enter" || event.key === " ";
     if (event.ctrlKey || event.altKey || event.metaKey || find("#commands").open || (press && event.target.matches("button"))) return;
     if (event.key in STEPS) show(at + STEPS[event.key]);
-    else if (event.key === "Escape") end();
+    else if (event.key === "Escape") end(); // outside full screen, where the browser takes it for itself
     else if (event.key.toLowerCase() === "n") notes.hidden = !notes.hidden;
     else return;
     event.preventDefault();
@@ -41,7 +41,6 @@ export const tell = ({ name, steps }, { go, set, view }) => {
   };
   // A pointer that rests where the page has moved below it lights nothing.
   const moves = (event) => (event.movementX || event.movementY) && (root.dataset.told = "");
-  // In full screen the browser takes Escape for itself.
   const left = () => document.fullscreenElement || end();
   const end = () => {
     removeEventListener("keydown", keys, true);

@@ -28,7 +28,7 @@ _LABELS: dict[SweptProperty, str] = {
 OVER = PanelField("sweep_over", OneOf(tuple(_LABELS)), "shift", "sweep")
 
 
-class Sweep:
+class PhotoSweep:
     """The sweep of one result over one property.
 
     Attributes:
@@ -161,7 +161,7 @@ class _SweepPart(PanelPart):
 
     def __init__(self, tab: Tab) -> None:
         super().__init__(tab)
-        self._sweep: Sweep | None = None
+        self._sweep: PhotoSweep | None = None
         self._closed = False
 
     def show(self) -> float | None:
@@ -179,7 +179,7 @@ class _SweepPart(PanelPart):
             self.tab.send({"choices": choices, "over": over, "why": why})
             return None
         if self._sweep is None or self._sweep.key != sweep_key(over, result):
-            self._sweep = Sweep(over, result, model)
+            self._sweep = PhotoSweep(over, result, model)
         try:
             goes_on = self._sweep.step()
         except WorkCancelledError:  # the tab has left

@@ -1,7 +1,7 @@
 // Curves of one photo over shifts, zooms, turns, or weathers.
 
 import { make, partColour, variable } from "../../page/dom.js";
-import { plot } from "../../page/plot.js";
+import { plot } from "../why/plot.js";
 
 const AXES = { rotation: "degrees counter-clockwise", shift: "pixels to the right", "shift-down": "pixels down", zoom: "zoom", weather: "" };
 

@@ -1,7 +1,7 @@
 // The page behind the verdict.
 
 import { make, partColour, variable } from "../../page/dom.js";
-import { plot } from "../../page/plot.js";
+import { plot } from "./plot.js";
 
 export const open = (box, { view }) => {
   const page = make("div", { class: "why" });

@@ -143,7 +143,7 @@ def _judged(result: ScreenResult, ranking: RankingJob) -> list[str]:
     graded, queries = workspace.counts(ranking)[1], len(task.queries)
     if ranking.result is not None and 0 < graded < queries:
         said.append(f"Of {queries:,} photos, {queries - graded:,} do not count, as their place is not sure.")
-    return [*said, "Missed: any other tile is nearer than the true ones."]
+    return [*said, "Missed: a wrong tile is nearer than every true one."]
 
 
 def _answer(result: ScreenResult, ranking: RankingJob) -> dict[str, Any]:

@@ -1,9 +1,9 @@
 // Line charts by uPlot, which is loaded with the first one, in the page's colours.
 
-import { find, make, variable } from "./dom.js";
+import { find, make, variable } from "../../page/dom.js";
 
 const FONT = "12px Inter, Helvetica, Arial";
-const LIBRARY = "../vendor/uplot.js"; // TypeScript reads no module that a constant names
+const LIBRARY = "../../vendor/uplot.js"; // TypeScript reads no module that a constant names
 const STYLE = "screen/vendor/uplot.css";
 const load = async () => {
   if (!find(`link[href="${STYLE}"]`)) document.head.append(make("link", { rel: "stylesheet", href: STYLE }));

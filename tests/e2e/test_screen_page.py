@@ -1,0 +1,113 @@
+"""The screen under hard conditions: keys alone, wrong addresses, storage denied, several tabs, and a server that starts again."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from playwright.sync_api import BrowserContext, Page, expect
+
+from tests.e2e.conftest import Running, RunningApp, Screen, started
+from tools.fixtures.processes import free_port
+from tools.fixtures.waiting import wait_until
+
+
+def test_all_that_can_be_pressed_is_reached_by_tab_and_says_its_name(screen: Screen) -> None:
+    page = screen.open().page
+    reached = set()
+    for _ in range(80):
+        page.keyboard.press("Tab")
+        focused = page.evaluate(
+            """() => {
+              const one = document.activeElement;
+              if (one === document.body) return null;
+              const name = one.getAttribute("aria-label") || one.title || one.textContent.trim() || one.placeholder;
+              const seen = one.checkVisibility() && getComputedStyle(one).outlineStyle !== "none";
+              return [one.id || one.className, name ?? "", seen];
+            }"""
+        )
+        if focused is None or tuple(focused) in reached:
+            continue
+        assert focused[1], focused
+        assert focused[2], f"the focus is not seen at {focused}"
+        reached.add(tuple(focused))
+    names = " ".join(name for _, name, _ in reached).lower()
+    for expected in ("next", "previous", "search", "missed", "distance"):
+        assert expected in names, names
+    page.locator("#strip .tile").nth(2).focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#tile figcaption")).to_contain_text("Pinned")
+    page.locator("#photo .frame").focus()
+    page.keyboard.press("ArrowLeft")
+    screen.rest("15")
+
+
+def test_a_wrong_address_is_a_sentence_and_the_screen_opens(running: Running, screen: Screen) -> None:
+    for search, said in (
+        ("?query=nobody", "Query: there is no such picture"),
+        ("?angle=nan", "Angle: expected a number"),
+        ("?weights=0,0,0,0", "Weights: expected 4 numbers"),
+        ("?task=%00%ff<img src=x>", "Task: expected"),
+    ):
+        screen.page.goto(screen.url + search)
+        expect(screen.headline.locator("h1")).to_contain_text(said)
+        expect(screen.tiles.first).to_be_visible()
+        screen.key("Escape")
+        expect(screen.headline.locator("h1")).to_contain_text(re.compile("Found|Missed"))
+    assert not screen.complaints
+    assert running.app is not None
+
+
+def test_a_browser_that_denies_its_storage_shows_all(screen: Screen) -> None:
+    screen.page.add_init_script(
+        """for (const use of ["getItem", "setItem", "removeItem"])
+          Storage.prototype[use] = () => { throw new DOMException("denied", "SecurityError") };"""
+    )
+    screen.open()
+    screen.key("d")
+    expect(screen.page.locator("html")).to_have_class("light")
+    screen.key("j")
+    screen.rest("15")
+    assert not screen.complaints
+
+
+def test_two_tabs_of_one_browser_are_two_screens(running: Running, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts()
+    one, other = (Screen(context.new_page(), running.url).open() for _ in range(2))
+    one.key("n")
+    one.rest()
+    one.key("j")
+    one.rest("15")
+    other.key("j")
+    other.rest("15")
+    one.expect_numbers(running.analysis(query=1, angle=15.0))
+    other.expect_numbers(running.analysis(query=0, angle=15.0))
+
+
+def test_a_tab_that_leaves_takes_its_session_along(running: Running, contexts: Callable[..., BrowserContext]) -> None:
+    context = contexts()
+    screen = Screen(context.new_page(), running.url).open()
+    tab = screen.page.evaluate("document.documentElement.dataset.tab")
+    assert tab in running.app._channel.sessions
+    screen.key("j")
+    screen.page.close()
+    wait_until(lambda: tab not in running.app._channel.sessions)
+
+
+def test_a_page_finds_its_server_again_as_it_was(app: RunningApp, tmp_path: Path, new_page: Callable[[], Page]) -> None:
+    port = free_port()
+    with started(app.data, app.model, tmp_path / "cache", port=port) as running:
+        screen = Screen(new_page(), running.url).open("?query=0009&angle=30")
+    expect(screen.headline.locator("h1")).to_have_text("Connection lost. Trying again.")
+    expect(screen.rows).to_have_count(4)
+    with started(app.data, app.model, tmp_path / "cache", port=port):
+        expect(screen.headline.locator("h1")).not_to_contain_text("Connection lost")
+        screen.rest("30")
+        expect(screen.page).to_have_url(re.compile("query=0009"))
+
+
+def test_without_positions_there_is_no_scene_of_a_place(app: RunningApp, new_page: Callable[[], Page]) -> None:
+    screen = Screen(new_page(), app.url).open()
+    expect(screen.page.locator("#scene [data-view=city]")).to_be_hidden()
+    expect(screen.tiles).to_have_count(6)
