@@ -81,7 +81,7 @@ def running(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         ranking = RankingJob(task)
         ranking.start()
         views = dict(task.map_sizes)
-        workspace = Workspace("a.onnx", "monday", [ranking], task.contract, views, task.model, None, folder)
+        workspace = Workspace("a.onnx", "monday", [ranking], task.contract, views, task.model, folder)
         workspace.flight = located
         app = App(workspace, "127.0.0.1", free_port())
         yield RunningFlight(f"http://127.0.0.1:{app.server.get_port()}/", folder, located)
