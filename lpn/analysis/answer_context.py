@@ -20,8 +20,6 @@ _ALIKE, _ALIKE_SHARE = 50, 0.1
 FEWEST_GRADED = 2 * _ALIKE
 # A share of fewer answers says little.
 _FEWEST = 20
-# An answer farther than this share of right answers is probably none.
-_TOO_FAR = 0.95
 # A difference that chance makes less often than this is none of chance.
 _BY_CHANCE = 0.05
 # Queries whose distances are computed at once.
@@ -152,12 +150,6 @@ def answer_distances(
         return 2.0 - 2.0 * np.concatenate(scores)
 
     return AnswerDistances(distances(hits, ranking.true[hits]), distances(others, ranking.false[others]))
-
-
-def _percent(share: float) -> str:
-    """Return "97 %"; all and none only where it is all or none."""
-    rounded = 100 if share == 1 else 0 if share == 0 else min(max(round(100 * share), 1), 99)
-    return f"{rounded} %"
 
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:
