@@ -115,7 +115,9 @@ class FlightPart(PanelPart):
         self._own.close()
 
     def _fail(self, error: Exception) -> None:
-        self.tab.say(str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details.")
+        self.tab.say(
+            str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
+        )
 
     def _work(self) -> float | None:
         state, result, workspace = self.tab.state, self.tab.result, self.tab.services.workspace
