@@ -81,21 +81,12 @@ def main() -> None:
     plan["pictures"] = [{**shot, "path": kept[shot["path"]]} for shot in plan["pictures"] if shot["path"] in kept]
     write_atomic(out / "world.json", json.dumps(plan, separators=(",", ":")).encode())
     atlas = make_atlas(Settings(**plan["settings"]))
-    pack_ground(atlas.ground_csv(), kept, out)
     model_3d = city_model(atlas.city, atlas.site, test_window(atlas), LARGEST_CITY)
     write_atomic(out / PACKED, gzip.compress(model_3d, 9, mtime=0))
     pack_model(model, "lpn", out, out / STORES)
     pack_model(baseline, "baseline", out, out / STORES / "baseline")
     pack_calibration(out)
     out.rename(whole)
-
-
-def pack_ground(uses: bytes, kept: dict[str, str], out: Path) -> None:
-    """Write the lines of `ground.csv` that tell of the tiles in `out`."""
-    header, *lines = uses.decode().splitlines()
-    rows = [line.split(",", 1) for line in lines]
-    lines = [f"{kept[path]},{letters}" for path, letters in rows if path in kept]
-    write_atomic(out / "ground.csv", ("\n".join([header, *lines]) + "\n").encode())
 
 
 def pack_model(trained: Path, name: str, out: Path, stores: Path) -> None:

@@ -37,7 +37,7 @@ _INTERVAL, _MOST_CHECKS = 0.5, 8
 _NO_PIXELS = np.zeros((0, 0, 3), np.uint8)
 
 
-class HeldBytes:
+class OwnPhotoBytes:
     """The bytes of all tabs' photos; thread-safe."""
 
     def __init__(self, most: int = MOST_BYTES) -> None:
@@ -77,7 +77,7 @@ class OwnPhotos:
         send: hands a message to the page.
     """
 
-    def __init__(self, held_bytes: HeldBytes, send: Callable[[ScreenMessage], None]) -> None:
+    def __init__(self, held_bytes: OwnPhotoBytes, send: Callable[[ScreenMessage], None]) -> None:
         self._bytes, self._send, self._lock = held_bytes, send, threading.RLock()
         self._held: dict[str, _Held] = {}
         self._numbers = count()

@@ -20,7 +20,7 @@ from explorer.screen.downloads import Downloads, MakeFile
 from explorer.screen.fields import ScreenState
 from explorer.screen.loop import Loop, ScreenMessage
 from explorer.screen.occlusion import Covering, Occlusion
-from explorer.screen.own import HeldBytes, OwnPhotos
+from explorer.screen.own import OwnPhotoBytes, OwnPhotos
 from explorer.screen.panel import Action, PanelPart, SceneLines
 from explorer.screen.panels import PANELS
 from explorer.screen.rail import Rail
@@ -54,7 +54,7 @@ class Screens:
         self.services, self.home, self.places = services, home, places
         self.scale = lru_cache(maxsize=32)(measured_scale)
         self.held = held_descriptors()
-        self.own = HeldBytes()
+        self.own = OwnPhotoBytes()
 
     def session(self, send: Callable[[ScreenMessage], None]) -> ScreenSession:
         """Return the session of a new tab."""

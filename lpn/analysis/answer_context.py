@@ -20,8 +20,6 @@ _ALIKE, _ALIKE_SHARE = 50, 0.1
 FEWEST_GRADED = 2 * _ALIKE
 # A share of fewer answers says little.
 _FEWEST = 20
-# An answer farther than this share of right answers is probably none.
-_TOO_FAR = 0.95
 # A difference that chance makes less often than this is none of chance.
 _BY_CHANCE = 0.05
 # Queries whose distances are computed at once.
@@ -152,34 +150,6 @@ def answer_distances(
         return 2.0 - 2.0 * np.concatenate(scores)
 
     return AnswerDistances(distances(hits, ranking.true[hits]), distances(others, ranking.false[others]))
-
-
-def describe_distance(distances: AnswerDistances, distance2: float) -> tuple[bool, str] | None:
-    """Say if an answer is so far from its query that the query's place is probably not in the gallery, and what was measured.
-
-    None where nothing is measured.
-
-    Args:
-        distance2: d² of the answer, under equal part weights and before CSLS.
-    """
-    measured = distances.farther(distance2)
-    if measured is None:
-        return None
-    nearer, absent = measured
-    number = f"{len(distances.right):,}"
-    of_right = {0.0: f"None of the {number}", 1.0: f"All {number}"}.get(nearer, f"{_percent(nearer)} of the {number}")
-    of_absent = {0.0: "no answer", 1.0: "every answer"}.get(absent, f"{_percent(absent)} of the answers")
-    text = (
-        f"{of_right} right answers here are closer to their pictures than this one is to yours. "
-        f"Were the right pictures taken away, {of_absent} would be as far as this one, or farther."
-    )
-    return nearer >= _TOO_FAR, text
-
-
-def _percent(share: float) -> str:
-    """Return "97 %"; all and none only where it is all or none."""
-    rounded = 100 if share == 1 else 0 if share == 0 else min(max(round(100 * share), 1), 99)
-    return f"{rounded} %"
 
 
 def describe_lead(outcomes: Outcomes, lead: float) -> str:

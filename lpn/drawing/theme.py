@@ -44,11 +44,6 @@ LIGHT_COLOURS: dict[str, Colour] = COLOURS | {
 }
 # A fifth part has the first colour again.
 PART_COLOURS: tuple[Colour, ...] = tuple(COLOURS[f"part-{part}"] for part in range(4))
-# Of the values of a column, where no parts are shown.
-CATEGORIES: tuple[Colour, ...] = (
-    *((185, 63, 163), (142, 194, 236), (208, 248, 94), (208, 67, 55)),
-    *((178, 255, 227), (147, 173, 25), (148, 81, 117), (198, 133, 125)),
-)
 # Red, green, blue, and opacity of weak to strong heat over a greyed picture, in even steps of lightness, and of evidence against.
 HEAT = (
     *((26, 10, 40, 0.0), (104, 24, 112, 0.4), (182, 34, 146, 0.74)),
@@ -98,11 +93,6 @@ LIGHT = Palette(
 def part_colour(part: int, palette: Palette = DARK) -> Colour:
     """Return the colour of a part."""
     return palette.colours[f"part-{part % len(PART_COLOURS)}"]
-
-
-def category_colour(code: int) -> Colour:
-    """Return the colour of a value of a column."""
-    return CATEGORIES[code % len(CATEGORIES)]
 
 
 def verdict_colour(true: bool | None, palette: Palette = DARK) -> Colour:

@@ -16,8 +16,6 @@ from lpn.maps.tag_placed import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
 PLACED = {"registration": ("by their details", "by registration"), "sequence": ("by their neighbours", "by sequence")}
-# Names in one sentence at most.
-_MOST_NAMES = 10
 # Distances from which their 95th percentile is told, at least.
 _FEWEST = 5
 

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -25,7 +21,7 @@ from lpn.library.answer import Answer
 from tests.explorer.conftest import answered
 from tools.fixtures import small_worlds
 from tools.fixtures.chromium import SHORT_LIVED, launch
-from tools.fixtures.processes import free_port
+from tools.fixtures.processes import Process, free_port
 
 # Seconds to wait for anything that must come: far longer than it takes, since the machine may be busy.
 PATIENCE = 120.0
@@ -51,60 +47,24 @@ class RunningApp:
     data: Path
     model: Path
 
-    @property
-    def screen(self) -> str:
-        """The address without its last slash."""
-        return self.url.rstrip("/")
-
 
 @contextmanager
 def started(
-    data: Path,
-    model: Path,
-    cache: Path,
-    default: bool = False,
-    saved: Path | None = None,
-    beside: Sequence[Path] = (),
-    options: Sequence[str] = (),
-    program: Sequence[str] = ("-m", "lpn"),
-    port: int = 0,
+    data: Path, model: Path, cache: Path, default: bool = False, options: Sequence[str] = (), port: int = 0
 ) -> Iterator[RunningApp]:
     """Run `lpn explore` as a process.
 
     Args:
         default: name neither data nor model on the command line, which opens the demo.
-        saved: a published result to open in place of the model.
-        beside: further models.
-        program: what Python runs.
         port: any that is free by default, which the app takes by itself: nobody else can take it meanwhile.
     """
-    source = [data, "--model", model]
-    if saved is not None:
-        source = [saved, "--data", data, "--n-parts", "4"]
-    source += ["--beside", *beside] if beside else []
-    inputs = [] if default else source
-    command = [sys.executable, *program, "explore", *inputs, *options, "--port", str(port)]
-    environment = {**os.environ, "LPN_CACHE": str(cache)}
-    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment)
-    assert process.stdout is not None
-    output: list[str] = []
-    url = None
-    for line in process.stdout:
-        output.append(line)
-        if match := re.search(r"ready: (http://\S+)", line):
-            url = match[1]
-            break
-    # A pipe that nobody reads would stop the app when it is full.
-    reader = threading.Thread(target=process.stdout.read, daemon=True)
-    reader.start()
-    try:
-        assert url, "the app ended without an address: " + "".join(output)
+    source = [] if default else [data, "--model", model]
+    with Process(["explore", *source, *options, "--port", port], cache) as process:
+        process.until(lambda: "ready: http" in process.out)
+        url = process.out.partition("ready: ")[2].split()[0]
         yield RunningApp(url if "?" in url else f"{url.rstrip('/')}/", data, model)
-    finally:
         process.terminate()
-        process.wait(PATIENCE)
-        reader.join(PATIENCE)
-        process.stdout.close()
+        process.ended()
 
 
 @pytest.fixture(scope="package")

@@ -61,7 +61,8 @@ def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
 def saved_app(app: RunningApp, tmp_path: Path) -> Iterator[RunningApp]:
     """The places and descriptors of `app`, from a published result."""
     save_result(tmp_path / "pytorch_result.mat", app.data, app.model)
-    with started(app.data, app.model, tmp_path / "cache", saved=tmp_path / "pytorch_result.mat") as running:
+    options = [str(tmp_path / "pytorch_result.mat"), "--data", str(app.data), "--n-parts", "4"]
+    with started(app.data, app.model, tmp_path / "cache", default=True, options=options) as running:
         yield running
 
 

@@ -19,7 +19,6 @@ import pytest
 
 import lpn
 from lpn.analysis.model_table import compare
-from lpn.analysis.named_views import ChosenQueries, NamedView, read_views, save_view
 from lpn.cli import main
 from lpn.core.csv_cells import unescape
 from lpn.core.errors import InputError
@@ -174,13 +173,6 @@ def test_a_note_that_somebody_else_changed_is_not_replaced_unseen(tmp_path: Path
     notes.set_note(file, "a.jpg", "night", "mine, too", refused.value.stored)
     notes.set_note(file, "a.jpg", "night", "mine, too", notes.Note())  # saved twice, as after a lost answer
     assert notes.read_notes(file)["a.jpg"].text == "mine, too"
-
-
-def test_a_view_of_files_that_are_not_utf8_is_refused_in_words(tmp_path: Path) -> None:
-    view = NamedView("dark", "task", chosen=(ChosenQueries("rows", "by hand", ("caf\udce9.jpg",)),))
-    with pytest.raises(InputError, match=r"views\.json cannot hold 'caf\?\.jpg', which is not UTF-8; rename the file"):
-        save_view(tmp_path / "views.json", view)
-    assert read_views(tmp_path / "views.json") == ()
 
 
 NAMES = [name for name in TEXTS if "\r" not in name][:20] + TEXTS[-3:]

@@ -91,7 +91,6 @@ class WebSocketSoakClient(SoakClient):
         self._begin("sent what no page would")
         for _ in range(self._rng.randint(2, 12)):
             self._send(self._rng.choice(self._attacks()))
-        self._send(lambda: self._tab.error())
         if self._rng.random() < 0.2:
             self._begin("sent too much")
             self._tab.socket.send("x" * 2_000_000)

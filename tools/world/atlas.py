@@ -19,7 +19,6 @@ import numpy as np
 from lpn.core.formats import WORLD
 from tools.world.cameras import Pose, Site, Tile, any_drone_poses, drone_poses, tile_around
 from tools.world.city import City, Target
-from tools.world.ground_use import ground_csv
 from tools.world.jobs import EDITION
 from tools.world.plan import plan_city
 from tools.world.variety import Factor
@@ -145,11 +144,6 @@ class Atlas:
             latitude, longitude = self.site.degrees(x, y)
             table.writerow([path, f"{latitude:.7f}", f"{longitude:.7f}", *pose])
         return text.getvalue().encode()
-
-    def ground_csv(self) -> bytes:
-        """Encode ground.csv: the uses of the ground in the tiles."""
-        cameras = [(path, shot.camera) for path, shot in self._by_path()]
-        return ground_csv(self.city, [(path, tile) for path, tile in cameras if isinstance(tile, Tile)])
 
     def _by_path(self) -> list[tuple[str, PlannedPicture]]:
         return [(path, shot) for shot in self.shots for path in shot.paths]

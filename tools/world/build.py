@@ -19,7 +19,6 @@ from lpn.core.files import check_writable, write_atomic
 from lpn.core.formats import WORLD
 from lpn.core.texts import listed
 from lpn.datasets.city_model import NAME as CITY_NAME
-from lpn.datasets.ground_use import NAME as GROUND_NAME
 from lpn.datasets.rendered import PLAN, UNFINISHED
 from tools.world import photo
 from tools.world.atlas import SIGHT, SPARE, Atlas, PlannedPicture, Sector, Settings, make_atlas
@@ -105,7 +104,6 @@ def build_world(settings: Settings, out: Path, part: RenderShare | None = None, 
         write_atomic(out / UNFINISHED, b"Pictures are missing here; the same command goes on.\n")
     write_atomic(out / PLAN, atlas.world_json())
     write_atomic(out / "geo.csv", atlas.geo_csv())
-    write_atomic(out / GROUND_NAME, atlas.ground_csv())
     # Of parts that run at the same time, the first writes the 3-D model.
     if part.number == 1 and not (out / CITY_NAME).is_file():
         _write_city(atlas, out)

@@ -57,7 +57,7 @@ class PhotoCamera:
 
 
 @dataclass(eq=False)
-class CityView:
+class LaidCity:
     """What is drawn over the ground.
 
     Attributes:
@@ -78,10 +78,10 @@ class CityView:
     target: Float64Array = field(default_factory=lambda: np.zeros(3))
 
 
-def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> CityView:
+def lay(result: ScreenResult, places: GalleryGeometry, aspect: float, dark: bool) -> LaidCity:
     """Return what the city shows of a result, for a picture of an aspect: the nearest tiles, the truth, and the camera."""
     photo, heading = _photo(result, places)
-    city = CityView(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
+    city = LaidCity(photo, shapes.camera_axes(heading + _BESIDE, _BELOW))
     seen = [] if photo is None else [photo.place]
     matches = [*result.analysis.matches[:_FRAMES]]
     truth = result.analysis.positive
@@ -123,7 +123,7 @@ def _half(match: Match, places: GalleryGeometry) -> float:
 
 
 def _frame(
-    city: CityView, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool
+    city: LaidCity, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool
 ) -> list[Float64Array]:
     """Frame a tile, and return its corners."""
     middle, half = places.ground[match.index], _half(match, places)
@@ -134,7 +134,7 @@ def _frame(
     return [*segments[:, 0].astype(np.float64)]
 
 
-def _badge(city: CityView, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+def _badge(city: LaidCity, match: Match, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
     """Put a tile's rank and verdict at a corner, as large in the picture as those of all others, and beside the photo."""
     middle, half = places.ground[match.index], _half(match, places)
     sign = match.true if match.true or match.index == result.first.index else None
@@ -149,7 +149,7 @@ def _badge(city: CityView, match: Match, result: ScreenResult, places: GalleryGe
     city.badges[f"tile{match.index}/rank"] = Badge(pixels, places_of[at], size)
 
 
-def _hidden(city: CityView, middle: Float64Array, high: float, share: float) -> bool:
+def _hidden(city: LaidCity, middle: Float64Array, high: float, share: float) -> bool:
     """Return whether a badge lies behind the photo."""
     if city.photo is None:
         return False
@@ -160,7 +160,7 @@ def _hidden(city: CityView, middle: Float64Array, high: float, share: float) -> 
     return bool((flat[-1] + off > flat[:-1].min(axis=0)).all() and (flat[-1] - off < flat[:-1].max(axis=0)).all())
 
 
-def _footprint(city: CityView, photo: PhotoCamera, dark: bool) -> None:
+def _footprint(city: LaidCity, photo: PhotoCamera, dark: bool) -> None:
     """Draw the ground that the photo shows, and the rays to its corners."""
     across = math.tan(photo.fov / 2)
     rays = [photo.axes @ np.array([x * across, y * across, 1.0]) for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
@@ -172,7 +172,7 @@ def _footprint(city: CityView, photo: PhotoCamera, dark: bool) -> None:
         city.lines["footprint"] = Lines(segments, shapes.INK[dark], 1)
 
 
-def _way(city: CityView, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
+def _way(city: LaidCity, result: ScreenResult, places: GalleryGeometry, dark: bool) -> None:
     """Draw a dashed line with its metres from a wrong answer to the truth."""
     truth = result.analysis.positive
     if result.first.true is not False or truth is None:

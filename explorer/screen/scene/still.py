@@ -57,7 +57,7 @@ class _View:
         middle: of the picture, in pixels.
     """
 
-    def __init__(self, laid: city.CityView, width: int, height: int) -> None:
+    def __init__(self, laid: city.LaidCity, width: int, height: int) -> None:
         self._axes, self._position = laid.axes, laid.position
         self.scale, self.middle = height / 2 / math.tan(city.FOV / 2), np.array([width / 2, height / 2])
 

@@ -21,7 +21,7 @@ from explorer.app import App
 from explorer.compute.background_jobs import BackgroundJob
 from explorer.screen import route
 from explorer.screen.channel import Outbox
-from explorer.screen.own import HeldBytes
+from explorer.screen.own import OwnPhotoBytes
 from explorer.screen.scene import shapes
 from explorer.screen.terms import term
 from explorer.server.auth import Authenticator
@@ -196,7 +196,7 @@ def test_the_word_missed_lists_the_missed_queries_that_a_text_names(tab: Tab, wo
     missed = [name for name, rank in zip(ranking.task.query_names, ranking.ranks, strict=True) if rank > 0]
     assert 0 < len(missed) < len(ranking.ranks)
     tab.send({"set": {"find": "Missed"}})
-    tab.until(lambda last: last["rail"]["total"] == len(missed))
+    tab.until(lambda last: last.get("rail", {"total": 0})["total"] == len(missed))
     tab.send({"set": {"find": f"missed {missed[0]}"}})
     tab.until(lambda last: last["rail"]["total"] == 1)
 
@@ -286,7 +286,7 @@ def test_the_server_holds_a_bounded_number_of_bytes_of_own_photos(
     app: App, workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = workspace.tasks["drone-to-satellite"].queries[3].path.read_bytes()
-    monkeypatch.setattr(app._channel._screens, "own", HeldBytes(len(file) + 20_000))
+    monkeypatch.setattr(app._channel._screens, "own", OwnPhotoBytes(len(file) + 20_000))
     one, other = (Tab(app, name * 16) for name in "ab")
     one.open()
     other.open()

@@ -166,7 +166,7 @@ def test_commands_save_reports_of_what_is_shown(app: App, tab: Tab, workspace: W
     ranking = workspace.rankings["drone-to-satellite"]
     missed = [workspace.tasks["drone-to-satellite"].query_names[query] for query in ranking.failed.nonzero()[0]]
     assert page.count('<section class="case') == len(missed)
-    assert all(f"{one}, drone" in page for one in missed)
+    assert all(f"Missed: {one}</h2>" in page for one in missed)
     if find_spec("matplotlib"):
         del tab.last["download"]
         tab.act("report.figure")

@@ -26,9 +26,9 @@ from tests.explorer.screen.test_result import result_of
 TASK = "drone-to-satellite"
 
 
-def analysed(workspace: Workspace, **state: Any) -> Answer:
-    made = replace(fields.opening(workspace), **state)
-    return WorkspaceAnalyser(workspace).analyse(workspace.tasks[TASK], made.question(), 6)
+def analysed(workspace: Workspace, region: tuple[int, ...] = (), **state: Any) -> Answer:
+    question = replace(replace(fields.opening(workspace), **state).question(), region=region)
+    return WorkspaceAnalyser(workspace).analyse(workspace.tasks[TASK], question, 6)
 
 
 def shown(tab: Tab, key: str) -> dict[str, Any]:

@@ -86,13 +86,6 @@ def test_the_stages_of_a_flight_differ_for_any_vision(vision: str) -> None:
         assert delta_e(theme.COLOURS[one], theme.COLOURS[other], vision) > 15, (one, other)
 
 
-@pytest.mark.parametrize("vision", VISION)
-def test_the_values_of_a_column_differ_for_any_vision(vision: str) -> None:
-    values = [theme.category_colour(code) for code in range(8)]
-    assert min(delta_e(*pair, vision) for pair in combinations(values, 2)) > 18
-    assert min(delta_e(*pair, vision) for pair in combinations(values[:4], 2)) > 24
-
-
 @GROUNDS
 def test_bars_stand_out_on_their_ground(palette: theme.Palette) -> None:
     marks = [palette.mark(colour) for colour in palette.colours.values()]

@@ -13,7 +13,6 @@ from hypothesis.extra import numpy as arrays
 from lpn.core.errors import InputError
 from lpn.datasets import Truth
 from lpn.retrieval import gallery_search, inner_products, metrics
-from lpn.retrieval.part_ranks import PartRanks
 from tools.fixtures import seeded
 
 Case = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -288,8 +287,5 @@ def test_a_query_of_a_region_is_ranked_as_if_all_tiles_elsewhere_were_junk(ties:
     found, expected = (metrics.retrieve(query, None, gallery, None, truth) for truth in (within, listed))
     for name in ("first", "true", "false", "precision", "gap"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-    parts = [PartRanks.of(query, gallery, None, None, truth) for truth in (within, listed)]
-    for ranked in zip(*(of.under(np.array([0.1, 0.2, 0.3, 0.4])) for of in parts if of is not None), strict=True):
-        np.testing.assert_array_equal(*ranked)
     with pytest.raises(InputError, match="expected 0 to 599"):
         metrics.retrieve(query, None, gallery, None, [replace(within[0], among=np.array([600])), *within[1:]])

@@ -134,8 +134,8 @@ class TilePair:
         evidence = pair.evidence
         parts = [rounded_to_sum(list(map(float, terms))) for terms in zip(*evidence.part_sums, strict=True)]
         less = f" CSLS takes {signed(sum(evidence.csls_shares))}." if csls is not None else ""
-        score = f"The answer's score, {first.score:.3f}, is the sum of all these terms"
-        said = f"{score}; its distance is 2 less twice the score.{less}"
+        said = f"The answer's score, {first.score:.3f}, is the sum of all these terms.{less}"
+        said += " Its distance is 2 less twice the score."
         return {
             "said": [said, f"Level of evidence: {result.workspace.contract.claim}."],
             "parts": [[signed(term) for term in (*of, sum(of))] for of in parts],
