@@ -24,7 +24,7 @@ const picture = (label, source) =>
 
 /** @param {any} box @param {{set: (values: any) => void, act: (name: string, args?: any) => void, say: (text: string) => void, view: any}} context */
 export const open = (box, context) => {
-  const root = make("div", { class: "flight" },
+  const root = make("div", { class: `flight waiting${context.view.page?.live ? " live" : ""}` },
     make("div", { class: "left" },
       make("div", { class: "bar" }, chips("over", OVER, "Photo over the map"),
         make("label", { class: "field paint" }, "Scores", make("select", { "aria-label": "Scores painted over the map" })),
@@ -45,6 +45,7 @@ export const open = (box, context) => {
       make("div", { class: "sums" }), make("div", { class: "lines" }), make("div", { class: "legend" }),
       make("div", { class: "tabs", role: "group", "aria-label": "Lists" }), make("div", { class: "listed" }), make("div", { class: "accuracy" })));
   box.replaceChildren(root);
+  if (context.view.page?.live) find(".swipe", root).value = 0; // all of the photo is laid
   const figures = { photo: ringed(), tile: ringed() };
   const select = find(".paint select", root);
   const speed = find(".time select", root);
@@ -159,7 +160,7 @@ export const open = (box, context) => {
       flight.span = { times, low: Math.min(...times), high: Math.max(...times) };
       flight.data = data;
       select.replaceChildren(...[["off", "none"], ["all", data.parts.length > 1 ? "all parts" : "shown"], ...(data.parts.length > 1 ? data.parts.map((name, i) => [String(i), name]) : [])].map(([value, text]) => make("option", { value, text })));
-      root.classList.toggle("live", Boolean(data.live));
+      root.classList.remove("waiting");
       map.show(data);
       map.paint(scores);
       redraw();

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from explorer.compute.background_jobs import BackgroundJob
-from explorer.compute.own_photos import OwnPhotoProgress
+from explorer.compute.own_photos import likely_windows
 from explorer.compute.worker import Worker
 from explorer.flight import page
 from explorer.flight.own import own_photo
@@ -22,8 +22,8 @@ from explorer.screen.panel import PanelPart, Tab
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn.core.errors import InputError, LPNError
-from lpn.locate.grades import window_of
-from lpn.locate.options import TOP
+from lpn.library.analyser import OwnPicture
+from lpn.locate.own_photo import OwnPhoto
 
 _FARTHEST = 1e6
 # Seconds between two looks at a registration that goes on in the background.
@@ -100,7 +100,7 @@ class FlightPart(PanelPart):
         self._sent: dict[str, object] = {}
         self._saves = 0
         self._worker = Worker(self._work, self._fail)
-        self._own = OwnPhotoProgress(tab.services.workspace.own_photos, self._worker.wake)
+        self._registering: tuple[str, BackgroundJob[OwnPhoto]] | None = None
         self._of.shared.watchers.watch(self._worker.wake)
         self.actions = {"correct": self._correct, "forget": self._forget, "positions": self._positions}
 
@@ -112,7 +112,8 @@ class FlightPart(PanelPart):
         """End what goes on for the panel."""
         self._of.shared.watchers.unwatch(self._worker.wake)
         self._worker.stop()
-        self._own.close()
+        if (jobs := self.tab.services.workspace.own_photos) is not None:
+            jobs.leave(self)
 
     def _fail(self, error: Exception) -> None:
         self.tab.say(
@@ -130,9 +131,10 @@ class FlightPart(PanelPart):
             message = page.data(seen, addresses) | {"parts": workspace.part_names, "kept": place}
             self.tab.append("flight", {"flight": message})
         own = None if result is None or result.state.own != state.own else result.own
-        registered = self._own.follow(own, [] if result is None or own is None else _windows(result))
-        if own is not None:
-            self._send("photo", own_photo(seen, own, registered, addresses))
+        if result is not None and own is not None:
+            registers = self._register(own, result)
+            running = running or (registers is not None and not registers.wait(0))
+            self._send("photo", own_photo(seen, own, registers, addresses))
         elif not state.own and state.query < len(seen.flight.frames):
             agreement = self._of.shared.agreement(state.query)
             self._send("photo", page.chosen(seen, state.query, addresses, agreement, self._saves))
@@ -143,6 +145,14 @@ class FlightPart(PanelPart):
         self._send("spot", page.spot(seen, (state[SPOT][0], state[SPOT][1])) if state[SPOT] else None)
         self._send("progress", _progress(job, len(seen.flight.frames)) if running or job is not None else "")
         return _INTERVAL if running else None
+
+    def _register(self, own: OwnPicture, result: ScreenResult) -> BackgroundJob[OwnPhoto] | None:
+        """Return the job that registers an own photo, which the check behind its mark may have begun."""
+        jobs, analysis = self.tab.services.workspace.own_photos, result.analysis
+        if jobs is not None and (self._registering is None or self._registering[0] != own.key):
+            windows = likely_windows(analysis.task, analysis.ranking.order.tolist())
+            self._registering = own.key, jobs.join(own, windows, self)
+        return None if self._registering is None else self._registering[1]
 
     def _send(self, kind: str, value: object) -> None:
         if kind not in self._sent or self._sent[kind] != value:
@@ -196,13 +206,6 @@ class FlightPart(PanelPart):
         address = feeds.address + feeds.publish_bytes(self, "positions", lambda: content) + "0"
         name = re.sub(r"[^\w-]+", "-", flight.flight.name)
         self.tab.append("file", {"file": {"address": address, "name": f"{name}-positions{suffix}"}})
-
-
-def _windows(result: ScreenResult) -> list[Any]:
-    """Return the most similar windows of the map, about which an own photo is searched on a large one."""
-    analysis = result.analysis
-    windows = (window_of(analysis.task, index) for index in analysis.ranking.order[:TOP].tolist())
-    return [window for window in windows if window is not None]
 
 
 def _progress(job: BackgroundJob[Any] | None, frames: int) -> str:
