@@ -62,7 +62,7 @@ class BrowserSoakClient(SoakClient):
 
     def _shows(self, state: ClientState) -> bool:
         photo, angle, still, *_ = self._page.evaluate(_SHOWN)
-        return still and photo == self._reference.label(state) and (angle - state.angle) % 360 == 0
+        return bool(still and photo == self._reference.label(state) and (angle - state.angle) % 360 == 0)
 
     def _look(self) -> PageContent:
         photo, _, _, labels, shares = self._page.evaluate(_SHOWN)

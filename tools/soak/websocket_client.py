@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from websockets.exceptions import ConnectionClosed
@@ -39,7 +40,7 @@ class WebSocketSoakClient(SoakClient):
         self._begin(f"dragged by {angles}")
         passed = [replace(self._state, angle=angle) for angle in angles]
         for state in passed:
-            self._send(lambda state=state: self._tab.set(angle=state.angle))
+            self._send(partial(self._tab.set, angle=state.angle))
             self._rest(0.03)
         self._settle("drag", passed[-1], passed)
 
