@@ -21,10 +21,8 @@ from lpn.locate.own_photo import OwnPhoto, register_own_photo
 from lpn.maps import Map, Window
 from lpn.tasks.task import Task
 
-# Seconds between looks at the progress of a registration, and at whether one that waits for its turn is still wanted.
-_INTERVAL, _PATIENCE = 0.5, 0.1
-# Registrations of a browser that go on while it shows another picture; the oldest further one ends, and begins anew when shown.
-_MOST_UNFINISHED = 8
+# Seconds between looks at whether a registration that waits for its turn is still wanted.
+_PATIENCE = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,68 +146,6 @@ class OwnPhotoJobs:
             )
         finally:
             self._turns.give_back(turn)
-
-
-class OwnPhotoProgress:
-    """Follows the registration of the own picture that one browser shows, and holds those of the pictures before.
-
-    Args:
-        jobs: of the workspace; None where it has no map.
-        on_change: called when it has gone on or ended, by a thread of its own.
-    """
-
-    def __init__(self, jobs: OwnPhotoJobs | None, on_change: Callable[[], None]) -> None:
-        self._jobs, self._on_change, self._lock = jobs, on_change, threading.Lock()
-        self._picture: OwnPicture | None = None
-        self._job: BackgroundJob[OwnPhoto] | None = None
-        # In the order in which they were shown last.
-        self._unfinished: list[BackgroundJob[OwnPhoto]] = []
-        self._closed = False
-
-    def follow(self, picture: OwnPicture | None, windows: Sequence[Window] = ()) -> BackgroundJob[OwnPhoto] | None:
-        """Return the job of a picture, which begins or has gone on meanwhile; those of other pictures go on after it.
-
-        None without a picture or a map.
-        """
-        with self._lock:
-            if picture is not self._picture and not self._closed:
-                self._picture, self._job = picture, None
-                if self._jobs is not None and picture is None:
-                    self._jobs.show_none(self)
-                elif self._jobs is not None and picture is not None:
-                    self._job = job = self._jobs.join(picture, windows, self)
-                    self._keep(job)
-                    threading.Thread(target=self._wait, args=(job,), name="explorer-own-photo", daemon=True).start()
-            return self._job
-
-    def forget(self) -> None:
-        """Leave all jobs, whose pictures and answers nobody holds then."""
-        with self._lock:
-            if self._jobs is not None:
-                self._jobs.leave(self)
-            self._picture = self._job = None
-            self._unfinished = []
-
-    def close(self) -> None:
-        """Leave all jobs for good: the browser has disconnected."""
-        self._closed = True
-        self.forget()
-
-    def _keep(self, job: BackgroundJob[OwnPhoto]) -> None:
-        unfinished = [one for one in self._unfinished if one is not job and not one.wait(0)]
-        for oldest in unfinished[:-_MOST_UNFINISHED]:
-            oldest.leave(self)
-        self._unfinished = [*unfinished[-_MOST_UNFINISHED:], job]
-
-    def _wait(self, job: BackgroundJob[OwnPhoto]) -> None:
-        done = -1
-        while self._job is job:
-            ended = job.wait(_INTERVAL)
-            if self._job is job and (ended or job.done != done):
-                done = job.done
-                self._on_change()
-            if ended:
-                return
 
 
 def likely_windows(task: Task, order: Sequence[int]) -> list[Window]:
