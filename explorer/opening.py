@@ -290,7 +290,7 @@ def open_flight_over(
     workspace, located, network = _flight_workspace(opened, map_error), opened.located, opened.network
     assert located is not None
     assert network is not None
-    if shipped is None:  # the flight window shows them, too
+    if shipped is None:  # the flight panel shows them, too
         _print_notes(opened)
     broken = () if located.retrieval is None else located.retrieval.broken
     readable = (frame.frame.name for i, frame in enumerate(located.frames) if i not in broken)

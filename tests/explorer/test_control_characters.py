@@ -61,7 +61,7 @@ def test_no_message_to_a_page_holds_any(tmp_path: Path, model_file: Path) -> Non
         tab.until(lambda last: "error" in last)
         said = "".join(texts([*messages, dict(tab.last)]))
     assert {c for c in set(said) if c not in TYPED and printable(c) != c} == set()
-    for name in ("model?[31m", "mine?[31m", "0?[31m", "fly?[31m"):
+    for name in ("places?[31m", "model?[31m", "mine?[31m", "fly?[31m"):
         assert name in said, name
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from dataclasses import replace
 from pathlib import Path
 
@@ -106,7 +107,10 @@ def test_a_model_of_one_vector_has_one_part(data: Path, cells: bool) -> None:
 
 def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:
     made = build(regions.tasks[TASK], [0], Options(matches=2)).decode()
-    assert "Exact, with the regions of each picture held: the cells and the constant add up" in made
+    assert (
+        "Exact, with the regions of each picture held: cells and constant add up to each part's share"
+        in html.unescape(made)
+    )
     assert "No cell belongs to part 4 whole picture" in made
     made = build(without_cells.tasks[TASK], [0], Options(matches=2)).decode()
     assert "Parts gives 4 parts for a picture and no cells" in made

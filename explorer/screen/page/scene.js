@@ -84,11 +84,13 @@ export class SceneFrame {
 
   /** viser's page connects again by itself only while it has the focus, which this page keeps. */
   reload() {
-    this.frame?.contentWindow?.location.reload();
+    this.box.classList.remove("ready");
+    this.frame?.setAttribute("src", this.frame.src); // nobody may reload the browser's page of an error
   }
 
   /** Keys go to the screen, and the server says what the pointer is over. */
   listen() {
+    if (!this.frame.contentDocument) return; // the browser's page of an error
     const inner = this.frame.contentWindow;
     inner.addEventListener("keydown", (event) => {
       event.stopImmediatePropagation();

@@ -14,16 +14,25 @@ from explorer.screen.panels.compare.models import changes
 from explorer.screen.panels.compare.pair import TilePair
 from explorer.screen.panels.region import CellRuns, message
 from explorer.screen.panels.why import words
-from explorer.workspace import Workspace, WorkspaceAnalyser
+from explorer.workspace import LazyWorkspace, Workspace, WorkspaceAnalyser
 from lpn.analysis.comparison import effect_on
+from lpn.core.errors import DataError
 from lpn.core.numbers import shown_difference
 from lpn.explain import sweeps
 from lpn.library.answer import Answer
 from lpn.retrieval import scoring
 from tests.explorer.screen.conftest import Tab
 from tests.explorer.screen.test_result import result_of
+from tools.fixtures.waiting import TIMEOUT
 
 TASK = "drone-to-satellite"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def _second_model_is_open(workspace: Workspace) -> None:
+    """Open it before the tests: one that ends meanwhile would take the folder of its cache along."""
+    assert workspace.beside[0].open().wait(TIMEOUT)
+    assert workspace.beside[0].workspace is not None
 
 
 def analysed(workspace: Workspace, region: tuple[int, ...] = (), **state: Any) -> Answer:
@@ -158,6 +167,24 @@ def test_a_second_model_has_its_own_answer_to_the_same_photo(workspace: Workspac
         assert len(column["tiles"][0]["shares"]) == one.contract.n_parts
     ranks, theirs = (one.rankings[TASK].ranks for one in (workspace, other))
     assert told["alone"] == [8, int(((ranks == 0) & (theirs > 0)).sum()), int(((theirs == 0) & (ranks > 0)).sum())]
+
+
+def test_a_second_model_that_does_not_open_says_why_and_is_tried_again(
+    workspace: Workspace, tab: Tab, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[int] = []
+
+    def never() -> Workspace:
+        tried.append(1)
+        raise DataError("The file is not there; give another.")
+
+    monkeypatch.setattr(workspace, "beside", [LazyWorkspace("third", never)])
+    tab.open("?panel=compare")
+    tab.send({"set": {}})
+    tab.until(lambda last: ((last.get("panel") or {"message": {}})["message"].get("models") or {}).get("again"))
+    assert tab.last["panel"]["message"]["models"]["text"] == "The file is not there; give another."
+    tab.act("compare.again")
+    tab.until(lambda _: len(tried) == 2)
 
 
 def test_photos_whose_ranks_differ_most_are_listed() -> None:
