@@ -18,7 +18,7 @@ import lpn
 from explorer import opening
 from explorer.cli import Explore
 from explorer.compute import own_photos
-from explorer.compute.own_photos import CameraPicture, OwnPhotoJobs, OwnPhotoProgress
+from explorer.compute.own_photos import CameraPicture, OwnPhotoJobs
 from explorer.opening import open_flight_over
 from explorer.workspace import Workspace
 from lpn.cli.main import main
@@ -209,16 +209,13 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     monkeypatch.setenv("LPN_CACHE", str(tmp_path))
     monkeypatch.setattr(own_photos, "open_matchers", lambda: [SiftMatcher()])
     jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
-    changed = threading.Event()
-    progress = OwnPhotoProgress(jobs, changed.set)
+    client = object()
     width, size = 70.0, (240, 240)
     frame = Frame("mine.jpg", Path("mine.jpg"), *size, height_above_ground=width / 2, fov=90.0)
 
     def compared(picture: OwnPicture) -> tuple[Any, StageRecord]:
-        job = progress.follow(picture)
-        assert job is not None
+        job = jobs.join(picture, (), client)
         assert job.wait(60)
-        assert changed.wait(60)
         assert job.value is not None
         return job.value, job.value.located.stages["registration"]
 
@@ -234,11 +231,9 @@ def test_an_own_picture_is_compared_with_the_map_by_its_details(
     assert np.hypot(placed.x - 10.0, placed.y + 20.0) < 5
     assert compared(other)[1].state == "refused"
     again = CameraPicture(mine.name, mine.picture.copy(), frame=frame)
-    job = progress.follow(again)
-    assert job is not None
+    job = jobs.join(again, (), client)
     assert job.wait(0), "the page holds its answer"
-    progress.close()
-    assert progress.follow(mine) is None
+    jobs.leave(client)
     held = weakref.ref(answer)
     del answer, job
     gc.collect()
@@ -282,29 +277,26 @@ def test_a_comparison_goes_on_behind_other_pictures_until_the_browser_leaves(
 
     monkeypatch.setattr(own_photos, "register_own_photo", register)
     jobs = OwnPhotoJobs(workspace.own_photos.basemap)  # type: ignore[union-attr]
-    progress, other = (OwnPhotoProgress(jobs, lambda: None) for _ in range(2))
+    client, other = object(), object()
     first, second = (OwnPicture("mine.jpg", land()[:side], key=f"{side}") for side in (10, 20))
-    of_first = progress.follow(first)
+    of_first = jobs.join(first, (), client)
     go_on(1)
-    of_second = progress.follow(second)
+    of_second = jobs.join(second, (), client)
     while not jobs._turns._waiting:
         threading.Event().wait(0.01)
     go_on(4)  # the picture that is shown comes first, as soon as a try has ended
-    assert of_first is not None
-    assert of_second is not None
     assert of_second.wait(60)
     assert [done for side, done in computed if side == 20] == [0, 1, 2]
-    assert progress.follow(replace(first, picture=land()[1:11])) is of_first, "its key tells that it is the same"
+    assert jobs.join(replace(first, picture=land()[1:11]), (), client) is of_first, "its key tells that it is the same"
     assert of_first.done >= 1
     go_on(1)
     assert of_first.wait(60)
     assert computed.count((10, 0)) == 1
     assert computed.index((20, 2)) < computed.index((10, 2))
-    left = other.follow(OwnPicture("other.jpg", land()[:30]))
-    assert left is not None
+    left = jobs.join(OwnPicture("other.jpg", land()[:30]), (), other)
     assert tried.acquire(timeout=60)
-    assert other.follow(None) is None
-    other.forget()
+    jobs.show_none(other)
+    jobs.leave(other)
     assert left.wait(60)
     assert left.cancelled
 
@@ -314,8 +306,7 @@ def test_an_error_of_the_comparison_is_a_sentence(workspace: Workspace, monkeypa
         raise DataError("The sheet is damaged.")
 
     monkeypatch.setattr(own_photos, "register_own_photo", fail)
-    progress = OwnPhotoProgress(OwnPhotoJobs(workspace.own_photos.basemap), lambda: None)  # type: ignore[union-attr]
-    job = progress.follow(OwnPicture("mine.jpg", land()))
-    assert job is not None
+    jobs, client = OwnPhotoJobs(workspace.own_photos.basemap), object()  # type: ignore[union-attr]
+    job = jobs.join(OwnPicture("mine.jpg", land()), (), client)
     assert job.wait(60)
     assert job.error == "The sheet is damaged."
