@@ -179,8 +179,9 @@ def serve(
     print(f"LPN Explorer is ready: {app.link}  (stop with Ctrl-C)", flush=True)
     try:
         while True:
-            # A thread at work may take the signal that stops this one, which sees it when it wakes.
-            time.sleep(0.5)
+            time.sleep(
+                0.5
+            )  # a thread at work may take the signal that stops this one, which then sees it when it wakes
     finally:
         app.close()
 
