@@ -221,7 +221,7 @@ def test_a_part_is_weighed_at_the_head_of_its_row(running: Running, screen: Scre
     screen.key("ArrowRight")
     expect(screen.page).to_have_url(re.compile(r"weights=1,1\.1,1,1"))
     screen.rest("0")
-    screen.expect_numbers(running.analysis(weights=(1.0, 1.1, 1.0, 1.0)))
+    screen.expect_numbers(running.analysis(weights=[1.0, 1.1, 1.0, 1.0]))
     place = box(head)
     screen.page.mouse.move(place["x"] + 5, place["y"] + 5)
     screen.page.mouse.down()
@@ -229,7 +229,7 @@ def test_a_part_is_weighed_at_the_head_of_its_row(running: Running, screen: Scre
     screen.page.mouse.up()
     expect(head).to_have_attribute("aria-valuenow", "0")
     screen.rest("0")
-    screen.expect_numbers(running.analysis(weights=(1.0, 0.0, 1.0, 1.0)))
+    screen.expect_numbers(running.analysis(weights=[1.0, 0.0, 1.0, 1.0]))
 
 
 def test_evidence_and_occlusion_take_the_place_of_activation(screen: Screen) -> None:
