@@ -106,11 +106,11 @@ def test_a_model_of_one_vector_has_one_part(data: Path, cells: bool) -> None:
 
 def test_a_report_names_the_level(regions: Workspace, without_cells: Workspace) -> None:
     made = build(regions.tasks[TASK], [0], Options(matches=2)).decode()
-    assert "xact, with the regions of each picture held" in made
+    assert "Exact, with the regions of each picture held: the cells and the constant add up" in made
     assert "No cell belongs to part 4 whole picture" in made
     made = build(without_cells.tasks[TASK], [0], Options(matches=2)).decode()
     assert "Parts gives 4 parts for a picture and no cells" in made
-    assert "xact, with" not in made
+    assert "Evidence for and against" not in made
 
 
 def test_without_cells_there_is_a_reason_in_place_of_a_heatmap(without_cells: Workspace, regions: Workspace) -> None:
