@@ -18,9 +18,13 @@ from playwright.sync_api import Browser, sync_playwright
 from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_MODEL, DEMO_QUERY
 from lpn.core.files import write_atomic
+from lpn.models.checkpoints import save
+from lpn.models.export import export
+from lpn.models.network import LPN
+from lpn.models.spec import ModelSpec
 from lpn.models.timm_networks import import_timm
 from tools.bench.page import ServerProcess
-from tools.fixtures import seeded
+from tools.fixtures import seeded, small_worlds
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
@@ -40,6 +44,11 @@ class Shot:
         beside: whether the baseline is offered for comparison.
         vit: whether a DINOv2 ViT-S/14 with seeded weights answers by its rings, and the demo's LPN is offered for comparison.
         demo: whether all places of the demo are offered, in place of the city ranked plain.
+        strips: whether an untrained SAFA with LPN's strips answers panoramas of drawn places.
+        size: of the window, in pixels.
+        light: the colours.
+        hover: a selector of what the pointer is over.
+        own: whether a photo of the city is handed over as an own one.
     """
 
     file: str
@@ -50,11 +59,24 @@ class Shot:
     beside: bool = False
     vit: bool = False
     demo: bool = False
+    strips: bool = False
+    size: tuple[int, int] = (1456, 835)
+    light: bool = False
+    hover: str = ""
+    own: bool = False
 
 
 SHOTS = (
-    Shot("first-screen.webp", demo=True),
-    Shot("why.webp", "IMG_9408.webp", "show=place&panel=why", demo=True),
+    Shot("screen.webp", demo=True, size=(1440, 900)),
+    Shot("screen-light.webp", demo=True, light=True),
+    Shot("screen-phone.webp", demo=True, size=(390, 664)),
+    Shot("screen-missed.webp", "0449/05", demo=True),
+    Shot("screen-ring.webp", demo=True, hover="#rows [data-part='2']"),
+    Shot("screen-apart.webp", address="view=apart", keys="g", demo=True),
+    Shot("screen-own.webp", demo=True, own=True),
+    Shot("screen-strips.webp", strips=True),
+    Shot("laboratory.webp", "0449/05", "panel=lab", demo=True),
+    Shot("why.webp", address="panel=why", demo=True),
     Shot("success.webp", DEMO_QUERY, keys="x"),
     Shot("twin-n1.webp", "0447/07", baseline=True),
     Shot("twin-n4.webp", "0447/07"),
@@ -97,12 +119,14 @@ def main() -> None:
 
 def _take(browser: Browser, shot: Shot, out: Path) -> None:
     with TemporaryDirectory() as folder:
-        model = str(DEMO_BASELINE if shot.baseline else DEMO_MODEL)
+        model, data = str(DEMO_BASELINE if shot.baseline else DEMO_MODEL), DEMO
         if shot.vit:
             model = _seeded_vit(Path(folder))
+        if shot.strips:
+            model, data = str(_seeded_strips(Path(folder))), small_worlds.make_cvusa(Path(folder) / "pairs", 12)
         beside = DEMO_MODEL if shot.vit else DEMO_BASELINE if shot.beside else None
         command = [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())]
-        command += [] if shot.demo else [str(DEMO), "--model", model]
+        command += [] if shot.demo else [str(data), "--model", model]
         command += ["--pooling", "rings:4"] if shot.vit else []
         command += [] if beside is None else ["--beside", str(beside)]
         with ServerProcess(command, dict(os.environ)) as app:
@@ -119,8 +143,32 @@ def _seeded_vit(folder: Path) -> str:
     return f"timm:{name}:{folder / 'dinov2.pth'}"
 
 
+def _seeded_strips(folder: Path) -> Path:
+    """Write an untrained SAFA with LPN's strips for panoramas."""
+    torch.manual_seed(0)
+    spec = ModelSpec(
+        "resnet18",
+        "layer3",
+        views=("satellite", "street"),
+        shared=False,
+        embedding=256,
+        input_size=(48, 256),
+        pooling="safa",
+        maps=1,
+        polar=True,
+    )
+    save(LPN(spec), folder / "safa.safetensors")
+    export(folder / "safa.safetensors", folder / "safa.onnx")
+    return folder / "safa.onnx"
+
+
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
-    context = browser.new_context(viewport={"width": 1456, "height": 835}, color_scheme="dark")
+    width, height = shot.size
+    context = browser.new_context(
+        viewport={"width": width, "height": height},
+        color_scheme="light" if shot.light else "dark",
+        device_scale_factor=2 if width < 700 else 1,
+    )
     page = context.new_page()
     query = f"query={shot.query}" if shot.query else ""
     page.goto(f"{url}/?{'&'.join(filter(None, (query, shot.address)))}")
@@ -129,6 +177,12 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
             page.keyboard.press(key)
         page.wait_for_selector("body[data-sequence]:not(.wait):not(.turning)", timeout=600_000)
         page.wait_for_timeout(6000)  # the scene, the curve, and what a panel computes
+    if shot.own:
+        page.set_input_files("#file", DEMO / "test" / "query_drone" / "0394" / "image-02.webp")
+        page.wait_for_timeout(6000)
+    if shot.hover:
+        page.hover(shot.hover)
+        page.wait_for_timeout(1000)
     with TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
         page.screenshot(path=str(file))
