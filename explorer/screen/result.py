@@ -85,10 +85,14 @@ class ScreenResult:
     @cached_property
     def compared(self) -> Match | None:
         """The tile that a person chose to compare, else the headline's."""
-        chosen, ranking = self.state.compare, self.analysis.ranking
-        if chosen is None or chosen == self.first.index or not ranking.holds(chosen):
-            return self.rival
-        return ranking.find(chosen)
+        chosen = self.state.compare
+        return self.analysis.ranking.find(chosen) if chosen is not None and self.pinned else self.rival
+
+    @cached_property
+    def pinned(self) -> bool:
+        """Whether a person chose the compared tile."""
+        chosen = self.state.compare
+        return chosen is not None and chosen != self.first.index and self.analysis.ranking.holds(chosen)
 
     @cached_property
     def large(self) -> dict[int, Match]:
@@ -122,8 +126,7 @@ class ScreenResult:
     def message(self) -> dict[str, Any]:
         """Return the result as JSON takes it."""
         state, workspace = self.state, self.workspace
-        compared, truth, shown = self.compared, self.analysis.positive, self.large
-        pinned = compared is not None and self.rival is not None and compared.index != self.rival.index
+        compared, pinned, truth, shown = self.compared, self.pinned, self.analysis.positive, self.large
         strip = self._strip(compared if pinned else None)
         tiles = {match.index: self._tile(match, match.index in shown) for match in (*strip, *shown.values())}
         metres = self.analysis.error_m(self.first)
@@ -137,7 +140,7 @@ class ScreenResult:
             "rival_word": self._word(compared, pinned),
             "pinned": pinned,
             "truth": None if truth is None else truth.index,
-            "rows": self.rows(compared, pinned),
+            "rows": self.rows(compared),
             "strip": [match.index for match in strip],
             "tiles": tiles,
             "rank": None if truth is None else truth.rank,
@@ -172,7 +175,7 @@ class ScreenResult:
             return "pinned"
         return "truth" if compared.true else "next"
 
-    def rows(self, compared: Match | None, pinned: bool) -> list[dict[str, Any]]:
+    def rows(self, compared: Match | None) -> list[dict[str, Any]]:
         """Return for each part how much nearer the answer is than the compared tile, and whether that is towards the truth.
 
         The gains are shown as the verdict shows them: rounded, they add up to the difference of the shown distances.
@@ -181,7 +184,7 @@ class ScreenResult:
             return [{"gain": "", "minus": False, "prefers": None}] * self.workspace.contract.n_parts
         lead = shown_difference(compared.distance2, self.first.distance2)
         gains = rounded_to_sum((compared.contributions - self.first.contributions).tolist(), total=lead)
-        judged = self.first.true is not None and (self.first.true or not pinned)
+        judged = self.first.true is not None and compared.true is not None and self.first.true != compared.true
         return [
             {
                 "gain": f"{abs(gain):.3f}",

@@ -377,6 +377,7 @@ const escape = () => {
   else if (document.body.classList.contains("large")) enlarge(false);
   else if (view.said) say("");
   else if (view.result?.pinned) set({ compare: null });
+  else if (view.state.weights.length) set({ weights: [] });
   else if (view.state.filter !== "all") set({ filter: "all" });
 };
 const enlarge = (large = !document.body.classList.contains("large")) => {

@@ -11,7 +11,10 @@ const [photoBox, tileBox] = ["#photo", "#tile"].map((one) => find(one));
 export const shownTile = ({ result, truth }) => (truth && result.truth !== null ? result.truth : result.pinned ? result.rival : result.answer);
 
 export const drawHead = ({ page, state, rail }) => {
-  find("#about").textContent = page.parts === 1 ? "The baseline compares whole pictures: one part." : `Photo and tile are cut into ${page.word}s; their distances add up.`;
+  const ranked = { plain: "", calibrated: "calibrated ", csls: "CSLS " }[state.scoring];
+  find("#about").textContent = page.parts === 1
+    ? `Which tile shows the photo's place? The baseline compares whole pictures by ${ranked}distances.`
+    : `Which tile shows the photo's place? Both are cut into ${page.word}s, whose ${ranked}distances add up.`;
   const [model, models] = [find("#model"), find("#models")];
   const names = page.models.map((label) => `Model: ${label.replace(/\.onnx$/, "")}`);
   model.textContent = names[Number(state.model)];
@@ -51,7 +54,7 @@ export const drawTurn = ({ state, result, angle }) => {
   rollPicture(photoBox, result.photo, angle);
   frame.setAttribute("aria-valuenow", String(angle));
   frame.setAttribute("aria-valuetext", `${angle} degrees`);
-  find("#degrees").textContent = `${Math.round(angle)}°`;
+  find("#degrees").textContent = `${Math.round(angle)}°`.replace("-", "−");
 };
 
 export const drawPictures = (view) => {

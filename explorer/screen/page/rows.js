@@ -16,7 +16,8 @@ export const stack = (tile, total, least) => {
     const number = count > 1 && width >= least ? String(part + 1) : "";
     return make("i", { "data-part": part, text: number, style: { width: `${width}%`, background: colour, color: inkOn(colour) } });
   });
-  return make("div", { class: "stack" }, ...segments);
+  const cut = tile.shares.reduce((sum, share) => sum + share, 0) > total;
+  return make("div", { class: cut ? "stack cut" : "stack" }, ...segments);
 };
 
 /** Make the rows of so many parts once. */
@@ -59,7 +60,7 @@ export const showRows = (rows, page, result, colour) => {
     number.style.background = tone;
     number.style.color = inkOn(tone);
     number.setAttribute("aria-valuenow", String(result.weights[part] ?? 1));
-    if (result.weights.length) number.prepend(make("u", { text: `×${result.weights[part]}` }));
+    if (result.weights.length) number.append(make("u", { text: `×${result.weights[part]}` }));
     find("b", row).textContent = shown(answer.shares[part]);
     const { gain, minus, prefers } = result.rows[part];
     const told = find(".line i", row);
@@ -68,6 +69,7 @@ export const showRows = (rows, page, result, colour) => {
     told.title = prefers === null ? "" : `This part prefers the ${prefers ? "truth" : "wrong tile"} by ${gain}`;
     fill(find(".track", row), answer.shares[part], result.scale.part, tone);
     fill(find(".track2", row), rival ? rival.shares[part] : 0, result.scale.part);
+    row.title = rival ? `Share: answer ${shown(answer.shares[part])}, ${result.rival_word} ${shown(rival.shares[part])}` : "";
     const against = rival ? `, ${result.rival_word} ${shown(rival.shares[part])}` : "";
     row.setAttribute("aria-label", `${page.word} ${page.names[part]}: answer ${shown(answer.shares[part])}${against}`);
   });
