@@ -37,6 +37,7 @@ class Scene:
         self._city = client.scene.add_frame("/city", show_axes=False)
         self._apart = client.scene.add_frame("/apart", show_axes=False, visible=False)
         self._task: object = None
+        self._buildings: viser.SceneNodeHandle | None = None
         # What the pointer can hit: in the city gallery positions with middle and half side, else the layers.
         self._tiles: list[tuple[int, Float64Array, float]] = []
         self._layers: list[tuple[float, float, float]] = []
@@ -135,9 +136,12 @@ class Scene:
             cast_shadow=False,
             receive_shadow=False,
         )
+        if self._buildings is not None:
+            self._buildings.remove()
+            self._buildings = None
         found = plan.buildings(workspace.root, places.origin)
         if found is not None:
-            scene.add_mesh_simple(
+            self._buildings = scene.add_mesh_simple(
                 "/city/buildings",
                 *found,
                 color=(140, 152, 166),

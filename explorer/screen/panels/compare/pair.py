@@ -85,7 +85,7 @@ class TilePair:
         n = self.result.workspace.contract.n_parts
         now = 100 * self.result.analysis.ranking.weights
         then = None if change is None or compared.followed.rank == 1 else 100 * change.weights
-        gains = self.result.rows(self.result.rival, False)
+        gains = self.result.rows(self.result.rival)
         return [
             gains[part]
             | {
