@@ -198,7 +198,7 @@ const draw = () => {
   document.body.classList.toggle("down", Boolean(view.said && result && view.said.result === result));
   drawHeadline(view);
   if (!page || !state) return;
-  redraw("head", [page, state, view.rail], () => drawHead(view));
+  redraw("head", [page, state, view.rail, view.said], () => drawHead(view)); // a model that does not open is not chosen
   panels.show(page.panels, state.panel);
   if (!result) return drawTurn(view);
   const stale = isStale();

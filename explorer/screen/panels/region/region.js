@@ -12,7 +12,7 @@ export const open = (box, { set, view }) => {
   figure.querySelector(".pan").append(grid);
   const [why, said, tiles] = [make("p"), make("div", { class: "said fade", "aria-live": "polite" }), make("div", { class: "tiles fade" })];
   const clear = make("button", { class: "clear button", text: "Clear" });
-  const page = make("div", { class: "region" }, why, figure, clear, said, tiles);
+  const page = make("div", { class: "region" }, figure, why, clear, said, tiles);
   box.append(page);
   let told = null;
   /** @type {Set<number>} */
