@@ -9,7 +9,7 @@ from explorer.screen.panel import Panel
 
 PANEL = Panel(
     "flight",
-    "Flight",
+    "Flight over its map",
     FlightPart,
     key="w",
     place="full",

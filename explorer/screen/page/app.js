@@ -303,6 +303,7 @@ find("#models").onchange = (event) => {
   event.target.blur(); // keys are the page's again
 };
 find("#headline h1 button").onclick = () => openPanel("why");
+find("#full").onclick = () => openPanel(view.page.panels.find((one) => one.place === "full").name);
 find("#scene .enlarge").onclick = () => enlarge();
 find("#own").onclick = () => own.choose();
 const key = find(".key", photo);

@@ -21,6 +21,9 @@ export const drawHead = ({ page, state, rail }) => {
   [model.hidden, models.hidden] = [names.length !== 2, names.length < 3];
   if (models.length !== names.length) models.replaceChildren(...names.map((text, value) => make("option", { text, value })));
   models.value = state.model;
+  const full = page.panels.find((one) => one.place === "full");
+  find("#full").hidden = !full;
+  if (full) find("#full").textContent = full.title;
   for (const button of findAll("[data-filter]")) button.setAttribute("aria-pressed", String(button.dataset.filter === state.filter));
   find("#rail .filter [data-filter=missed]").title = rail ? `${rail.missed} of ${rail.queries} missed (M)` : "";
 };
