@@ -62,22 +62,25 @@ class Tabs(Protocol):
 class Outbox:
     """Messages that wait for one page: of each kind the newest, so that a slow page never has more to read.
 
-    The first key of a message is its kind; a panel's message says a further one, `kind`. `put` may be called from any thread.
+    The keys of a message are its kinds, but `kind`, which tells messages of one kind apart. `put` may be called from any
+    thread.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
         self._loop, self._ready = loop, asyncio.Event()
-        self._waiting: OrderedDict[str, ScreenMessage] = OrderedDict()
+        self._waiting: OrderedDict[tuple[frozenset[str], str], ScreenMessage] = OrderedDict()
 
     def put(self, message: ScreenMessage) -> None:
-        """Hand over a message; it replaces a waiting one of its kind."""
+        """Hand over a message; it replaces those that wait and have none but its kinds."""
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._put, message)
 
     def _put(self, message: ScreenMessage) -> None:
-        kind = f"{next(iter(message))} {message.pop('kind', '')}"
-        self._waiting.pop(kind, None)
-        self._waiting[kind] = message
+        apart = str(message.pop("kind", ""))
+        kinds = frozenset(message)
+        for key in [key for key in self._waiting if key[0] <= kinds and key[1] == apart]:
+            del self._waiting[key]
+        self._waiting[kinds, apart] = message
         self._ready.set()
 
     async def take(self) -> ScreenMessage:
@@ -132,6 +135,7 @@ class Channel:
             before.leave()
         self.sessions[tab] = session
         writing = asyncio.create_task(_write(outbox, connection))
+        leaving = asyncio.create_task(_leave_with(connection, session))
         try:
             async for raw in connection:
                 await loop.run_in_executor(self._executor, partial(_receive, session, raw))
@@ -141,7 +145,7 @@ class Channel:
             writing.cancel()
             if self.sessions.get(tab) is session:
                 del self.sessions[tab]
-            await asyncio.to_thread(session.leave)
+            await leaving
 
 
 def _receive(session: TabSession, raw: str | bytes) -> None:
@@ -155,6 +159,12 @@ def _receive(session: TabSession, raw: str | bytes) -> None:
         log.debug("A message of a page is no JSON: %d characters", len(raw))
     except Exception:
         log.exception("A message of a page was not handled")
+
+
+async def _leave_with(connection: ServerConnection, session: TabSession) -> None:
+    """End a session with its connection, also while a message of it, such as that of another model, is still being done."""
+    await connection.wait_closed()
+    await asyncio.to_thread(session.leave)
 
 
 async def _write(outbox: Outbox, connection: ServerConnection) -> None:

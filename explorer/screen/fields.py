@@ -68,7 +68,8 @@ class OneOf:
             case "panels":
                 return ("", *PANELS)
             case "scorings":
-                return [name for name in SCORINGS if scored_key(state.task, name) in workspace.rankings]
+                rankings = _of_model(state, workspace).rankings
+                return [name for name in SCORINGS if scored_key(state.task, name) in rankings]
         return self.values
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:
@@ -138,7 +139,7 @@ class Weights:
     """The weight of each part, 0 to `MAX_WEIGHT`, not all 0; an empty value for equal ones."""
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> tuple[float, ...]:
-        n = workspace.contract.n_parts
+        n = _of_model(state, workspace).contract.n_parts
         given = value.split(",") if isinstance(value, str) else value
         if given in ([], [""], None):
             return ()
@@ -269,6 +270,17 @@ def add_panel(name: str, rows: Sequence[PanelField[Any]], opens: bool = True) ->
         _OF_PANELS.add(row.name)
 
 
+def same_page(one: ScreenState, other: ScreenState) -> bool:
+    """Return whether two states have the same place, task, and model."""
+    return (one.place, one.task, one.model) == (other.place, other.task, other.model)
+
+
+def _of_model(state: ScreenState, workspace: Workspace) -> Workspace:
+    """Return the workspace of the state's model, or that of the place until it is open."""
+    number = int(state.model)
+    return (workspace.beside[number - 1].workspace if number else None) or workspace
+
+
 def _upright(state: ScreenState) -> ScreenState:
     """Return the state with the fields that belong to a query as on a new page."""
     for name, row in FIELDS.items():
@@ -287,7 +299,7 @@ def opening(workspace: Workspace) -> ScreenState:
 def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspace) -> tuple[ScreenState, list[str]]:
     """Return the state with some fields set, and a sentence for each value that cannot be used.
 
-    Another task, query, or own photo starts upright and without a compared tile.
+    Another task, query, or own photo starts upright and without a compared tile, another model with equal weights.
     """
     problems = []
     for name, row in FIELDS.items():
@@ -302,6 +314,8 @@ def changed(state: ScreenState, values: Mapping[str, object], workspace: Workspa
             state = replace(_upright(state), own="")
         if name == "task" and value != state.task:
             state = replace(state, query=0, scoring=workspace.default_scoring(value))
+        if name == "model" and value != state.model:
+            state = replace(state, weights=())
         state = state.with_value(name, value)
     unknown = [printable(name)[:40] for name in values if name not in FIELDS]
     return state, problems + [f"{name}: there is no such choice." for name in unknown]

@@ -151,8 +151,9 @@ class OwnPhotos:
         return keys[place] if 0 <= place < len(keys) else ""
 
     def address(self, feeds: Feeds, key: str) -> str:
-        """Return the address of a photo's picture, relative to the page."""
-        return f"{self._published(feeds)[0]}{self._held[key].number}"
+        """Return the address of a photo's picture, relative to the page; empty if it was forgotten."""
+        held = self._held.get(key)
+        return "" if held is None else f"{self._published(feeds)[0]}{held.number}"
 
     def message(self, feeds: Feeds) -> ScreenMessage:
         """Return the list for the rail, and how many files were taken or left out until now."""

@@ -32,7 +32,7 @@ class Tab(Protocol):
 
     @property
     def result(self) -> ScreenResult | None:
-        """The newest result, whose state may be an older one; None before the first."""
+        """The newest result, perhaps of an older state; None before the first of the state's place, task, and model."""
         ...
 
     @property

@@ -50,6 +50,8 @@ class Rail:
                 "total": len(listed),
                 "queries": len(names),
                 "missed": int((ranks > 1).sum()),
+                "worst_first": _lists_missed(state),
+                "find": state.find,
             }
         return self._message | {"chosen": -1 if state.own else self._position(state.query)}
 
@@ -75,11 +77,15 @@ def listed_queries(state: ScreenState, workspace: Workspace, ranking: RankingJob
     words = state.find.casefold().split()
     text = " ".join(word for word in words if word != _MISSED)
     named = np.array([i for i, name in enumerate(ranking.task.query_names) if text in name.casefold()], np.int64)
-    if state.filter != _MISSED and _MISSED not in words:
+    if not _lists_missed(state):
         return named
     ranks = ranks_of(workspace, ranking)[named]
     order = np.argsort(-ranks, kind="stable")
     return named[order][ranks[order] > 1]
+
+
+def _lists_missed(state: ScreenState) -> bool:
+    return state.filter == _MISSED or _MISSED in state.find.casefold().split()
 
 
 def ranks_of(workspace: Workspace, ranking: RankingJob) -> Int64Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
@@ -79,7 +80,7 @@ class ScreenSession:
         self._number, self._left = 0, False
         self._loop = Loop(self._answer, self._deliver, lambda: self._access.opened(self.state).requests, self._after)
         # What goes on behind an answer.
-        self._rail, self._listed = Rail(), False
+        self._rail, self._listed, self._listing = Rail(), False, threading.Lock()
         self._ranked: RankingJob | None = None
         self._ranks = Worker(self._rank, lambda _: None)
         self._curve, self._occlusion = Curve(send, screens.held), Occlusion(send)
@@ -112,8 +113,9 @@ class ScreenSession:
 
     @property
     def result(self) -> ScreenResult | None:
-        """The newest result."""
-        return self._result
+        """The newest result; None before the first of the state's place, task, and model."""
+        result = self._result
+        return None if result is None or not fields.same_page(result.state, self.state) else result
 
     @property
     def services(self) -> WorkspaceServices:
@@ -237,12 +239,13 @@ class ScreenSession:
         if before is not None:
             given = {"theme": before.theme} | given
         state, problems = fields.from_values(given, services.workspace)
+        if not self._opens_model(replace(state, place=services.workspace.key)):
+            del given["model"]
+        state, problems = fields.from_values(given, services.workspace)  # weights are those of an open model
         state = replace(state, place=services.workspace.key)  # not that of the address if it does not open
         moved = before is None or before.place != state.place
         if before is not None and moved:
             self._leave_place()
-        if not self._opens_model(state):
-            state = replace(state, model="0")
         self._show(state, problems, new_page=moved)
 
     def _set(self, values: Mapping[str, Any]) -> None:
@@ -251,10 +254,15 @@ class ScreenSession:
             self._go_to(place)
             return
         changed, problems = fields.changed(state, values, self.services.workspace)
+        if changed.model != state.model:
+            if not self._opens_model(changed):
+                return
+            changed, problems = fields.changed(
+                state, values, self.services.workspace
+            )  # weights are those of an open model
         if changed.own and changed.own not in self._own:
             changed = replace(changed, own="")
-        if changed.model == state.model or self._opens_model(changed):
-            self._show(changed, problems)
+        self._show(changed, problems)
 
     def _go_to(self, place: str) -> None:
         """Open another place, where an own photo is shown on."""
@@ -301,9 +309,9 @@ class ScreenSession:
         self._send(self._own.message(self.services.feeds))
 
     def _forget(self, _: Mapping[str, Any]) -> None:
+        self._set({"own": ""})
         self._own.forget()
         self._send(self._own.message(self.services.feeds))
-        self._set({"own": ""})
 
     def _calibrate(self, _: Mapping[str, Any]) -> None:
         """Prepare the further scorings of the state's model, which may describe all pictures, and show the calibrated one."""
@@ -316,8 +324,8 @@ class ScreenSession:
         if job is None or job.error is not None:
             self.say(self.workspace.scorings.why_not if job is None else str(job.error))
         elif not self._left:
-            self._send({"page": self._page(self.state)})
-            self._set({"scoring": "calibrated"})
+            state, problems = fields.changed(self.state, {"scoring": "calibrated"}, self.services.workspace)
+            self._show(state, problems, new_page=True)
 
     # Panels' commands, and the open panel.
 
@@ -358,13 +366,14 @@ class ScreenSession:
     def _show(self, state: ScreenState, problems: list[str], new_page: bool = False) -> None:
         """Make a state the newest one."""
         before, self._state = self._state, state
-        if new_page or before is None or before.model != state.model or before.task != state.task:
-            self._send({"page": self._page(state)})
-        self._send({"state": self._choices(state)})
+        message: ScreenMessage = {"state": self._choices(state)}
+        if new_page or before is None or not fields.same_page(before, state):
+            message = {"page": self._page(state)} | message
+        self._send(message)
         if new_page or before is None or fields.needs_answer(before, state):
             self._loop.show(state)
-        elif (before.view, before.theme) != (state.view, state.theme) and self._result is not None:
-            self.scene.take(self._result, state)
+        elif (before.view, before.theme) != (state.view, state.theme) and (result := self.result) is not None:
+            self.scene.take(result, state)
             self.scene.draw()
         if problems:
             self.say(problems[0][:1].upper() + problems[0][1:])
@@ -426,11 +435,12 @@ class ScreenSession:
         }
 
     def _show_rail(self) -> None:
-        state, access = self._state, self._access
-        if state is not None:
-            self._listed = True
-            ranking, feeds = access.ranking(state), access.services(state).feeds
-            self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
+        access = self._access
+        with self._listing:
+            if (state := self._state) is not None:
+                self._listed = True
+                ranking, feeds = access.ranking(state), access.services(state).feeds
+                self._send({"rail": self._rail.message(state, access.workspace(state), ranking, feeds)})
 
     def _rank(self) -> float | None:
         """Wait for the ranking of the state's task, which goes on as long as a tab waits; then the rail shows its marks."""
@@ -455,7 +465,10 @@ class ScreenSession:
 
     def _answer(self, state: ScreenState) -> ScreenMessage:
         services, workspace = self._access.services(state), self._access.workspace(state)
-        question = state.question(self._own.find(state.own))
+        own = self._own.find(state.own)
+        if own is None:  # it may have been forgotten
+            state = replace(state, own="")
+        question = state.question(own)
         analysis = self._access.analyse(state, question)
         scale = self._screens.scale(analysis.task)
         result = ScreenResult(workspace, services.feeds, state, question, analysis, scale, self._photo(state))
@@ -470,10 +483,11 @@ class ScreenSession:
         self.scene.take(result, self.state)
         return message | {"state": state.values(), "curve": _digest(key, state)}
 
-    def _after(self, state: ScreenState) -> None:
+    def _after(self, _: ScreenState) -> None:
         """Begin what goes on behind an answer."""
         result = self._result
         assert result is not None
+        state = result.state
         self.scene.draw()
         self._panels.wake()
         self._ranks.wake()

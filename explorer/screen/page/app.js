@@ -29,16 +29,17 @@ const list = new RailList(find("#list"));
 
 let kept = null;
 // What a result depends on: while the state differs from it, the numbers are faded.
-const OF_RESULT = ["place", "task", "model", "scoring", "query", "own", "compare", "weights", "heat"];
+const OF_PAGE = ["place", "task", "model"];
+const OF_RESULT = [...OF_PAGE, "scoring", "query", "own", "compare", "weights", "heat"];
 const isStale = () => view.result.angle !== view.angle || OF_RESULT.some((name) => JSON.stringify(view.result.state[name]) !== JSON.stringify(view.state[name]));
 
 // Messages of the server.
 const channel = connect(
   {
+    // Its state comes with it.
     page: (page) => {
       view.page = page;
       [view.result, view.curve] = [null, null];
-      soon();
     },
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
@@ -56,6 +57,7 @@ const channel = connect(
       soon();
     },
     result: (result) => {
+      if (OF_PAGE.some((name) => result.state[name] !== view.state[name])) return; // that of the new page comes
       view.result = result;
       if (view.said?.busy) view.said = null;
       if (view.curve?.sequence !== result.curve) view.curve = null;
@@ -148,9 +150,9 @@ const sendAngle = () => {
   channel.set({ angle: sent });
 };
 const arrived = () => {
-  const before = sent;
   sent = null;
-  if (before !== null && before !== view.angle && !view.lost) sendAngle();
+  // A result of the newest angle is there, or comes.
+  if (view.result && view.angle !== view.state.angle && view.angle !== view.result.angle && !view.lost) sendAngle();
 };
 const set = (values) => {
   say("");
@@ -258,7 +260,7 @@ rows.addEventListener("pointerdown", (event) => {
   const before = weightsNow();
   const drag = (move) => weigh(before, Number(head.dataset.weight), (move.clientX - event.clientX) / 60);
   head.addEventListener("pointermove", drag);
-  head.addEventListener("pointerup", () => head.removeEventListener("pointermove", drag), { once: true });
+  head.addEventListener("lostpointercapture", () => head.removeEventListener("pointermove", drag), { once: true });
 });
 rows.addEventListener("keydown", (event) => {
   const head = event.target.closest("[data-weight]");
@@ -409,13 +411,15 @@ export const press = (event) => {
   }
 };
 addEventListener("keydown", press);
-addEventListener("keyup", (event) => {
+const release = (event) => {
   if (event.key.toLowerCase() === "t") show({ truth: false });
   if (event.key.toLowerCase() === "f") show({ colour: false });
-});
+};
+addEventListener("keyup", release);
+addEventListener("blur", () => show({ truth: false, colour: false }));
 
-const scene = new SceneFrame(find("#scene"), channel, press, (found, why) => {
-  if (why === "hover") {
+const scene = new SceneFrame(find("#scene"), channel, { press, release }, (found) => {
+  if (found.why === "hover") {
     if (found.part !== undefined || view.focus >= 0) focusOn(found.part ?? -1);
   } else if (found.tile !== undefined) compare(found.tile);
 });

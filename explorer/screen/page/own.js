@@ -53,7 +53,8 @@ export class OwnSender {
       await this.channel.sendFile(whole[at], at === 0);
       await answered;
     }
-    if (this.queue === whole) this.queue = [];
+    if (this.queue !== whole) return; // the connection was lost
+    this.queue = [];
     this.say("", true);
   }
 

@@ -45,7 +45,7 @@ export class Panels {
     if (had || this.context.view.result) find("h2", this.box).focus({ preventScroll: true }); // not on a page's opening
     await addStyle(`screen/panels/${name}/${name}.css`);
     const { open } = await import(`../panels/${name}/${name}.js`);
-    if (name !== this.name) return;
+    if (name !== this.name || this.panel) return;
     const { set, go, say, view } = this.context;
     this.panel = open(content, { set, go, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
     for (const { message } of this.waiting.splice(0)) this.panel.receive(message);

@@ -33,13 +33,15 @@ export class RailList {
     list.addEventListener("scroll", () => this.draw());
   }
 
-  /** Show a list; the chosen query comes in sight when it has changed. */
+  /** Show a list; the chosen query comes in sight when it has changed, but other queries begin with the first. */
   show(rail, query) {
     if (rail.feed !== this.rail?.feed) this.pieces.clear();
     const moved = query !== this.query || rail.feed !== this.rail?.feed;
+    const others = this.rail && (rail.worst_first !== this.rail.worst_first || rail.find !== this.rail.find);
     [this.rail, this.query] = [rail, query];
     this.inner.style.height = `${ENTRY * rail.total + 8}px`;
-    if (moved && rail.chosen >= 0) {
+    if (others) this.list.scrollTop = 0;
+    if (moved && rail.chosen >= 0 && !(others && rail.worst_first)) {
       const top = ENTRY * rail.chosen;
       const { scrollTop, clientHeight } = this.list;
       if (top < scrollTop || top + 2 * ENTRY > scrollTop + clientHeight) this.list.scrollTop = Math.max(0, top - clientHeight / 3);

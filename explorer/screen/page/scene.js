@@ -12,17 +12,16 @@ export class SceneFrame {
   /**
    * @param {any} box
    * @param {{act: (name: string, args?: any) => void}} channel
-   * @param {(event: KeyboardEvent) => void} press what a key does
-   * @param {(found: any, why: string) => void} clicked what the pointer is over: a tile, a part, or nothing
+   * @param {{press: (event: KeyboardEvent) => void, release: (event: KeyboardEvent) => void}} keys what a key does
+   * @param {(found: any) => void} picked what the pointer is over: a tile, a part, or nothing, and `why` it is told
    */
-  constructor(box, channel, press, clicked) {
+  constructor(box, channel, keys, picked) {
     this.box = box;
     this.channel = channel;
-    this.press = press;
-    this.clicked = clicked;
+    this.keys = keys;
+    this.picked = picked;
     /** @type {any} */
     this.frame = null;
-    this.asked = "";
     this.waiting = 0;
     this.key = "";
     /** @type {boolean | null | undefined} whether this browser has WebGL; null before it is looked for */
@@ -94,8 +93,9 @@ export class SceneFrame {
     const inner = this.frame.contentWindow;
     inner.addEventListener("keydown", (event) => {
       event.stopImmediatePropagation();
-      this.press(event);
+      this.keys.press(event);
     }, true);
+    inner.addEventListener("keyup", this.keys.release, true);
     let down = null;
     const place = (event) => {
       const canvas = find("canvas", inner.document);
@@ -106,8 +106,7 @@ export class SceneFrame {
     const ask = (event, why) => {
       const at = place(event);
       if (!at || Math.min(at.x, at.y) < 0 || Math.max(at.x, at.y) > 1) return;
-      this.asked = why;
-      this.channel.act("pick", at);
+      this.channel.act("pick", { ...at, why });
     };
     inner.addEventListener("pointerdown", (event) => (down = event), true);
     inner.addEventListener("pointerup", (event) => {
@@ -120,10 +119,6 @@ export class SceneFrame {
       last = event.timeStamp;
       ask(event, "hover");
     }, true);
-  }
-
-  picked(found) {
-    this.clicked(found, this.asked);
   }
 
   resized() {

@@ -24,7 +24,7 @@ export const makeTurnable = (figure, hand) => {
     from = { turned: around(event), x: event.clientX, angle: hand.angle() };
   });
   frame.addEventListener("pointermove", (event) => {
-    if (!from) return;
+    if (!from || !hand.photo()) return;
     const whole = find(".pan", figure).clientWidth;
     const by = hand.photo().around ? (-(event.clientX - from.x) / whole) * 360 : from.turned - around(event);
     hand.turn(from.angle + by);

@@ -82,11 +82,12 @@ class TabScene:
             self.drawn.hover(part if isinstance(part, int) and part >= 0 else None)
 
     def pick(self, arguments: Mapping[str, Any]) -> None:
-        """Say what is at a place of the scene, `x` and `y` in shares of its sides."""
+        """Say what is at `x` and `y` of the scene, in shares of its sides, and `why` the page asks: a "hover" or a "click"."""
+        why = "click" if arguments.get("why") == "click" else "hover"
         place = [arguments.get(name) for name in ("x", "y")]
         if self.drawn is not None and all(isinstance(one, (int, float)) and 0 <= one <= 1 for one in place):
             found = self.drawn.pick(*map(float, place))  # type: ignore[arg-type]
-            self._send({"picked": found or {}})
+            self._send({"picked": {**(found or {}), "why": why}, "kind": why})
 
     def stop(self) -> None:
         """End after what is being drawn."""

@@ -11,6 +11,7 @@ import threading
 from base64 import b64decode
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ from explorer.screen import route
 from explorer.screen.channel import Outbox
 from explorer.screen.own import OwnPhotoBytes
 from explorer.screen.scene import shapes
+from explorer.screen.scene.tab import TabScene
+from explorer.screen.session import ScreenSession
 from explorer.screen.terms import term
 from explorer.server.auth import Authenticator
 from explorer.workspace import Workspace
@@ -131,7 +134,7 @@ def test_fields_are_set_and_actions_done(tab: Tab) -> None:
 def test_the_missed_queries_stand_worst_first(app: App, tab: Tab, workspace: Workspace) -> None:
     tab.open()
     tab.send({"set": {"filter": "missed"}})
-    rail = tab.until(lambda last: last["state"]["filter"] == "missed" and last["rail"]["total"] < 8)["rail"]
+    rail = tab.until(lambda last: "rail" in last and last["rail"]["worst_first"])["rail"]
     entries = json.loads(get(app, "/" + rail["address"] + rail["feed"] + "0")[2])
     ranks = [entry[2] for entry in entries]
     assert ranks == sorted(ranks, reverse=True)
@@ -417,6 +420,82 @@ def test_a_slow_page_has_only_the_newest_message_of_each_kind_to_read() -> None:
         return [await outbox.take() for _ in range(2)]
 
     assert asyncio.run(exchange()) == [{"result": 99}, {"curve": 99}]
+
+
+def test_a_page_comes_with_its_state_and_after_no_newer_one() -> None:
+    async def exchange() -> list[dict[str, object]]:
+        outbox = Outbox(asyncio.get_running_loop())
+        outbox.put({"page": 1, "state": 1})
+        outbox.put({"state": 2})
+        outbox.put({"panel": "a", "kind": "x"})
+        outbox.put({"panel": "b", "kind": "y"})
+        await asyncio.sleep(0)
+        first = [await outbox.take()]
+        outbox.put({"page": 3, "state": 3})
+        await asyncio.sleep(0)
+        return first + [await outbox.take() for _ in range(3)]
+
+    assert asyncio.run(exchange()) == [
+        {"page": 1, "state": 1},
+        {"panel": "a"},
+        {"panel": "b"},
+        {"page": 3, "state": 3},
+    ]
+
+
+def test_another_model_begins_with_equal_weights_and_takes_its_own(tab: Tab) -> None:
+    tab.open("?weights=1,2,1,0.5")
+    assert tab.last["state"]["weights"] == [1, 2, 1, 0.5]
+    tab.set(model="1")
+    assert tab.result(model="1")["weights"] == []
+    tab.set(weights=[1, 2, 1, 0.5])
+    assert "expected 1 numbers" in tab.error()
+    tab.open("?model=1&weights=1,2,1,0.5")
+    assert "expected 1 numbers" in tab.error()
+    assert tab.last["result"]["state"]["model"] == "1"
+
+
+def test_a_panel_gets_no_result_of_another_model(app: App, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
+    tab.open()
+    session = app._channel.sessions[TAB]
+    assert isinstance(session, ScreenSession)
+    assert session.result is not None
+    with monkeypatch.context() as patch:
+        patch.setattr(session._loop, "show", lambda _: None)
+        tab.set(model="1")
+        tab.until(lambda last: last["state"]["model"] == "1")
+        assert tab.last["page"]["parts"] == 1
+        assert session.result is None
+    tab.set(model="0")
+    wait_until(lambda: session.result is not None)
+
+
+def test_a_click_in_the_scene_is_told_from_a_hover(monkeypatch: pytest.MonkeyPatch) -> None:
+    sent: list[dict[str, Any]] = []
+    scene = TabScene(sent.append)
+    monkeypatch.setattr(scene, "drawn", SimpleNamespace(pick=lambda *_: {"tile": 3}))
+    scene.pick({"x": 0.5, "y": 0.5, "why": "click"})
+    scene.pick({"x": 0.5, "y": 0.5})
+    assert [one["picked"] for one in sent] == [{"tile": 3, "why": "click"}, {"tile": 3, "why": "hover"}]
+    assert [one["kind"] for one in sent] == ["click", "hover"], "a page that is slow gets both"
+
+
+def test_a_tab_that_leaves_waits_for_no_model(app: App, tab: Tab, monkeypatch: pytest.MonkeyPatch) -> None:
+    tab.open()
+    session = app._channel.sessions[TAB]
+    assert isinstance(session, ScreenSession)
+    begun, left = threading.Event(), threading.Event()
+
+    def opened(*_: object) -> None:
+        begun.set()
+        wait_until(lambda: session._access._closed)
+        left.set()
+
+    monkeypatch.setattr(session._access, "open_model", opened)
+    tab.set(model="1")
+    assert begun.wait(TIMEOUT)
+    tab.socket.close()
+    assert left.wait(TIMEOUT)
 
 
 def test_saved_descriptors_take_no_photo(tab: Tab, workspace: Workspace, monkeypatch: pytest.MonkeyPatch) -> None:
