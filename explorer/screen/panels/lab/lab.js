@@ -70,11 +70,15 @@ class Laboratory {
       set({ lab_columns: names.join(",") || "-" });
     });
     const form = find(".note", box);
-    form.addEventListener("submit", (event) => {
-      event.preventDefault();
+    const save = () => {
       const { query, task, tags, text } = this.note;
       act("note", { query, task, tags: find("input", form).value, text: find("textarea", form).value, before: { tags, text } });
+    };
+    form.addEventListener("submit", (event) => {
+      event.preventDefault();
+      save();
     });
+    form.addEventListener("change", save); // before a click elsewhere shows another photo
     form.addEventListener("input", () => (find("span", form).textContent = "Not saved yet"));
     this.keys = (event) => this.pressed(event);
     addEventListener("keydown", this.keys, true);
@@ -222,7 +226,7 @@ class Laboratory {
       if (good) find(".tag", this.box).value = "";
       return this.showBusy({ text, failed: !good });
     }
-    if (query !== this.note.query) return;
+    if (query !== this.note.query) return good || this.showBusy({ text, failed: true });
     const form = find(".note", this.box);
     const said = find("span", form);
     said.textContent = text;
