@@ -34,12 +34,12 @@ class Shot:
     Attributes:
         file: its name.
         query: that is shown; the demo's first without one.
-        address: what follows it in the address, such as "panel=sweep".
+        address: what follows it in the address, such as "panel=sweep"; the ranking is plain, or as a place of the demo opens.
         keys: pressed one after the other.
         baseline: whether the baseline answers.
         beside: whether the baseline is offered for comparison.
         vit: whether a DINOv2 ViT-S/14 with seeded weights answers by its rings, and the demo's LPN is offered for comparison.
-        demo: whether all places of the demo are offered, in place of the city ranked plain.
+        demo: whether all places of the demo are offered, in place of the city.
     """
 
     file: str
@@ -61,7 +61,7 @@ SHOTS = (
     Shot("failure.webp", "0449/05"),
     Shot("failure-map.webp", "0449/05", keys="g"),
     Shot("story-context.webp", "0445/05", "panel=compare", beside=True),
-    Shot("story-turn.webp", "0334/08", "panel=sweep"),
+    Shot("story-turn.webp", "0334/08", "panel=sweep&sweep=rotation"),
     Shot("story-constant.webp", "0381/02", "shows=evidence"),
     Shot("dinov2-beside-lpn.webp", "0445/05", "panel=compare&shows=evidence", vit=True),
     Shot("flight.webp", "LPN_0100.webp", "show=flight&panel=flight", demo=True),
@@ -122,13 +122,13 @@ def _seeded_vit(folder: Path) -> str:
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
     context = browser.new_context(viewport={"width": 1456, "height": 835}, color_scheme="dark")
     page = context.new_page()
-    query = f"query={shot.query}" if shot.query else ""
-    page.goto(f"{url}/?{'&'.join(filter(None, (query, shot.address)))}")
+    query, scoring = f"query={shot.query}" if shot.query else "", "" if shot.demo else "scoring=plain"
+    page.goto(f"{url}/?{'&'.join(filter(None, (query, scoring, shot.address)))}")
     for key in ("", *shot.keys):
         if key:
             page.keyboard.press(key)
         page.wait_for_selector("body[data-sequence]:not(.wait):not(.turning)", timeout=600_000)
-        page.wait_for_timeout(6000)  # the scene, the curve, and what a panel computes
+        page.wait_for_timeout(15_000)  # the scene, the curve, and what a panel computes
     with TemporaryDirectory() as folder:
         file = Path(folder) / "page.png"
         page.screenshot(path=str(file))
