@@ -55,7 +55,7 @@ class Shot:
 SHOTS = (
     Shot("first-screen.webp", demo=True),
     Shot("why.webp", "IMG_9408.webp", "show=place&panel=why", demo=True),
-    Shot("success.webp", DEMO_QUERY, keys="x"),
+    Shot("success.webp", DEMO_QUERY, keys="g"),
     Shot("twin-n1.webp", "0447/07", baseline=True),
     Shot("twin-n4.webp", "0447/07"),
     Shot("failure.webp", "0449/05"),
