@@ -278,6 +278,7 @@ class ScreenSession:
         self._show(replace(fields.opening(workspace), theme=state.theme, view=state.view, own=own), [], new_page=True)
 
     def _leave_place(self) -> None:
+        self._close_panel()
         self.services.feeds.leave(self._rail)
         self._rail = Rail()
 
@@ -346,7 +347,7 @@ class ScreenSession:
             self._panel = None
 
     def _turn_to_panel(self, name: str) -> None:
-        """Make the state's panel the open one, for the state's place and model."""
+        """Make the state's panel the open one; it ends with its place."""
         if (self._panel[0] if self._panel else "") != name:
             self._close_panel()
             part = PANELS[name].part if name else None

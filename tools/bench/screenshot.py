@@ -38,12 +38,12 @@ class Shot:
     Attributes:
         file: its name.
         query: that is shown; the demo's first without one.
-        address: what follows it in the address, such as "panel=sweep".
+        address: what follows it in the address, such as "panel=sweep"; the ranking is plain, or as a place of the demo opens.
         keys: pressed one after the other.
         baseline: whether the baseline answers.
         beside: whether the baseline is offered for comparison.
         vit: whether a DINOv2 ViT-S/14 with seeded weights answers by its rings, and the demo's LPN is offered for comparison.
-        demo: whether all places of the demo are offered, in place of the city ranked plain.
+        demo: whether all places of the demo are offered, in place of the city.
         strips: whether an untrained SAFA with LPN's strips answers panoramas of drawn places.
         size: of the window, in pixels.
         light: the colours.
@@ -77,13 +77,13 @@ SHOTS = (
     Shot("screen-strips.webp", strips=True),
     Shot("laboratory.webp", "0449/05", "panel=lab", demo=True),
     Shot("why.webp", address="panel=why", demo=True),
-    Shot("success.webp", DEMO_QUERY, keys="x"),
+    Shot("success.webp", DEMO_QUERY, keys="g"),
     Shot("twin-n1.webp", "0447/07", baseline=True),
     Shot("twin-n4.webp", "0447/07"),
     Shot("failure.webp", "0449/05"),
     Shot("failure-map.webp", "0449/05", keys="g"),
     Shot("story-context.webp", "0445/05", "panel=compare", beside=True),
-    Shot("story-turn.webp", "0334/08", "panel=sweep"),
+    Shot("story-turn.webp", "0334/08", "panel=sweep&sweep=rotation"),
     Shot("story-constant.webp", "0381/02", "shows=evidence"),
     Shot("dinov2-beside-lpn.webp", "0445/05", "panel=compare&shows=evidence", vit=True),
     Shot("flight.webp", "LPN_0100.webp", "show=flight&panel=flight", demo=True),
@@ -170,13 +170,13 @@ def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:
         device_scale_factor=2 if width < 700 else 1,
     )
     page = context.new_page()
-    query = f"query={shot.query}" if shot.query else ""
-    page.goto(f"{url}/?{'&'.join(filter(None, (query, shot.address)))}")
+    query, scoring = f"query={shot.query}" if shot.query else "", "" if shot.demo or shot.strips else "scoring=plain"
+    page.goto(f"{url}/?{'&'.join(filter(None, (query, scoring, shot.address)))}")
     for key in ("", *shot.keys):
         if key:
             page.keyboard.press(key)
         page.wait_for_selector("body[data-sequence]:not(.wait):not(.turning)", timeout=600_000)
-        page.wait_for_timeout(6000)  # the scene, the curve, and what a panel computes
+        page.wait_for_timeout(15_000)  # the scene, the curve, and what a panel computes
     if shot.own:
         page.set_input_files("#file", DEMO / "test" / "query_drone" / "0394" / "image-02.webp")
         page.wait_for_timeout(6000)

@@ -17,6 +17,7 @@ export class Panels {
     this.panel = null;
     /** @type {any[]} */
     this.waiting = [];
+    this.turn = 0;
     /** @type {any} */
     this.before = null;
     find(".close", box).onclick = () => this.close();
@@ -29,6 +30,7 @@ export class Panels {
     if (!had) this.before = document.activeElement;
     this.panel?.close();
     [this.name, this.panel] = [name, null];
+    const turn = ++this.turn;
     this.waiting = this.waiting.filter((one) => one.name === name);
     const known = panels.find((one) => one.name === name);
     this.box.hidden = !known;
@@ -45,7 +47,7 @@ export class Panels {
     if (had || this.context.view.result) find("h2", this.box).focus({ preventScroll: true }); // not on a page's opening
     await addStyle(`screen/panels/${name}/${name}.css`);
     const { open } = await import(`../panels/${name}/${name}.js`);
-    if (name !== this.name || this.panel) return;
+    if (turn !== this.turn) return; // closed meanwhile, and perhaps opened again
     const { set, go, say, view } = this.context;
     this.panel = open(content, { set, go, say, view, act: (action, args) => this.context.act(`${name}.${action}`, args) });
     for (const { message } of this.waiting.splice(0)) this.panel.receive(message);

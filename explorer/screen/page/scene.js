@@ -66,6 +66,7 @@ export class SceneFrame {
   still(address) {
     if (this.box.classList.contains("ready")) return;
     const image = find("img", this.box) ?? this.box.appendChild(make("img", { alt: "The place, with the nearest tiles" }));
+    image.onerror = () => image.remove(); // a busy app refuses pictures
     image.src = address;
   }
 

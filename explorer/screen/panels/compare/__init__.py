@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from explorer.screen.fields import OneOf, PanelField
 from explorer.screen.panel import Panel, PanelPart, Tab
 from explorer.screen.panels.compare.models import OTHER, SecondModel
 from explorer.screen.panels.compare.pair import TilePair
+from explorer.screen.result import ScreenResult
 from lpn.analysis.comparison import effect_on
+from lpn.tasks.task import Task
 
 # The weights that put the truth first are tried on all photos.
 TRIED = PanelField("compare_tried", OneOf(("no", "yes")), "no", "tried", of_query=True)
@@ -41,9 +45,16 @@ class _Compare(PanelPart):
         if not self._closed:
             self.tab.append("pair", {"pair": pair.message(trying=tries)})
         if tries:
-            weights = pair.result.analysis.ranking.weights
-            pair.effect = effect_on(pair.result.task.with_fields(weights=weights), pair.usable)
+            pair.effect = effect_on(_counted(pair.result), pair.usable)
             self._show_pair(pair)
+
+
+def _counted(result: ScreenResult) -> Task:
+    """Return the task of a result under its weights, with the photos that the screen counts."""
+    task, workspace = result.task, result.workspace
+    doubtful = workspace.doubtful(workspace.rankings[task.key])
+    counted = task if doubtful is None else task.without_truth(np.flatnonzero(doubtful).tolist())
+    return counted.with_fields(weights=result.analysis.ranking.weights)
 
 
 PANEL = Panel("compare", "Truth against answer, two models", _Compare, "c", "beside", (OTHER, TRIED))

@@ -72,8 +72,7 @@ class Laboratory {
     const form = find(".note", box);
     form.addEventListener("submit", (event) => {
       event.preventDefault();
-      const { query, task, tags, text } = this.note;
-      act("note", { query, task, tags: find("input", form).value, text: find("textarea", form).value, before: { tags, text } });
+      this.saveNote();
     });
     form.addEventListener("input", () => (find("span", form).textContent = "Not saved yet"));
     this.keys = (event) => this.pressed(event);
@@ -201,17 +200,29 @@ class Laboratory {
     if (total) line.append(make("progress", { max: total, value: done, "aria-label": text }));
   }
 
+  /** Save what is typed. */
+  saveNote() {
+    const { query, task, tags, text } = this.note;
+    this.context.act("note", { query, task, ...this.typed(), before: { tags, text } });
+  }
+
+  typed() {
+    const form = find(".note", this.box);
+    return { tags: find("input", form).value, text: find("textarea", form).value };
+  }
+
   /** Show the note of the query, unless a person is writing on another state of it. */
   showNote({ query, name, task, note }) {
-    const form = find(".note", this.box);
+    const [form, left, { place }] = [find(".note", this.box), this.typed(), this.context.view.state];
+    const other = query !== this.note.query || task !== this.note.task || place !== this.note.place;
+    if (other && place === this.note.place && (left.tags !== this.note.tags || left.text !== this.note.text)) this.saveNote();
     form.hidden = !note || this.context.view.state.lab_tab === "charts";
     if (!note) return (this.note = { query: -1, tags: "", text: "" });
     const { tags, text } = note;
-    if (query === this.note.query && task === this.note.task && tags === this.note.tags && text === this.note.text) return;
-    const other = query !== this.note.query || task !== this.note.task;
+    if (!other && tags === this.note.tags && text === this.note.text) return;
     const [words, area, said] = ["input", "textarea", "span"].map((one) => find(one, form));
     if (!other && form.contains(document.activeElement)) return;
-    this.note = { query, task, tags, text };
+    this.note = { query, task, place, tags, text };
     find("b", form).textContent = name;
     [words.value, area.value] = [tags, text];
     if (other) said.textContent = "";
@@ -222,13 +233,12 @@ class Laboratory {
       if (good) find(".tag", this.box).value = "";
       return this.showBusy({ text, failed: !good });
     }
-    if (query !== this.note.query) return;
+    if (query !== this.note.query) return good || this.showBusy({ text, failed: true });
     const form = find(".note", this.box);
     const said = find("span", form);
     said.textContent = text;
     said.classList.toggle("wrong", !good);
-    const words = { tags: find("input", form).value, text: find("textarea", form).value };
-    if (good) Object.assign(this.note, words);
+    if (good) Object.assign(this.note, this.typed());
     else if (stored) Object.assign(this.note, stored);
   }
 }

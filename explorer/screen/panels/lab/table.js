@@ -26,6 +26,7 @@ export class QueryTable {
   }
 
   close() {
+    this.head = null;
     this.grid?.destroy();
   }
 
@@ -154,6 +155,7 @@ export class QueryTable {
 
   /** Ask for the rows in sight. */
   async fill() {
+    if (!this.head) return;
     const { feed, total, address, columns, thumbnails } = this.head;
     const shown = (kind, value) => (kind === "answer" ? [value[0], value[1] < 0 ? "" : thumbnails[1] + value[1]] : value);
     const seen = this.grid.getRows("visible").map((row) => row.getData().at);
@@ -161,9 +163,13 @@ export class QueryTable {
     for (let number = first; number <= last && number * PIECE < total; number++) {
       if (this.pieces.has(number)) continue;
       this.pieces.set(number, true);
-      const answer = await fetch(`${address}${feed}${number}`).catch(() => this.pieces.delete(number) && null); // asked for again
+      const answer = await fetch(`${address}${feed}${number}`).catch(() => null);
       const entries = answer?.ok && answer.headers.get("Content-Length") !== "0" ? await answer.json().catch(() => []) : [];
-      if (feed !== this.head.feed) return;
+      if (feed !== this.head?.feed) return;
+      if (!entries.length) {
+        this.pieces.delete(number); // asked for again
+        continue;
+      }
       const rows = entries.map(([query, cells], place) => {
         this.queries[number * PIECE + place] = query;
         return { at: number * PIECE + place, query: thumbnails[0] + query, ...Object.fromEntries(columns.map(({ name, kind }, column) => [`=${name}`, shown(kind, cells[column])])) };

@@ -90,7 +90,8 @@ def message(result: ScreenResult, painted: tuple[int, ...]) -> dict[str, Any]:
     said = [f"The tiles by {len(region):,} of {rows * columns:,} cells alone."]
     if truth is not None and (before := whole.positive()) is not None:
         said.append(f"The truth is {ordinal(truth.rank)}, and by the whole photo {ordinal(before.rank)}.")
-    said.append("A region lacks what other cells add, so these distances are larger than the whole photo's.")
+    lacks = "other cells, constants, and CSLS" if result.task.neighbours else "other cells and constants"
+    said.append(f"These distances lack what {lacks} add, so compare them only with each other.")
     return shown | {"tiles": tiles, "said": said}
 
 

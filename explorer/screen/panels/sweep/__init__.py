@@ -72,7 +72,7 @@ class PhotoSweep:
         over, profile = self.over, SweepResult(self.over, self.points, self.base)
         points = sorted(self.points, key=lambda one: signed_value(over, one.change))
         values = [signed_value(over, one.change) for one in points]
-        here = {"rotation": now, "zoom": 1.0}.get(over, 0.0)
+        here = now if over == "rotation" else signed_value(over, self.base)
         return {
             "over": over,
             "done": len(points),

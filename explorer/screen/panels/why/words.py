@@ -42,15 +42,16 @@ def _did(result: ScreenResult) -> list[str]:
     n, size = result.analysis.query.descriptor.shape
     noun, tiles = result.workspace.contract.part_noun, f"each of {result.task.tiles:,} tiles"
     described = "The network" if result.workspace.model is not None else "Another program"
+    ends = "" if result.task.neighbours else ": 0 for the same, 4 at most"  # CSLS moves them
     made = [
         f"LPN cut the photo and {tiles} into {n} {noun}s.",
         f"{described} described each {noun} by {size:,} numbers.",
-        f"A tile's distance is the sum over its {n} {noun}s: 0 for the same, 4 at most.",
+        f"A tile's distance is the sum over its {n} {noun}s{ends}.",
     ]
     if n == 1:
         made = [
             f"{described} described the photo and {tiles} as a whole, by {size:,} numbers.",
-            "A tile's distance is that of these numbers: 0 for the same, 4 at most.",
+            f"A tile's distance is that of these numbers{ends}.",
         ]
     title = result.task.gallery[result.first.index].title
     return [*made, f"The nearest tile is the answer: {title}, at {result.first.distance2:.3f}."]
