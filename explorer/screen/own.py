@@ -174,7 +174,7 @@ class OwnPhotos:
         """Forget all: the tab has gone."""
         self._worker.stop()
         self.forget()
-        for feeds in self._folders:
+        for feeds in list(self._folders):
             feeds.leave(self)
 
     def check(self, jobs: OwnPhotoJobs | None, picture: OwnPicture | None, analysis: Answer) -> None:
