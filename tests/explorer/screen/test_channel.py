@@ -414,7 +414,7 @@ def test_another_site_a_wrong_tab_and_somebody_without_the_token_reach_no_channe
 def test_a_session_ends_with_its_connection(app: App) -> None:
     tab = Tab(app, "fedcba9876543210")
     tab.open()
-    session = app._channel.sessions["fedcba9876543210"]
+    session: Any = app._channel.sessions["fedcba9876543210"]
     contexts = [opened.requests for opened in session._access._opened.values()]
     tab.socket.close()
     wait_until(lambda: "fedcba9876543210" not in app._channel.sessions and all(one.closed for one in contexts))
