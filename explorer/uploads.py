@@ -8,6 +8,7 @@ from pathlib import Path
 
 from explorer.compute.own_photos import CameraPicture
 from lpn.core import images
+from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
 from lpn.flights.photo_file import PhotoFile
@@ -49,8 +50,8 @@ def read(name: str, content: bytes) -> CameraPicture:
         raise PictureError(f"{name} {flaw}; expected a {KINDS} file.")
     if content.startswith(b"\xff\xd8") and (scans := content.count(b"\xff\xda")) > _MAX_SCANS:
         raise PictureError(f"{name} is written in {scans:,} passes; expected at most {_MAX_SCANS}, so save it anew.")
+    picture = decode(name, content)
     with _READING:
-        picture = images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)
         file = PhotoFile.of(content, Path(name))
         photo = file.photo
         taken = photo.local if photo.utc is None else photo.utc
@@ -58,3 +59,9 @@ def read(name: str, content: bytes) -> CameraPicture:
         frame = photo.frame
         place = None if frame.latitude is None or frame.longitude is None else (frame.latitude, frame.longitude)
         return CameraPicture(name, picture, place, day=day, facts=tuple(file.facts), frame=frame)
+
+
+def decode(name: str, content: bytes) -> UInt8Array:
+    """Return the pixels of a picture's file, `MAX_SIDE` a side at most; PictureError if it cannot be read."""
+    with _READING:
+        return images.shrink(images.decode_picture(content, name, KINDS, MAX_SIDE), MAX_SIDE)

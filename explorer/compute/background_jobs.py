@@ -6,7 +6,6 @@ import logging
 import multiprocessing
 import signal
 import threading
-import time
 import traceback
 from collections.abc import Callable, Hashable, Iterator
 from contextlib import contextmanager
@@ -51,17 +50,12 @@ class BackgroundJob(Generic[T]):
     ) -> None:
         self._on_abandoned, self._lock = on_abandoned, threading.Lock()
         self._clients = {id(client)}  # ids, so that a finished job keeps no client alive
-        self._finished, self._started = threading.Event(), time.monotonic()
+        self._finished = threading.Event()
         self.done, self.total = 0, 0
         self.value: T | None = None
         self.error: str | None = None
         self.cancelled = False
         threading.Thread(target=self._run, args=(work,), name="explorer-job", daemon=True).start()
-
-    @property
-    def elapsed(self) -> float:
-        """Seconds since the start."""
-        return time.monotonic() - self._started
 
     def wait(self, seconds: float) -> bool:
         """Wait for the end; return whether the work has ended, with or without success."""
@@ -118,17 +112,15 @@ class BackgroundJobs:
         client: object,
         work: Callable[[ReportProgress], T],
         keep: bool = True,
-        again: bool = False,
     ) -> BackgroundJob[T]:
         """Return the job of a key; start it if there is none.
 
         Args:
             keep: False if the job is to be forgotten when its last client has left it; a failed one starts again.
-            again: True if one that has ended starts again, as its result lies in a cache that may have lost it.
         """
         with self._lock:
             job = self._jobs.get(key)
-            ended = job is not None and job.wait(0) and (again or (job.error is not None and not keep))
+            ended = job is not None and job.wait(0) and job.error is not None and not keep
             if job is None or ended or not job.join(client):
                 abandoned = (lambda _: None) if keep else partial(self._forget, key)
                 job = self._jobs[key] = BackgroundJob(work, client, abandoned)

@@ -17,10 +17,6 @@ class Worker:
     Args:
         work: function that reads the newest state; it returns the seconds until its next run, or None to wait for `wake`.
         on_error: called with an exception of `work`; the worker continues.
-
-    Attributes:
-        reasons: of the wakes that led to the run; a run that is tried again keeps them.
-        failed: the last run that ended has raised an exception.
     """
 
     def __init__(self, work: Callable[[], float | None], on_error: Callable[[Exception], None]) -> None:
@@ -28,14 +24,9 @@ class Worker:
         self._requested, self._lock = threading.Event(), threading.Lock()
         self._stopped = False
         self._thread: threading.Thread | None = None
-        self.reasons: set[str] = set()
-        self.failed = False
-        self._new_reasons: set[str] = set()
 
-    def wake(self, reason: str = "") -> None:
+    def wake(self) -> None:
         """Request a run; the first call starts the thread."""
-        with self._lock:
-            self._new_reasons.add(reason)
         self._requested.set()
         with self._lock:
             if self._thread is None and not self._stopped:
@@ -50,11 +41,6 @@ class Worker:
             self._stopped = True
         self._requested.set()
 
-    def join(self, seconds: float) -> None:
-        """Wait until the thread has ended after `stop`, the given seconds at most."""
-        if self._thread is not None:
-            self._thread.join(seconds)
-
     def _loop(self) -> None:
         delay: float | None = None
         while True:
@@ -62,17 +48,12 @@ class Worker:
             self._requested.clear()
             if self._stopped:
                 return
-            with self._lock:
-                kept = set() if delay is None else self.reasons
-                self.reasons, self._new_reasons = kept | self._new_reasons, set()
             delay = None
             try:
                 delay = self._work()
-                self.failed = False
             except Exception as error:
                 if self._stopped:
                     return
-                self.failed = True
                 if isinstance(error, LPNError):  # the message is enough, without a traceback
                     log.warning("A browser's request failed: %s", error)
                 else:

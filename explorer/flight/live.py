@@ -216,7 +216,7 @@ class LiveSession:
             names = [located.frame.file.name for located in seen.flight.frames]
             frame = names.index(self._chosen) if self._chosen in names else len(names) - 1
             self._state = replace(self._state, query=frame)
-        self._send({"state": self._state.values() | {"address": "", "query_name": ""}})
+        self._send({"state": self._state.values() | {"address": "", "query_name": "", "photo": ""}})
         if seen is not None:
             if seen is not self._seen:
                 self._seen = seen

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -173,9 +172,7 @@ class FlightPart(PanelPart):
             if isinstance(corners, list)
             else []
         )
-        if len(numbers) != 8 or not all(
-            isinstance(one, (int, float)) and math.isfinite(one) and abs(one) <= _FARTHEST for one in numbers
-        ):
+        if len(numbers) != 8 or not all(isinstance(one, (int, float)) and abs(one) <= _FARTHEST for one in numbers):
             self.tab.say(
                 "Not saved. A corner of the photo would lie more than 1,000 km away; move the tie points back."
             )

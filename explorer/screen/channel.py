@@ -130,10 +130,9 @@ class Channel:
         loop = asyncio.get_running_loop()
         outbox = Outbox(loop)
         session = self._screens.session(outbox.put)
-        before = self.sessions.pop(tab, None)
+        before, self.sessions[tab] = self.sessions.get(tab), session
         if before is not None:
-            before.leave()
-        self.sessions[tab] = session
+            await asyncio.to_thread(before.leave)
         writing = asyncio.create_task(_write(outbox, connection))
         leaving = asyncio.create_task(_leave_with(connection, session))
         try:
@@ -151,12 +150,15 @@ class Channel:
 def _receive(session: TabSession, raw: str | bytes) -> None:
     """Hand a message to its session; one that is malformed is dropped."""
     try:
-        if isinstance(raw, bytes):
-            session.receive_bytes(raw)
-        elif len(raw) <= MAX_TEXT:
-            session.receive(json.loads(raw))
+        message = None if isinstance(raw, bytes) or len(raw) > MAX_TEXT else json.loads(raw)
     except (ValueError, RecursionError):
         log.debug("A message of a page is no JSON: %d characters", len(raw))
+        return
+    try:
+        if isinstance(raw, bytes):
+            session.receive_bytes(raw)
+        else:
+            session.receive(message)
     except Exception:
         log.exception("A message of a page was not handled")
 
@@ -168,8 +170,14 @@ async def _leave_with(connection: ServerConnection, session: TabSession) -> None
 
 
 async def _write(outbox: Outbox, connection: ServerConnection) -> None:
-    try:
-        while True:
-            await connection.send(json.dumps(shown_json(await outbox.take()), separators=(",", ":"), allow_nan=False))
-    except ConnectionClosed:
-        pass
+    while True:
+        message = await outbox.take()
+        try:
+            text = json.dumps(shown_json(message), separators=(",", ":"), allow_nan=False)
+        except (TypeError, ValueError):  # the page goes on with the messages that follow
+            log.exception("A message to a page is no JSON: %s", ", ".join(message))
+            continue
+        try:
+            await connection.send(text)
+        except ConnectionClosed:
+            return

@@ -43,7 +43,7 @@ class NumberIn:
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> float:  # noqa: ARG002
         if isinstance(value, bool) or not isinstance(value, (int, float, str)):
             raise UnusableError(f"expected a number from {self.low:g} to {self.high:g}.")
-        text = value if isinstance(value, str) else f"{value:.10g}"
+        text = f"{value:.10g}" if isinstance(value, float) else str(value)
         return parse_number(text, self.low, self.high)
 
     def write(self, value: float, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
@@ -75,7 +75,7 @@ class OneOf:
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:
         choices = self.choices(state, workspace)
         if not isinstance(value, str) or value not in choices:
-            raise UnusableError(f"expected {' or '.join(choices)}.")
+            raise UnusableError(f"expected {' or '.join(filter(None, choices))}.")
         return value
 
     def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002

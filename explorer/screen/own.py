@@ -138,10 +138,7 @@ class OwnPhotos:
         with self._lock:
             held = self._held.get(key)
             if held is not None and (self._opened is None or self._opened.key != key):
-                pixels = images.shrink(
-                    images.decode_picture(held.file, held.picture.name, side=uploads.MAX_SIDE), uploads.MAX_SIDE
-                )
-                self._opened = replace(held.picture, picture=pixels)
+                self._opened = replace(held.picture, picture=uploads.decode(held.picture.name, held.file))
             return None if held is None else self._opened
 
     def step(self, key: str, by: int) -> str:
@@ -175,7 +172,7 @@ class OwnPhotos:
         """Forget all: the tab has gone."""
         self._worker.stop()
         self.forget()
-        for feeds in self._folders:
+        for feeds in list(self._folders):
             feeds.leave(self)
 
     def check(self, jobs: OwnPhotoJobs | None, picture: OwnPicture | None, analysis: Answer) -> None:
@@ -247,7 +244,7 @@ class OwnPhotos:
         held = self._numbered(number)
         if held is None:
             return None
-        pixels = images.decode_picture(held.file, held.picture.name, side=uploads.MAX_SIDE)
+        pixels = uploads.decode(held.picture.name, held.file)
         return EncodedPicture(images.jpeg(images.shrink(pixels, _SHOWN), 88), "image/jpeg")
 
     def _thumbnail(self, number: int) -> EncodedPicture | None:

@@ -14,6 +14,7 @@ import viser
 from explorer.compute.ranking_job import RankingJob
 from explorer.compute.request_context import RequestContext
 from explorer.compute.worker import Worker
+from explorer.feeds import Feeds
 from explorer.screen import fields
 from explorer.screen.access import Access
 from explorer.screen.curve import STEP, Curve, Turning, held_descriptors
@@ -90,6 +91,8 @@ class ScreenSession:
         self._panel: tuple[str, PanelPart] | None = None
         self._panels = Worker(self._show_panel, self._fail_panel)
         self._downloads = Downloads(send)
+        # Those that serve its files, of all places that it has shown.
+        self._feeds: set[Feeds] = set()
         self._actions: Mapping[str, Action] = {
             "open": self._open,
             "step": self._step,
@@ -161,7 +164,9 @@ class ScreenSession:
 
     def download(self, title: str, make: MakeFile) -> None:
         """Make a file on a thread of its own, and have the browser save it."""
-        self._downloads.make(title, make, self.services.feeds, self)
+        feeds = self.services.feeds
+        self._feeds.add(feeds)
+        self._downloads.make(title, make, feeds, self)
 
     # What the channel uses.
 
@@ -214,8 +219,9 @@ class ScreenSession:
         self._own.leave()
         if self._ranked is not None:
             self._ranked.leave(self)
+        for feeds in list(self._feeds):
+            feeds.leave(self)
         if self._state is not None:
-            self.services.feeds.leave(self)
             self.services.feeds.leave(self._rail)
 
     # What messages do.
@@ -278,6 +284,7 @@ class ScreenSession:
         self._show(replace(fields.opening(workspace), theme=state.theme, view=state.view, own=own), [], new_page=True)
 
     def _leave_place(self) -> None:
+        """Close what belongs to the place that is left, such as its panel: the next place may have one of the same name."""
         self._close_panel()
         self.services.feeds.leave(self._rail)
         self._rail = Rail()
@@ -342,9 +349,9 @@ class ScreenSession:
         return panel[1].actions.get(action) if panel is not None and panel[0] == of_panel else None
 
     def _close_panel(self) -> None:
-        if self._panel is not None:
-            self._panel[1].close()
-            self._panel = None
+        panel, self._panel = self._panel, None
+        if panel is not None:
+            panel[1].close()
 
     def _turn_to_panel(self, name: str) -> None:
         """Make the state's panel the open one; it ends with its place."""

@@ -31,6 +31,7 @@ export const drawHead = ({ page, state, rail }) => {
 export const drawHeadline = ({ said, note, page, result }) => {
   const [title, reason] = [find("#headline h1 button"), find("#headline p")];
   title.disabled = Boolean(said) || !result;
+  document.documentElement.classList.toggle("said", Boolean(said || note));
   if (said) {
     title.textContent = said.text;
     reason.replaceChildren(...(said.busy || !result ? [] : [make("button", { class: "button", "data-back": true, text: "Back" })]));

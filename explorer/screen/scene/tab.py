@@ -92,7 +92,7 @@ class TabScene:
     def stop(self) -> None:
         """End after what is being drawn."""
         self._worker.stop()
-        for feeds in self._feeds:
+        for feeds in list(self._feeds):
             feeds.leave(self)
 
     def _draw(self) -> None:

@@ -359,6 +359,28 @@ def test_the_check_of_an_own_photo_comes_as_a_mark(
     wait_until(lambda: not jobs.shown)
 
 
+def test_a_page_gets_what_follows_a_message_that_is_no_json(
+    app: App, tab: Tab, caplog: pytest.LogCaptureFixture
+) -> None:
+    tab.open()
+    session: Any = app._channel.sessions[TAB]
+    session._send({"wrong": float("nan")})
+    session.note("It goes on.")
+    tab.until(lambda last: last.get("note") == "It goes on.")
+    assert "A message to a page is no JSON: wrong" in caplog.text
+
+
+def test_another_place_opens_a_panel_of_its_own(app: App, tab: Tab) -> None:
+    tab.open("?panel=why")
+    session: Any = app._channel.sessions[TAB]
+    before = session._panel[1]
+    session._leave_place()
+    tab.set(query=1)
+    tab.result(query=1)
+    assert session._panel[0] == "why"
+    assert session._panel[1] is not before
+
+
 @pytest.mark.parametrize(
     "message", ["no JSON", "[" * 5000, "7", '{"set": 3}', '{"do": "fly", "args": {}}', '{"do": "step"}', "x" * 30_000]
 )
@@ -395,7 +417,7 @@ def test_another_site_a_wrong_tab_and_somebody_without_the_token_reach_no_channe
 def test_a_session_ends_with_its_connection(app: App) -> None:
     tab = Tab(app, "fedcba9876543210")
     tab.open()
-    session = app._channel.sessions["fedcba9876543210"]
+    session: Any = app._channel.sessions["fedcba9876543210"]
     contexts = [opened.requests for opened in session._access._opened.values()]
     tab.socket.close()
     wait_until(lambda: "fedcba9876543210" not in app._channel.sessions and all(one.closed for one in contexts))

@@ -54,6 +54,7 @@ def test_an_opened_page_has_no_address_but_its_query(workspace: Workspace, opene
     [
         ("angle", math.nan, "expected a number from -180 to 180"),
         ("angle", "1e9", "expected a number"),
+        ("angle", 10**400, "expected a number"),
         ("angle", True, "expected a number"),
         ("angle", [3], "expected a number"),
         ("task", "moon-to-mars", "expected drone-to-satellite or satellite-to-drone"),
@@ -71,6 +72,7 @@ def test_an_opened_page_has_no_address_but_its_query(workspace: Workspace, opene
         ("find", "x" * 300, "letters at most"),
         ("find", "a\nb", "that can be printed"),
         ("theme", "pink", "expected dark or light"),
+        ("panel", "none", "expected compare or "),
     ],
 )
 def test_a_value_that_cannot_be_used_changes_nothing_and_is_named(
