@@ -43,6 +43,7 @@ const channel = connect(
     },
     state: (state) => {
       const moved = !view.state || ["place", "task", "query", "own", "model"].some((name) => state[name] !== view.state[name]);
+      if (view.state && state.place !== view.state.place) scene.away();
       view.state = state;
       if (moved || sent === null) view.angle = state.angle;
       showYours(find("#yours"), view.yours, state.own);
@@ -78,7 +79,7 @@ const channel = connect(
       view.mark = mark;
       soon();
     },
-    scene: () => scene.ready(),
+    scene: (place) => place === view.state.place && scene.ready(),
     still: (address) => scene.still(address),
     picked: (found) => scene.picked(found),
     occlusion: ({ number, done, squares, photo: covered }) => {

@@ -77,7 +77,7 @@ export class SceneFrame {
     find("img", this.box)?.remove();
   }
 
-  /** The connection is lost: what viser's page says of its own is not shown. */
+  /** The connection is lost, or another place comes: what viser's page still shows is hidden. */
   away() {
     this.box.classList.remove("ready");
   }

@@ -106,4 +106,4 @@ class TabScene:
         self.drawn.show(
             replace(result, state=replace(result.state, view=state.view, theme=state.theme)), self._lines(result)
         )
-        self._send({"scene": "ready"})
+        self._send({"scene": result.state.place})
