@@ -296,7 +296,7 @@ def leave_with_a_scene(app: App) -> None:
     with ScreenTab(app.link, name) as tab:
         tab.open()
         with scene_socket(app.link, name):
-            tab.until(lambda last: last.get("scene") == "ready")
+            tab.until(lambda last: last.get("scene") == last["state"]["place"])
 
 
 @pytest.mark.slow
