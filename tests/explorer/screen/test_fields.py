@@ -28,7 +28,6 @@ def test_an_address_leads_back_to_its_state(workspace: Workspace, opened: Screen
     state = replace(
         opened,
         task="satellite-to-drone",
-        model="1",
         query=3,
         angle=-37.5,
         compare=2,
@@ -41,6 +40,8 @@ def test_an_address_leads_back_to_its_state(workspace: Workspace, opened: Screen
     )
     address = fields.to_address(state, workspace)
     assert fields.from_address(address, workspace) == (state, [])
+    other = replace(state, model="1", weights=())
+    assert fields.from_address(fields.to_address(other, workspace), workspace) == (other, [])
     assert "query=0005" in address
 
 
