@@ -165,7 +165,7 @@ def test_map_timeline_lists_and_keys_choose_the_same_photo(panel: FlightPage) ->
     panel.button("Previous photo (P)").click()
     panel.expect_frame(3)
     # The rings of the photo and of retrieval's window, and their shares, are those of the screen.
-    expect(panel.root.locator(".sums b").first).to_have_text(page.locator("#sum .total b").first.inner_text())
+    expect(panel.root.locator(".sums b").first).to_have_text(page.locator("#sum .total b").first.text_content() or "")
     page.keyboard.down("Shift")
     page.mouse.click(*at((-80.0, 10.0)))
     page.keyboard.up("Shift")
