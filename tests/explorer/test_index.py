@@ -13,6 +13,7 @@ import lpn
 from explorer.app import App
 from explorer.opening import open_model, open_source
 from explorer.screen import fields
+from explorer.screen.panels.why import words
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn import report
@@ -70,6 +71,13 @@ def test_the_screen_shows_what_that_of_the_data_set_shows(workspace: Workspace, 
     for name in ("recall@1", "recall@5", "recall@10", "ap"):
         assert results[name] == pytest.approx(live.rankings[TASK].results[name])
     assert workspace.tasks[TASK].tiles == 14
+
+
+def test_the_page_behind_the_verdict_says_why_tiles_have_no_place(workspace: Workspace) -> None:
+    result = answered(workspace, query=0)
+    page = words.page(result, workspace.rankings[TASK])
+    assert result.task.no_map
+    assert result.task.no_map in page["scored"]
 
 
 def test_turns_weights_and_own_pictures_are_searched_as_in_memory(workspace: Workspace, live: Workspace) -> None:

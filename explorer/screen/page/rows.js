@@ -96,7 +96,7 @@ export const showSums = (sum, result) => {
   const line = (word, tile) => make("div", { class: "total" }, make("span", {}, sign(tile.true), ` ${word}`), stack(tile, total, 3.4), make("b", { text: tile.distance }));
   const lines = [line("answer", result.tiles[result.answer])];
   if (result.rival !== null) lines.push(line(result.rival_word, result.tiles[result.rival]));
-  const axis = ["0", "squared distance, at most 4", String(total)].map((text) => make("u", { text }));
+  const axis = ["0", result.state.scoring === "csls" ? "squared distance" : "squared distance, at most 4", String(total)].map((text) => make("u", { text }));
   sum.replaceChildren(...lines, make("div", { class: "axis" }, ...axis));
 };
 

@@ -227,7 +227,7 @@ def _scored(result: ScreenResult) -> list[str]:
     if state.weights:
         shown = ", ".join(f"{weight:g}" for weight in state.weights)
         said.append(f"Part weights of this photo: {shown}. The figures are of equal ones.")
-    return said
+    return [*said, task.no_map] if task.no_map else said
 
 
 def _pictures(result: ScreenResult) -> list[dict[str, str]]:
