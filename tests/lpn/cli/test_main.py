@@ -59,7 +59,7 @@ def test_without_a_model_the_one_that_ships_is_measured_and_named(
     capsys.readouterr()
     opens = Explore(source=str(data)).opens_data()
     assert isinstance(opens, partial)
-    assert opens.args[1] == Path("city-lpn")
+    assert opens.args[1].model == Path("city-lpn")
     assert "The model is city-lpn" in capsys.readouterr().err
 
 
