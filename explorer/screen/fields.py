@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Generic, Literal, Protocol, TypeVar
 from urllib.parse import parse_qsl, quote, urlencode
@@ -66,7 +66,7 @@ class OneOf:
             case "models":
                 return tuple(str(number) for number in range(len(workspace.beside) + 1))
             case "panels":
-                return ("", *PANELS)
+                return ("", *(name for name, offered in PANELS.items() if offered(workspace)))
             case "scorings":
                 rankings = _of_model(state, workspace).rankings
                 return [name for name in SCORINGS if scored_key(state.task, name) in rankings]
@@ -254,15 +254,16 @@ FIELDS: dict[str, PanelField[Any]] = {
     if row.metadata
 }
 _OF_PANELS: set[str] = set()
-# The names of all panels that open.
-PANELS: list[str] = []
+# By the names of all panels that open, whether a workspace has them.
+PANELS: dict[str, Callable[[Workspace], bool]] = {}
 # Fields whose change needs no new answer, beside those of panels.
 _OF_PAGE = ("filter", "find", "view", "theme", "panel", "of_panels")
 
 
-def add_panel(name: str, rows: Sequence[PanelField[Any]], opens: bool = True) -> None:
-    """Add a panel's name, unless it has only commands, and its rows to the table."""
-    PANELS.extend([name] * opens)
+def add_panel(name: str, rows: Sequence[PanelField[Any]], offered: Callable[[Workspace], bool] | None) -> None:
+    """Add a panel's name and rows to the table; `offered` tells whether a workspace has it, None for one that never opens."""
+    if offered is not None:
+        PANELS[name] = offered
     for row in rows:
         assert row.name.startswith(f"{name}_"), row.name
         assert row.key == "" or row.key not in {other.key for other in FIELDS.values()}, row.key

@@ -13,7 +13,7 @@ export const shownTile = ({ result, truth }) => (truth && result.truth !== null 
 export const drawHead = ({ page, state, rail }) => {
   const ranked = { plain: "", calibrated: "calibrated ", csls: "CSLS " }[state.scoring];
   find("#about").textContent = page.parts === 1
-    ? `Which tile shows the photo's place? The baseline compares whole pictures by ${ranked}distances.`
+    ? `Which tile shows the photo's place? The baseline compares whole pictures, as one part${ranked && `, by ${ranked}distances`}.`
     : `Which tile shows the photo's place? Both are cut into ${page.word}s, whose ${ranked}distances add up.`;
   const [model, models] = [find("#model"), find("#models")];
   const names = page.models.map((label) => `Model: ${label.replace(/\.onnx$/, "")}`);

@@ -20,7 +20,7 @@ def _found() -> dict[str, Panel]:
     keys = [one.key for panel in panels for one in (panel, *panel.commands) if one.key]
     assert len(set(keys)) == len(keys), keys
     for panel in panels:
-        fields.add_panel(panel.name, panel.fields, panel.part is not None)
+        fields.add_panel(panel.name, panel.fields, None if panel.part is None else panel.offered)
     return {panel.name: panel for panel in panels}
 
 

@@ -74,6 +74,7 @@ def test_an_opened_page_has_no_address_but_its_query(workspace: Workspace, opene
         ("find", "a\nb", "that can be printed"),
         ("theme", "pink", "expected dark or light"),
         ("panel", "none", "expected compare or "),
+        ("panel", "flight", "expected compare or "),
     ],
 )
 def test_a_value_that_cannot_be_used_changes_nothing_and_is_named(
