@@ -324,8 +324,9 @@ def test_own_photos_are_listed_and_ranked_and_a_file_that_is_none_is_named(runni
 
 
 def test_a_folder_gives_the_photos_in_it(running: Running, screen: Screen, tmp_path: Path) -> None:
-    screen.open()
     page = screen.page
+    page.on("filechooser", lambda _: None)  # choosers are intercepted from now on, and not only just before the key
+    screen.open()
     queries = running.workspace.tasks["drone-to-satellite"].queries
     (tmp_path / "flight" / "deeper").mkdir(parents=True)
     for name, query in {"a.png": 1, "deeper/b.png": 5}.items():
