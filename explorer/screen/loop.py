@@ -33,12 +33,14 @@ class Loop:
         on_result: Callable[[ScreenState], None],
     ) -> None:
         self._answer, self._send, self._requests, self._on_result = answer, send, requests, on_result
-        self._state: ScreenState | None = None
+        # The newest state with its number, and the number of the last one that was answered.
+        self._asked: tuple[int, ScreenState | None] = 0, None
+        self._answered = 0
         self._worker = Worker(self._work, self._fail)
 
     def show(self, state: ScreenState) -> None:
         """Answer a state as soon as the analysis in flight has ended; states in between are left out."""
-        self._state = state
+        self._asked = self._asked[0] + 1, state
         self._requests().supersede()
         self._worker.wake()
 
@@ -47,6 +49,8 @@ class Loop:
         self._worker.stop()
 
     def _work(self) -> float | None:
+        if self._answered == self._asked[0]:  # it came while the run before began
+            return None
         try:
             state, message = self._newest()
         except BusyError:
@@ -60,12 +64,14 @@ class Loop:
         """Answer the newest state; one that a newer one supersedes in the queue is answered anew."""
         with self._requests().answering():
             while True:
-                state = self._state
+                number, state = self._asked
                 assert state is not None
                 try:
-                    return state, self._answer(state)
+                    message = self._answer(state)
                 except SupersededError:
                     continue
+                self._answered = number
+                return state, message
 
     def _fail(self, error: Exception) -> None:
         text = str(error) if isinstance(error, LPNError) else "Something failed; the server's log has the details."
