@@ -39,6 +39,8 @@ def answered(workspace: Workspace, search: str = "", own: bytes = b"", **fields:
             message = messages.get(timeout=TIMEOUT)
             if "error" in message:
                 raise RefusedError(message["error"])
+            if own and not session.state.own:  # it was refused, which a message says
+                continue
             result = session.result
             if "result" in message and result is not None and not needs_answer(result.state, session.state):
                 return result
