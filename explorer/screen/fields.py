@@ -84,11 +84,13 @@ class OneOf:
 
 @dataclass(frozen=True)
 class Line:
-    """One line of text."""
+    """One line of text, of so many letters at most."""
+
+    longest: int = LONGEST_TEXT
 
     def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        if not isinstance(value, str) or not is_line(value, LONGEST_TEXT):
-            raise UnusableError(f"expected {LONGEST_TEXT:,} letters at most that can be printed.")
+        if not isinstance(value, str) or not is_line(value, self.longest):
+            raise UnusableError(f"expected {self.longest:,} letters at most that can be printed.")
         return value
 
     def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002

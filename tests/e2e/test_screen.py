@@ -7,15 +7,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-import torch
 from playwright.sync_api import BrowserContext, Locator, Page, expect
 
-from lpn.models.checkpoints import save
-from lpn.models.export import export
-from lpn.models.network import LPN
-from lpn.models.spec import ModelSpec
 from tests.e2e.conftest import Running, RunningApp, Screen, box, expect_accessible, outlast, started
-from tools.fixtures import small_worlds
+from tools.fixtures import panorama_model, small_worlds
 from tools.fixtures.published_results import save_result
 
 # The words of the page's text that are in sight; numbers are none.
@@ -36,24 +31,8 @@ SIZES = [(1280, 720), (1440, 900), (1920, 1080)]
 @pytest.fixture
 def panorama_app(tmp_path: Path) -> Iterator[RunningApp]:
     """The app on panoramas and tiles, with an untrained SAFA + LPN."""
-    torch.manual_seed(0)
-    spec = ModelSpec(
-        "resnet18",
-        "layer3",
-        views=("satellite", "street"),
-        shared=False,
-        n_parts=4,
-        embedding=256,
-        input_size=(48, 256),
-        pooling="safa",
-        maps=1,
-        polar=True,
-    )
-    save(LPN(spec), tmp_path / "safa.safetensors")
-    export(tmp_path / "safa.safetensors", tmp_path / "safa.onnx")
-    with started(
-        small_worlds.make_cvusa(tmp_path / "pairs", 12), tmp_path / "safa.onnx", tmp_path / "cache"
-    ) as running:
+    pairs = small_worlds.make_cvusa(tmp_path / "pairs", 12)
+    with started(pairs, panorama_model.write(tmp_path), tmp_path / "cache") as running:
         yield running
 
 

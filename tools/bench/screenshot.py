@@ -18,13 +18,9 @@ from playwright.sync_api import Browser, sync_playwright
 from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO, DEMO_BASELINE, DEMO_MODEL, DEMO_QUERY
 from lpn.core.files import write_atomic
-from lpn.models.checkpoints import save
-from lpn.models.export import export
-from lpn.models.network import LPN
-from lpn.models.spec import ModelSpec
 from lpn.models.timm_networks import import_timm
 from tools.bench.page import ServerProcess
-from tools.fixtures import seeded, small_worlds
+from tools.fixtures import panorama_model, seeded, small_worlds
 from tools.fixtures.chromium import launch
 from tools.fixtures.processes import free_port
 
@@ -123,7 +119,7 @@ def _take(browser: Browser, shot: Shot, out: Path) -> None:
         if shot.vit:
             model = _seeded_vit(Path(folder))
         if shot.strips:
-            model, data = str(_seeded_strips(Path(folder))), small_worlds.make_cvusa(Path(folder) / "pairs", 12)
+            model, data = str(panorama_model.write(Path(folder))), small_worlds.make_cvusa(Path(folder) / "pairs", 12)
         beside = DEMO_MODEL if shot.vit else DEMO_BASELINE if shot.beside else None
         command = [sys.executable, "-m", "lpn", "explore", "--port", str(free_port())]
         command += [] if shot.demo else [str(data), "--model", model]
@@ -141,25 +137,6 @@ def _seeded_vit(folder: Path) -> str:
     torch.save(seeded.entries(shapes), folder / "dinov2.pth")
     (folder / "opts.yaml").write_text("h: 126\nw: 126\n")
     return f"timm:{name}:{folder / 'dinov2.pth'}"
-
-
-def _seeded_strips(folder: Path) -> Path:
-    """Write an untrained SAFA with LPN's strips for panoramas."""
-    torch.manual_seed(0)
-    spec = ModelSpec(
-        "resnet18",
-        "layer3",
-        views=("satellite", "street"),
-        shared=False,
-        embedding=256,
-        input_size=(48, 256),
-        pooling="safa",
-        maps=1,
-        polar=True,
-    )
-    save(LPN(spec), folder / "safa.safetensors")
-    export(folder / "safa.safetensors", folder / "safa.onnx")
-    return folder / "safa.onnx"
 
 
 def _open(browser: Browser, url: str, shot: Shot, out: Path) -> None:

@@ -10,8 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from explorer.parameters import UnusableError, is_line
-from explorer.screen.fields import OneOf, PanelField, ScreenState
+from explorer.parameters import UnusableError
+from explorer.screen.fields import Line, OneOf, PanelField, ScreenState
 from explorer.screen.panels.lab.service import LabFindings
 from explorer.workspace import Workspace
 from lpn.core.arrays import BoolArray, Int64Array
@@ -29,19 +29,6 @@ _NEAR = 5
 _FIXED = ("name", RANK_A, RANK_B, "rank", "margin", "part", "answer", "distance")
 # Columns shown until a person chooses others, those without any value left out.
 _DEFAULT = ("altitude", "district", "verdict", "tags")
-
-
-@dataclass(frozen=True)
-class LongLine:
-    """One line of text, such as a filter or the names of columns."""
-
-    def read(self, value: object, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        if not isinstance(value, str) or not is_line(value, _LONGEST):
-            raise UnusableError(f"expected {_LONGEST:,} letters at most that can be printed.")
-        return value
-
-    def write(self, value: str, state: ScreenState, workspace: Workspace) -> str:  # noqa: ARG002
-        return value
 
 
 @dataclass(frozen=True)
@@ -74,13 +61,13 @@ class OtherModel:
 
 TAB = PanelField("lab_tab", OneOf(("table", "charts", "map")), "table", "lab")
 SHOW = PanelField("lab_show", OneOf(("all", "missed", "near", "found", "only A", "only B")), "all", "rows")
-WHERE = PanelField("lab_where", LongLine(), "", "where")
+WHERE = PanelField("lab_where", Line(_LONGEST), "", "where")
 PICKED = PanelField("lab_picked", Picked(), "", "picked")
-SORT = PanelField("lab_sort", LongLine(), "margin", "sort")
-COLUMNS = PanelField("lab_columns", LongLine(), "", "columns")
+SORT = PanelField("lab_sort", Line(_LONGEST), "margin", "sort")
+COLUMNS = PanelField("lab_columns", Line(_LONGEST), "", "columns")
 SECOND = PanelField("lab_second", OtherModel(), "", "ranks-of")
 MAP = PanelField("lab_map", OneOf(("", "ground", "pca", "umap")), "", "points")
-COLOUR = PanelField("lab_colour", LongLine(), "", "colour")
+COLOUR = PanelField("lab_colour", Line(_LONGEST), "", "colour")
 FIELDS = (TAB, SHOW, WHERE, PICKED, SORT, COLUMNS, SECOND, MAP, COLOUR)
 
 
