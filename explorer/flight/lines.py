@@ -1,4 +1,4 @@
-"""What a flight adds to the tab's scene and to the head of its tile."""
+"""The lines of a flight in the tab's scene, and its mark in the head of the tile."""
 
 from __future__ import annotations
 

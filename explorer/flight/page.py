@@ -1,4 +1,4 @@
-"""What the panel's script draws of a flight and of one photo, as JSON takes it."""
+"""A flight and one of its photos as JSON for the panel's script."""
 
 from __future__ import annotations
 

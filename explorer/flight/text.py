@@ -279,7 +279,7 @@ def _on_earth(flight: LocatedFlight, known: FlightAccuracy) -> tuple[str, str, s
 
 
 def notes(seen: FlightSnapshot) -> list[str]:
-    """Return what was noticed about photos and map."""
+    """Return the remarks on photos and map."""
     flight = seen.flight
     left_out = [f"Corrections are left out: {seen.corrections_error}"] if seen.corrections_error else []
     return [*flight.notes, *flight.flight.notes, *flight.basemap.notes, *left_out]

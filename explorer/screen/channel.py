@@ -52,7 +52,7 @@ class TabSession(Protocol):
 
 
 class Tabs(Protocol):
-    """What all tabs share."""
+    """The state that all tabs share."""
 
     def session(self, send: Callable[[ScreenMessage], None]) -> TabSession:
         """Return the session of a new tab."""

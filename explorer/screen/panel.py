@@ -23,7 +23,7 @@ Action = Callable[[Mapping[str, Any]], None]
 
 
 class Tab(Protocol):
-    """What a panel reads of its tab, and how it answers. All of it may be used from any thread."""
+    """The interface of a tab for its panels. Any thread may use all of it."""
 
     @property
     def state(self) -> ScreenState:
@@ -37,7 +37,7 @@ class Tab(Protocol):
 
     @property
     def services(self) -> WorkspaceServices:
-        """What the state's place offers."""
+        """The services of the state's place."""
         ...
 
     @property

@@ -122,7 +122,7 @@ class ScreenSession:
 
     @property
     def services(self) -> WorkspaceServices:
-        """What the state's place offers."""
+        """The services of the state's place."""
         return self._access.services(self.state)
 
     @property
