@@ -44,7 +44,7 @@ export const showRows = (rows, page, result, colour) => {
     make("span", { text: page.photo }),
     make("span", { text: "answer " }, sign(answer.true)),
     make("span", { text: rival ? `${result.rival_word} ` : "" }, rival ? sign(rival.true) : "", rival ? make("u", { text: " " }) : "", rival ? make("u", { class: "hatched" }) : ""),
-    make("span", { text: `share, 0 to ${Number(result.scale.part.toFixed(2))}` }, rival ? make("i", { text: result.headline.found === null ? "nearer" : "prefers" }) : ""),
+    make("span", { text: `share to ${Number(result.scale.part.toFixed(2))}` }, rival ? make("i", { text: result.headline.found === null ? "nearer" : "prefers" }) : ""),
   );
   findAll(".row", rows).forEach((row, part) => {
     const [photo, own, other] = findAll("canvas", row);
