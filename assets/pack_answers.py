@@ -26,15 +26,15 @@ from lpn.descriptors.partial_store import PartialStore
 from lpn.descriptors.store import Manifest, Precision, Row
 from lpn.descriptors.transforms import UNCHANGED
 from lpn.descriptors.writer import write_store
-from lpn.flights import Flight, open_flight
-from lpn.locate import shipped
-from lpn.locate.located import LocatedFlight, StageRecord
-from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import locate
-from lpn.locate.registered_stage import FORMAT
-from lpn.locate.retrieval import retrieve
-from lpn.locate.shipped import FRAMES, WINDOWS, ShippedRecord, frame_rows, map_files, photo_files, window_rows
-from lpn.maps import Map, open_map
+from lpn.flight.files import Flight, open_flight
+from lpn.flight.locate import shipped
+from lpn.flight.locate.located import LocatedFlight, StageRecord
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import locate
+from lpn.flight.locate.registered_stage import FORMAT
+from lpn.flight.locate.retrieval import retrieve
+from lpn.flight.locate.shipped import FRAMES, WINDOWS, ShippedRecord, frame_rows, map_files, photo_files, window_rows
+from lpn.flight.maps import Map, open_map
 from lpn.models.base import Model
 
 DIGITS = 6

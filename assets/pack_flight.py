@@ -20,8 +20,8 @@ from PIL import Image
 from lpn.core.demo import DEMO_FLIGHT
 from lpn.core.files import write_atomic
 from lpn.datasets.rendered import FLIGHT_PLAN, TRUTH, UNFINISHED
-from lpn.maps import MapPlace
-from lpn.maps.folder import write_own_map
+from lpn.flight.maps import MapPlace
+from lpn.flight.maps.folder import write_own_map
 from tools.world.flight import MAP
 from tools.world.flight_files import geotiff
 

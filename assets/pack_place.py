@@ -23,8 +23,8 @@ from rasterio.io import MemoryFile
 from lpn.cli.map import MapCommand
 from lpn.core.demo import DEMO_PLACE
 from lpn.core.files import write_atomic
-from lpn.maps import MapPlace, _gdal, open_map
-from lpn.maps.folder import write_own_map
+from lpn.flight.maps import MapPlace, _gdal, open_map
+from lpn.flight.maps.folder import write_own_map
 
 PIXEL, WIDTH = 0.105, 800
 """Metres of the map's pixels, and pixels across a photo."""

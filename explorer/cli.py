@@ -20,7 +20,7 @@ from lpn.core.errors import InputError
 from lpn.core.files import check_outputs, printable
 from lpn.core.resources import ProviderName
 from lpn.descriptors.weather import WeatherName
-from lpn.locate.source import FlightSource
+from lpn.flight.locate.source import FlightSource
 from lpn.models.adapters import Kind
 from lpn.sources import Advanced, ModelOptions, SourceOptions, of_each, shipped_model, source_of
 from lpn.sources.kinds.data import DataSource
@@ -104,8 +104,8 @@ class ExploreLive(ServeOptions, LiveInput):
 
     def run(self) -> None:
         from explorer.flight.live import LiveApp, LiveRecord
-        from lpn.live.frames import shown_name
-        from lpn.maps import open_map
+        from lpn.flight.live.frames import shown_name
+        from lpn.flight.maps import open_map
 
         authenticator = self.authenticator()
         with ExitStack() as stack:

@@ -21,10 +21,10 @@ from lpn.core.resources import yield_cores
 from lpn.datasets import Dataset, open_dataset, warn_left_out
 from lpn.descriptors.transforms import Change
 from lpn.descriptors.weather import CLEAR, Weather, WeatherName
-from lpn.locate.located import LocatedFlight
-from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import registered
-from lpn.locate.source import FlightSource, OpenedFlight
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import registered
+from lpn.flight.locate.source import FlightSource, OpenedFlight
 from lpn.models.base import Model
 from lpn.retrieval.calibration import Calibration
 from lpn.retrieval.csls import NEIGHBOURS, check_neighbours
@@ -264,20 +264,20 @@ def open_flight_over(
     shipped: Path | None = None,
     map_error: float | None = None,
 ) -> Workspace:
-    """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.locate.task`.
+    """Open a flight over a map: frames are the queries, windows of the map the gallery, see `lpn.flight.locate.task`.
 
     Retrieval and sequence are computed before the app starts, from the user's cache where they were computed before.
     Registration goes on in the background, unless its answers are in the cache.
 
     Args:
-        map_path: what `lpn.maps.open_map` opens.
+        map_path: what `lpn.flight.maps.open_map` opens.
         flight_path: a folder of lpn flight, or one of photos.
         query: name of the frame that a new browser shows first; by default the flight's first that can be read.
         beside: other models to compare with on the same flight. All are loaded, and the first is opened; the others describe
             windows and frames when a browser asks for it.
         register: whether photos are laid over the map.
         overlap: share of a window's side that its neighbour covers, too.
-        shipped: a folder of answers of `model` that ship with the flight, see `lpn.locate.shipped`.
+        shipped: a folder of answers of `model` that ship with the flight, see `lpn.flight.locate.shipped`.
         map_error: 1-sigma error of the map's places in metres, which radii hold, see `LocateOptions.map_error`.
 
     Raises:

@@ -11,7 +11,7 @@ from lpn.core import images
 from lpn.core.arrays import UInt8Array
 from lpn.core.errors import PictureError
 from lpn.core.files import printable
-from lpn.flights.photo_file import PhotoFile
+from lpn.flight.files.photo_file import PhotoFile
 
 # Bytes of a photo.
 MAX_UPLOAD = 30_000_000

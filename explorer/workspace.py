@@ -32,12 +32,12 @@ from lpn.datasets import Picture as Picture
 from lpn.descriptors.weather import CLEAR, Weather
 from lpn.drawing import mosaic, overlays, verdicts
 from lpn.drawing.part_areas import PartAreas
+from lpn.flight.locate.belief import FlightVerdicts
+from lpn.flight.locate.grades import doubtful_photos, is_doubtful
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.maps import Map
 from lpn.library.analyser import QueryAnalyser, QueryRequest, describe_tile
 from lpn.library.answer import Answer
-from lpn.locate.belief import FlightVerdicts
-from lpn.locate.grades import doubtful_photos, is_doubtful
-from lpn.locate.located import LocatedFlight
-from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.models.contract import Contract
 from lpn.retrieval import DescribedPicture
@@ -208,7 +208,7 @@ class Workspace:
         return self._verdicts.get(flight, lambda: FlightVerdicts.of(flight))
 
     def doubtful(self, ranking: RankingJob) -> BoolArray | None:
-        """Return the photos of the flight that `lpn.locate.grades.doubtful_photos` finds; None without a flight or ranks."""
+        """Return the photos that `lpn.flight.locate.grades.doubtful_photos` finds; None without a flight or ranks."""
         flight, result = self.flight, ranking.result
         if flight is None or result is None:
             return None
@@ -227,7 +227,7 @@ class Workspace:
         return graded if doubtful is None else graded & ~doubtful
 
     def judged(self, answer: Answer) -> Answer:
-        """Return an answer without grades if the judge of its photo is in doubt, see `lpn.locate.grades`."""
+        """Return an answer without grades if the judge of its photo is in doubt, see `lpn.flight.locate.grades`."""
         flight, first = self.flight, answer.matches[0]
         if flight is None or answer.index is None or first.true is None:
             return answer

@@ -28,9 +28,9 @@ from lpn.datasets.city_model import city_model
 from lpn.datasets.geo import Positions, on_plane
 from lpn.datasets.rendered import is_rendered_flight
 from lpn.doctor import environment_check
-from lpn.flights import open_flight
-from lpn.flights.sources import make_flight
-from lpn.maps import open_map
+from lpn.flight.files import open_flight
+from lpn.flight.files.sources import make_flight
+from lpn.flight.maps import open_map
 from lpn.models.checkpoints import save
 from tools.fixtures import painting, seeded, small_worlds
 from tools.world.flight import FlightSettings, build_flight

@@ -8,7 +8,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 # Modules that pyproject.toml names; tests run them as `lpn` and as `lpn explore`.
-ENTRY_POINTS = {"lpn.__main__", "explorer.cli", "lpn.locate.source"}
+ENTRY_POINTS = {"lpn.__main__", "explorer.cli", "lpn.flight.locate.source"}
 
 
 def modules() -> dict[str, Path]:

@@ -21,10 +21,10 @@ from lpn.cli.compare import CompareCommand
 from lpn.cli.main import commands, main
 from lpn.core.views import views_of
 from lpn.datasets import open_dataset
-from lpn.flights import write_flight
+from lpn.flight.files import write_flight
 from lpn.models.onnx_engine import Engine
 from lpn.sources import OpenedSource, SourceOptions, TaskSource, known_kinds, open_source, recognise, source_of
-from tests.lpn.locate.scenery import land, small_flight, write_map
+from tests.lpn.flight.locate.scenery import land, small_flight, write_map
 from tools.fixtures.published_results import save_result
 
 TASK = "drone-to-satellite"

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from explorer.compute.background_jobs import BackgroundJob, BackgroundJobs, ReportProgress
 from lpn.core.numbers import distance
 from lpn.core.resources import yield_cores
-from lpn.flights import Frame
+from lpn.flight.files import Frame
+from lpn.flight.locate.belief import belief
+from lpn.flight.locate.grades import off_window, window_of
+from lpn.flight.locate.ground import MapFeatures
+from lpn.flight.locate.matchers import open_matchers
+from lpn.flight.locate.options import TOP
+from lpn.flight.locate.own_photo import OwnPhoto, register_own_photo
+from lpn.flight.maps import Map, Window
 from lpn.library.analyser import OwnPicture
-from lpn.locate.belief import belief
-from lpn.locate.grades import off_window, window_of
-from lpn.locate.ground import MapFeatures
-from lpn.locate.matchers import open_matchers
-from lpn.locate.options import TOP
-from lpn.locate.own_photo import OwnPhoto, register_own_photo
-from lpn.maps import Map, Window
 from lpn.tasks.task import Task
 
 # Seconds between looks at whether a registration that waits for its turn is still wanted.
@@ -97,7 +97,7 @@ class OwnPhotoJobs:
     forgotten with its answer when the last of them has left it.
 
     Args:
-        map_error: 1-sigma error of the map's places in metres, see `lpn.locate.options.LocateOptions`.
+        map_error: 1-sigma error of the map's places in metres, see `lpn.flight.locate.options.LocateOptions`.
     """
 
     def __init__(self, basemap: Map, map_error: float | None = None) -> None:

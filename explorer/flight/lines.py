@@ -11,9 +11,9 @@ from explorer.screen.panel import SceneLines
 from explorer.workspace import Workspace
 from lpn.core.arrays import Float64Array
 from lpn.drawing import theme
-from lpn.flights.cameras import rotation
-from lpn.locate.camera_pose import CameraPose
-from lpn.locate.coverage import outline
+from lpn.flight.files.cameras import rotation
+from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.coverage import outline
 
 # Share of the flying height that is the depth of a camera's pyramid, and metres of borders above the ground.
 _DEPTH, _LIFT = 0.12, 2.0

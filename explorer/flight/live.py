@@ -28,11 +28,11 @@ from explorer.server.gateway import Screen
 from explorer.server.page_server import close_server, open_server
 from explorer.server.picture_route import PictureRoute
 from lpn.core import images
-from lpn.flights import Flight
-from lpn.live.outputs import LiveFix
-from lpn.locate.belief import FlightVerdicts
-from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.maps import Map
+from lpn.flight.files import Flight
+from lpn.flight.live.outputs import LiveFix
+from lpn.flight.locate.belief import FlightVerdicts
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.maps import Map
 
 log = logging.getLogger(__name__)
 

@@ -14,9 +14,9 @@ from explorer.flight.pictures import LAID, encoded, ground, middle_square
 from explorer.flight.service import FlightSnapshot
 from lpn.core import images
 from lpn.core.numbers import distance
+from lpn.flight.locate.belief import FlightVerdicts
+from lpn.flight.locate.own_photo import OwnPhoto
 from lpn.library.analyser import OwnPicture
-from lpn.locate.belief import FlightVerdicts
-from lpn.locate.own_photo import OwnPhoto
 
 
 def own_photo(

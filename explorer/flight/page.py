@@ -17,11 +17,11 @@ from lpn.core.files import printable
 from lpn.core.homography import apply_homography
 from lpn.core.numbers import heading_figure
 from lpn.drawing import overlays, score_map, theme
-from lpn.locate.agreement import MapAgreement
-from lpn.locate.belief import Belief
-from lpn.locate.coverage import seen_by
-from lpn.locate.located import LocatedFrame
-from lpn.locate.summary import PLACED, unchecked_frames
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.belief import Belief
+from lpn.flight.locate.coverage import seen_by
+from lpn.flight.locate.located import LocatedFrame
+from lpn.flight.locate.summary import PLACED, unchecked_frames
 from lpn.retrieval import Ranking
 
 # Length of the lists of photos.

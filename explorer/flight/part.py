@@ -21,8 +21,8 @@ from explorer.screen.panel import PanelPart, Tab
 from explorer.screen.result import ScreenResult
 from explorer.workspace import Workspace
 from lpn.core.errors import InputError, LPNError
+from lpn.flight.locate.own_photo import OwnPhoto
 from lpn.library.analyser import OwnPicture
-from lpn.locate.own_photo import OwnPhoto
 
 _FARTHEST = 1e6
 # Seconds between two looks at a registration that goes on in the background.

@@ -18,10 +18,10 @@ from lpn.core import images
 from lpn.core.arrays import BoolArray, Float32Array, UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.homography import apply_homography, middle_pixel
-from lpn.locate.belief import belief
-from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.maps import Map, Window
-from lpn.maps.map import OVERVIEW
+from lpn.flight.locate.belief import belief
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.maps import Map, Window
+from lpn.flight.maps.map import OVERVIEW
 
 TILE = 256
 # Tiles and photos in the cache, some 20 KB and 150 KB each.

@@ -20,16 +20,16 @@ from lpn.core import images
 from lpn.core.arrays import Float64Array
 from lpn.core.demo import own_file, own_file_place
 from lpn.core.errors import DataError, InputError, LPNError, PictureError
-from lpn.locate import corrections
-from lpn.locate.agreement import MapAgreement, map_agreement
-from lpn.locate.belief import Belief, Disagreement, FlightVerdicts, best_track
-from lpn.locate.corrections import Correction
-from lpn.locate.coverage import Outline, outline
-from lpn.locate.located import LocatedFlight
-from lpn.locate.summary import placed_errors
-from lpn.locate.surveyed import SurveyedErrors
-from lpn.locate.tags import enter_corrections
-from lpn.locate.tracks import track_bytes
+from lpn.flight.locate import corrections
+from lpn.flight.locate.agreement import MapAgreement, map_agreement
+from lpn.flight.locate.belief import Belief, Disagreement, FlightVerdicts, best_track
+from lpn.flight.locate.corrections import Correction
+from lpn.flight.locate.coverage import Outline, outline
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.locate.summary import placed_errors
+from lpn.flight.locate.surveyed import SurveyedErrors
+from lpn.flight.locate.tags import enter_corrections
+from lpn.flight.locate.tracks import track_bytes
 
 # Longer side in pixels of a photo that is compared with the map, and comparisons of corrected photos in the cache.
 _COMPARED, _COMPARISONS = 960, 100

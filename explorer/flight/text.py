@@ -9,13 +9,13 @@ from explorer.flight.service import FlightSnapshot
 from lpn.core.files import printable
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
 from lpn.drawing.verdicts import compass
-from lpn.locate.agreement import MapAgreement
-from lpn.locate.belief import SIGMAS, Belief, Disagreement, on_what
-from lpn.locate.camera_pose import CameraPose
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
-from lpn.locate.summary import PLACED, FlightAccuracy, flight_accuracy, is_unchecked, other_map, share_within
-from lpn.maps.named_window import describe_offset
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.belief import SIGMAS, Belief, Disagreement, on_what
+from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.flight.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
+from lpn.flight.locate.summary import PLACED, FlightAccuracy, flight_accuracy, is_unchecked, other_map, share_within
+from lpn.flight.maps.named_window import describe_offset
 
 LABELS = {
     "tag": "GPS tags",

@@ -110,9 +110,9 @@ class DescribeCommand(ModelOptions):
         return 0
 
     def _windows(self, where: Path) -> int:
-        from lpn.locate.map_windows import describe_windows
-        from lpn.locate.retrieval import pyramid_sizes
-        from lpn.maps import NamedWindow, open_map
+        from lpn.flight.locate.map_windows import describe_windows
+        from lpn.flight.locate.retrieval import pyramid_sizes
+        from lpn.flight.maps import NamedWindow, open_map
 
         if self.images is not None:
             raise InputError("A map's windows are described in place of pictures; give either --map or --images.")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import tyro
 
 if TYPE_CHECKING:
-    from lpn.flights import Flight, Frame
+    from lpn.flight.files import Flight, Frame
 
 
 @dataclass
@@ -39,7 +39,7 @@ class FlightCommand:
 
     def run(self) -> None:
         from lpn.core.errors import InputError
-        from lpn.flights import FlightOptions, make_flight
+        from lpn.flight.files import FlightOptions, make_flight
 
         if not self.files:
             raise InputError("There are no files; give photos, videos, logs, tracks, or folders of them.")
@@ -51,7 +51,7 @@ class FlightCommand:
 
 def summary(flight: Flight) -> str:
     """Return a short table of what is known about a flight, and its notes."""
-    from lpn.flights import ground_width
+    from lpn.flight.files import ground_width
 
     frames = flight.frames
     rows = [

@@ -89,11 +89,11 @@ class IndexCommand:
             print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
 
     def _index_map(self, where: Path) -> None:
+        from lpn.flight.locate.retrieval import pyramid_sizes
+        from lpn.flight.maps import open_map
         from lpn.index import create_index
         from lpn.index.base import DescriptorKind, check_box
         from lpn.index.from_map import index_windows, window_describer
-        from lpn.locate.retrieval import pyramid_sizes
-        from lpn.maps import open_map
 
         if self.descriptors is not None or self.data is not None or self.model is None:
             raise InputError(

@@ -18,9 +18,9 @@ from lpn.sources.options import ADVANCED
 
 if TYPE_CHECKING:
     from lpn.core.progress import CountProgress, Listener
-    from lpn.live.frames import Say
-    from lpn.live.locator import LiveOptions
-    from lpn.live.run import FixOutput, LiveRun
+    from lpn.flight.live.frames import Say
+    from lpn.flight.live.locator import LiveOptions
+    from lpn.flight.live.run import FixOutput, LiveRun
 
 # Seconds between two sentences about the windows that are described.
 _SAID = 5.0
@@ -67,7 +67,7 @@ class LiveInput(ModelOptions):
 
     def options(self) -> LiveOptions:
         """Return how frames are located."""
-        from lpn.live.locator import LiveOptions
+        from lpn.flight.live.locator import LiveOptions
 
         return LiveOptions(self.register, self.matcher, self.size, speed=self.speed, map_error=self.map_error)
 
@@ -89,11 +89,11 @@ class LiveInput(ModelOptions):
             InputError: if an option is out of range, or a source cannot be opened.
         """
         from lpn.core.resources import one_thread_a_library
-        from lpn.live.frames import open_source
-        from lpn.live.locator import LiveLocator
-        from lpn.live.run import LiveRun
-        from lpn.live.telemetry import open_telemetry
-        from lpn.maps import open_map
+        from lpn.flight.live.frames import open_source
+        from lpn.flight.live.locator import LiveLocator
+        from lpn.flight.live.run import LiveRun
+        from lpn.flight.live.telemetry import open_telemetry
+        from lpn.flight.maps import open_map
 
         for name, low, high in (("fov", 0.1, 170.0), ("idle", 0.1, 1e6), ("system", 1, 255)):
             value = getattr(self, name)
@@ -134,7 +134,7 @@ class LocateLive(LiveInput):
             else:
                 check_outputs((self.out, ".jsonl", ".geojsonl", ".ndjson"))
                 lines = stack.enter_context(self.out.open("a", encoding="utf-8"))
-            from lpn.live.outputs import LineOutput
+            from lpn.flight.live.outputs import LineOutput
 
             run = self.open_run(_say, [LineOutput(lines)], stack)
             count = run.run()

@@ -18,13 +18,13 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from lpn.core.consoles import Console
-    from lpn.flights import Flight
-    from lpn.locate.located import LocatedFlight
-    from lpn.locate.measures import ErrorSummary
-    from lpn.locate.options import LocateOptions
-    from lpn.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
-    from lpn.locate.tracks import TrackPoint
-    from lpn.maps import Map
+    from lpn.flight.files import Flight
+    from lpn.flight.locate.located import LocatedFlight
+    from lpn.flight.locate.measures import ErrorSummary
+    from lpn.flight.locate.options import LocateOptions
+    from lpn.flight.locate.surveyed import MatchedSurvey, SurveyedErrors, SurveyedPoint
+    from lpn.flight.locate.tracks import TrackPoint
+    from lpn.flight.maps import Map
 
 
 @dataclass(kw_only=True)
@@ -85,9 +85,9 @@ class LocateCommand(ModelOptions):
     def run(self) -> None:
         from lpn.core.consoles import wide_console
         from lpn.core.files import check_outputs, write_json
-        from lpn.locate.belief import best_track, full_track
-        from lpn.locate.surveyed import compare_surveyed, summarise_surveyed, survey_remarks, write_residuals
-        from lpn.locate.tracks import check_suffix, write_track
+        from lpn.flight.locate.belief import best_track, full_track
+        from lpn.flight.locate.surveyed import compare_surveyed, summarise_surveyed, survey_remarks, write_residuals
+        from lpn.flight.locate.tracks import check_suffix, write_track
 
         for option, given in (("--crs", self.crs), ("--residuals", self.residuals)):
             if given is not None and self.positions is None:
@@ -131,11 +131,11 @@ class LocateCommand(ModelOptions):
         Raises:
             InputError: if the limit is below 1, a kind, a pooling, or an index comes without a model, or sizes beside an index.
         """
-        from lpn.flights import open_flight
-        from lpn.locate import corrections
-        from lpn.locate.index_windows import WindowIndex
-        from lpn.locate.pipeline import locate
-        from lpn.maps import open_map
+        from lpn.flight.files import open_flight
+        from lpn.flight.locate import corrections
+        from lpn.flight.locate.index_windows import WindowIndex
+        from lpn.flight.locate.pipeline import locate
+        from lpn.flight.maps import open_map
 
         if self.limit is not None and self.limit < 1:
             raise InputError(f"The limit is {self.limit} photos; expected 1 or more.")
@@ -157,7 +157,7 @@ class LocateCommand(ModelOptions):
 
     def _survey(self, basemap: Map, flight: Flight, console: Console) -> MatchedSurvey | None:
         """Return the surveyed positions; None without a table."""
-        from lpn.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
+        from lpn.flight.locate.surveyed import match_surveyed, read_surveyed, strangers_sentence
 
         if self.positions is None:
             return None
@@ -182,7 +182,7 @@ class LocateCommand(ModelOptions):
                 )
 
     def _options(self) -> LocateOptions:
-        from lpn.locate.options import LocateOptions
+        from lpn.flight.locate.options import LocateOptions
 
         return LocateOptions(
             self.sequence,
@@ -280,7 +280,7 @@ def unverified_sentence(track: Sequence[TrackPoint], file: Path) -> str:
 def print_summary(located: LocatedFlight, console: Console) -> None:
     """Print a table of the stages against the tags, and the findings below it."""
     from lpn.core.text_tables import TextTable
-    from lpn.locate.pose_errors import pose_errors
+    from lpn.flight.locate.pose_errors import pose_errors
 
     summaries = located.summaries()
     rows = []
@@ -333,7 +333,7 @@ def _print_surveyed(
     """Print the errors of each stage and point, a column each, and sentences on them."""
     from lpn.core.numbers import SIGMA
     from lpn.core.text_tables import TextTable
-    from lpn.locate.measures import RIGHT_CALIBRATION
+    from lpn.flight.locate.measures import RIGHT_CALIBRATION
 
     columns = {f"{stage}, {point}": one for stage, points in errors.items() for point, one in points.items()}
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]

@@ -11,7 +11,7 @@ import tyro
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from lpn.maps import Map
+    from lpn.flight.maps import Map
 
 
 @dataclass
@@ -57,8 +57,8 @@ class MapCommand:
 
         from lpn.core.files import printable
         from lpn.core.numbers import SIGMA
-        from lpn.maps.elevation import probes
-        from lpn.maps.folder import add_surveyed_error, checked_error
+        from lpn.flight.maps.elevation import probes
+        from lpn.flight.maps.folder import add_surveyed_error, checked_error
 
         if self.error is not None:
             checked_error(self.error)
@@ -87,9 +87,9 @@ class MapCommand:
 
     def _written(self, on_progress: Callable[[str], None]) -> Map:
         from lpn.core.errors import InputError
-        from lpn.maps import MapOptions, MapPlace
-        from lpn.maps.elevation import ElevationFile
-        from lpn.maps.folder import build_map
+        from lpn.flight.maps import MapOptions, MapPlace
+        from lpn.flight.maps.elevation import ElevationFile
+        from lpn.flight.maps.folder import build_map
 
         if self.elevation is None and self.elevation_unit is not None:
             raise InputError("--elevation-unit needs --elevation; give both, or leave it out.")
@@ -102,8 +102,8 @@ class MapCommand:
             raise InputError(
                 "--from-flight makes the map of photos alone; leave the other files and options, except --elevation, out."
             )
-        from lpn.flights import photos_of
-        from lpn.maps.orthophoto import build_from_photos
+        from lpn.flight.files import photos_of
+        from lpn.flight.maps.orthophoto import build_from_photos
 
         flight = photos_of(self.from_flight, self.out.resolve().name)
         if not self.photographed and flight.day is not None:

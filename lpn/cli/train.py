@@ -120,7 +120,7 @@ class TrainCommand:
         if (self.data is None) == (self.map is None):
             raise InputError("A training needs a data set or a map; give either --data or --map.")
         if self.map is not None:
-            return import_module("lpn.maps").open_map(self.map)
+            return import_module("lpn.flight.maps").open_map(self.map)
         if self.window_sizes is not None:
             raise InputError("A data set has no windows; give --window-sizes with --map only.")
         return import_module("lpn.datasets").open_dataset(self.data)

@@ -1,6 +1,6 @@
 """Windows of a map into an index, block by block: neither windows nor descriptors of a whole county are ever in memory.
 
-A store of descriptors (`lpn.locate.map_windows`) lists all windows in its manifest. Here a window is known by its name in
+A store of descriptors (`lpn.flight.locate.map_windows`) lists all windows in its manifest. Here a window is known by its name in
 the index only. So 10^7 windows need no more memory than 10^4.
 """
 
@@ -13,9 +13,9 @@ import numpy as np
 from lpn.core.arrays import Float32Array
 from lpn.core.progress import report_progress
 from lpn.descriptors.parallel_inference import describe_each
+from lpn.flight.maps import Map, NamedWindow, Window
+from lpn.flight.maps.named_window import WindowCut
 from lpn.index.base import DegreeBox, Index, within
-from lpn.maps import Map, NamedWindow, Window
-from lpn.maps.named_window import WindowCut
 from lpn.models.base import Model
 
 # Returns the descriptors (B, n, D) of windows.
@@ -47,7 +47,7 @@ def index_windows(
         block: windows that are described and added together.
         replace: describe all windows, also those that the index holds.
         turns: headings at which each window is described, evenly spaced from north on. With 8 a photo of unknown heading
-            needs one description in place of eight, see `lpn.locate.index_windows`.
+            needs one description in place of eight, see `lpn.flight.locate.index_windows`.
         box: describe the windows whose centres lie in it only, so that several machines share a map.
 
     Returns:

@@ -11,9 +11,9 @@ from lpn.core.arrays import Float32Array, Float64Array
 from lpn.core.errors import InputError
 from lpn.core.progress import report_progress
 from lpn.datasets import geo
+from lpn.flight.maps import NamedWindow
 from lpn.index.base import Index
 from lpn.index.queries import IndexQueries
-from lpn.maps import NamedWindow
 
 # Largest number of tiles that are ranked for a query. Their descriptors of 2048 numbers take 1.6 GB.
 MOST_TILES = 200_000

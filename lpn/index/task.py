@@ -12,11 +12,11 @@ from lpn.core.files import printable
 from lpn.core.views import views_of
 from lpn.datasets import Truth, labels_of
 from lpn.datasets.geo import Position
+from lpn.flight.maps import Map
 from lpn.index.base import Index
 from lpn.index.gallery import IndexGallery, open_gallery
 from lpn.index.queries import IndexQueries
 from lpn.index.tile_pictures import tile_pictures
-from lpn.maps import Map
 from lpn.models.base import Model
 from lpn.tasks.gallery_geometry import GalleryGeometry
 from lpn.tasks.task import Task, descriptor_clauses

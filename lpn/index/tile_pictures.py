@@ -15,10 +15,10 @@ from lpn.core.files import printable
 from lpn.datasets import Picture
 from lpn.datasets.listed_paths import listed_path
 from lpn.drawing import captions
+from lpn.flight.maps import Map, NamedWindow
+from lpn.flight.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 from lpn.index.gallery import IndexGallery
 from lpn.index.queries import IndexQueries
-from lpn.maps import Map, NamedWindow
-from lpn.maps.named_window import WindowCut, caption_of, covers_part_of, describe_place
 
 # Side of a placeholder in pixels.
 _SIDE = 256

@@ -13,8 +13,8 @@ from lpn.core.arrays import Float32Array, Float64Array, Int64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.datasets import geo, open_dataset
+from lpn.flight.maps.named_window import NamedWindow
 from lpn.index.base import DescriptorKind, check_names
-from lpn.maps.named_window import NamedWindow
 from lpn.models.contract import Role
 
 # Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.

@@ -26,10 +26,10 @@ from lpn.core.homography import (
 )
 from lpn.core.views import View
 from lpn.descriptors.weather import draw_any
-from lpn.flights import Frame, footprint
-from lpn.flights.cut import CUT, cut_square
-from lpn.maps import Map, Window
-from lpn.maps.window import grid
+from lpn.flight.files import Frame, footprint
+from lpn.flight.files.cut import CUT, cut_square
+from lpn.flight.maps import Map, Window
+from lpn.flight.maps.window import grid
 from lpn.training.appearance import change_appearance, compress, recolour
 from lpn.training.recipes import Recipe
 

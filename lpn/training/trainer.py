@@ -22,7 +22,7 @@ from lpn.core.files import check_writable
 from lpn.core.shutdown import uninterrupted
 from lpn.core.views import views_of
 from lpn.datasets import Dataset
-from lpn.maps import Map
+from lpn.flight.maps import Map
 from lpn.models import checkpoints
 from lpn.models.backbones import CHANNELS
 from lpn.models.network import LPN

@@ -23,13 +23,13 @@ from playwright.sync_api import Browser, BrowserContext, Page, expect
 import lpn
 from lpn.cli import main
 from lpn.core.files import printable
-from lpn.locate.tracks import TrackPoint, write_track
-from lpn.maps import MapPlace
-from lpn.maps.folder import build_map
+from lpn.flight.locate.tracks import TrackPoint, write_track
+from lpn.flight.maps import MapPlace
+from lpn.flight.maps.folder import build_map
 from lpn.models.contract import Contract
 from lpn.models.contract_metadata import to_metadata
 from tests.e2e.conftest import RunningApp, Screen, empty_context, started
-from tests.lpn.locate.scenery import land, write_map
+from tests.lpn.flight.locate.scenery import land, write_map
 from tools.fixtures import small_models, small_worlds
 from tools.fixtures.photos import dji_xmp, exif, write_photo
 

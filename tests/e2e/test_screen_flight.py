@@ -18,20 +18,20 @@ from explorer.compute.ranking_job import RankingJob
 from explorer.flight.live import LiveApp, LiveRecord
 from explorer.server.auth import make_authenticator
 from explorer.workspace import Workspace
-from lpn.flights import Flight, Frame
-from lpn.live.outputs import LiveFix
-from lpn.live.run import live_answer
-from lpn.locate.audit import TagAudit
-from lpn.locate.corrections import NAME, read_corrections
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import locate
-from lpn.locate.task import flight_task
-from lpn.maps import open_map
+from lpn.flight.files import Flight, Frame
+from lpn.flight.live.outputs import LiveFix
+from lpn.flight.live.run import live_answer
+from lpn.flight.locate.audit import TagAudit
+from lpn.flight.locate.corrections import NAME, read_corrections
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import locate
+from lpn.flight.locate.task import flight_task
+from lpn.flight.maps import open_map
 from tests.e2e.conftest import box, expect_accessible
 from tests.explorer.flight.conftest import flight as flight
-from tests.lpn.locate.scenery import ground_to_photo
-from tests.lpn.maps.small_maps import smooth, write_geotiff
+from tests.lpn.flight.locate.scenery import ground_to_photo
+from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 from tools.fixtures.processes import free_port
 from tools.fixtures.waiting import wait_until
 

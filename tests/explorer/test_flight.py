@@ -26,16 +26,16 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.demo import DEMO
 from lpn.core.errors import DataError, InputError
 from lpn.core.progress import report_progress
-from lpn.flights import Frame, write_flight
+from lpn.flight.files import Frame, write_flight
+from lpn.flight.locate.located import LocatedFlight, StageRecord
+from lpn.flight.locate.matchers import SiftMatcher
+from lpn.flight.locate.task import TASK
+from lpn.flight.maps import Map, Window
+from lpn.flight.maps.named_window import WindowCut
 from lpn.library.analyser import OwnPicture
-from lpn.locate.located import LocatedFlight, StageRecord
-from lpn.locate.matchers import SiftMatcher
-from lpn.locate.task import TASK
-from lpn.maps import Map, Window
-from lpn.maps.named_window import WindowCut
 from lpn.sources import ModelOptions
 from tests.explorer.conftest import RefusedError, answered
-from tests.lpn.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
+from tests.lpn.flight.locate.scenery import FLOWN_PLACES, ground_to_photo, land, photo_of, small_flight, write_map
 from tools.fixtures.photos import exif, photo_bytes
 
 # Frames of `small_flight` whose places are unknown: one has no position, one cannot be read.

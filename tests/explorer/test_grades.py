@@ -19,9 +19,9 @@ from explorer.screen.rail import Rail
 from explorer.workspace import Workspace
 from lpn.cli.main import main
 from lpn.core.demo import DEMO_ANSWERS, DEMO_MODEL, DEMO_PLACE
-from lpn.locate.belief import FlightVerdicts
-from lpn.locate.located import LocatedFlight
-from lpn.locate.source import FlightSource
+from lpn.flight.locate.belief import FlightVerdicts
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.locate.source import FlightSource
 from lpn.sources import ModelOptions
 from tests.explorer.conftest import TASK, answered
 

@@ -19,13 +19,13 @@ from explorer.workspace import Workspace
 from lpn import report
 from lpn.analysis.comparison import effect_on
 from lpn.cli.main import main
-from lpn.flights import write_flight
+from lpn.flight.files import write_flight
+from lpn.flight.maps import NamedWindow
 from lpn.index import gallery
-from lpn.maps import NamedWindow
 from lpn.sources import SourceOptions, source_of
 from lpn.tasks import changes
 from tests.explorer.conftest import TASK, answered
-from tests.lpn.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
+from tests.lpn.flight.locate.scenery import FLOWN_PLACES, land, small_flight, write_map
 from tools.fixtures.screen_tab import ScreenTab
 from tools.fixtures.small_contracts import GATES, GateModel
 
@@ -147,7 +147,7 @@ def test_a_flight_is_searched_for_among_windows(
     assert task.known is not None
     assert np.flatnonzero(~task.known).tolist() == [0, 2]  # one has no position, one cannot be read
     (bad,) = (frame for frame in task.queries if frame.note == "cannot be read")
-    told = [record.getMessage() for record in caplog.records if record.name == "lpn.locate.index_queries"]
+    told = [record.getMessage() for record in caplog.records if record.name == "lpn.flight.locate.index_queries"]
     assert [bad.path.name in line for line in told] == [True]
     result = answered(workspace, query=5, heat="evidence")
     assert result.evidence

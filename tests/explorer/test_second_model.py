@@ -114,7 +114,7 @@ def test_a_workspace_names_the_extra_that_it_lacks(tmp_path: Path, monkeypatch: 
     def lacking(_: Path) -> None:
         raise ModuleNotFoundError("No module named 'rasterio'", name="rasterio")
 
-    monkeypatch.setattr("lpn.maps.open_map", lacking)
+    monkeypatch.setattr("lpn.flight.maps.open_map", lacking)
     opens = partial(open_flight_over, tmp_path, tmp_path, ModelOptions(model=tmp_path / "model.onnx"))
     flight = explorer.opening.offered("a flight", [tmp_path], opens)
     assert flight.open().wait(PATIENCE)

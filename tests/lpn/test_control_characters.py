@@ -22,7 +22,7 @@ from lpn.cli import main
 from lpn.core import notebook_html
 from lpn.core.consoles import Console, plain_streams
 from lpn.core.files import printable
-from lpn.flights import Flight, Frame, write_flight
+from lpn.flight.files import Flight, Frame, write_flight
 from tools.fixtures import small_worlds
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="other systems allow few of these names")

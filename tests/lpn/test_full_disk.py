@@ -13,9 +13,9 @@ import pytest
 
 from lpn.cli import main
 from lpn.core.errors import OutputError
-from lpn.locate.line_records import LineRecords
-from lpn.locate.located import StageRecord
-from lpn.locate.tracks import TrackPoint, write_track
+from lpn.flight.locate.line_records import LineRecords
+from lpn.flight.locate.located import StageRecord
+from lpn.flight.locate.tracks import TrackPoint, write_track
 from lpn.tasks import notes
 from tools.fixtures import saves
 from tools.fixtures.small_disks import fill, small_disk

@@ -25,8 +25,8 @@ from lpn import descriptors, index
 from lpn.core.errors import DataError, StoreError
 from lpn.core.images import load_picture
 from lpn.datasets import open_dataset
-from lpn.flights import write_flight
-from tests.lpn.locate.scenery import land, small_flight, write_map
+from lpn.flight.files import write_flight
+from tests.lpn.flight.locate.scenery import land, small_flight, write_map
 from tools.fixtures import saves, small_models, small_worlds
 from tools.fixtures.killed_commands import WORLD, Killer
 

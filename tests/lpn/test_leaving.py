@@ -25,9 +25,9 @@ from lpn.core.errors import InputError
 from lpn.core.files import printable
 from lpn.core.text_tables import markdown_page
 from lpn.datasets import open_dataset
-from lpn.flights import Flight, Frame, open_flight, write_flight
-from lpn.locate.corrections import Correction, read_corrections, set_correction
-from lpn.locate.tracks import TrackPoint, write_track
+from lpn.flight.files import Flight, Frame, open_flight, write_flight
+from lpn.flight.locate.corrections import Correction, read_corrections, set_correction
+from lpn.flight.locate.tracks import TrackPoint, write_track
 from lpn.tasks import notes
 from lpn.tasks.opening import lazy_task
 from tools.fixtures import small_worlds

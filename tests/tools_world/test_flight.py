@@ -17,10 +17,10 @@ from PIL import ExifTags, Image
 from lpn.core.errors import InputError, OutputError
 from lpn.core.images import load_picture
 from lpn.datasets.rendered import FLIGHT_PLAN
-from lpn.flights import Frame, cameras, footprint
-from lpn.flights.photos import photo_of
-from lpn.flights.sources import FlightOptions, make_flight
-from lpn.flights.subtitles import blocks_of, parse_subtitles
+from lpn.flight.files import Frame, cameras, footprint
+from lpn.flight.files.photos import photo_of
+from lpn.flight.files.sources import FlightOptions, make_flight
+from lpn.flight.files.subtitles import blocks_of, parse_subtitles
 from tools.fixtures import painting
 from tools.world.__main__ import main
 from tools.world.cameras import Pose, SatelliteImage, Site
@@ -218,7 +218,7 @@ def test_subtitles_tell_the_tags_of_the_free_path(plan: FlightPlan) -> None:
 
 def test_the_maps_pixels_lie_where_the_plan_has_them(tmp_path: Path) -> None:
     pytest.importorskip("rasterio")
-    from lpn.maps import Window, open_map
+    from lpn.flight.maps import Window, open_map
 
     site, x, y = Site(), 640.0, -380.0
     grid = MapGrid(site, x, y, 200.0, 0.5)

@@ -24,12 +24,12 @@ import lpn
 from lpn.cli.locate import print_summary
 from lpn.core.consoles import Console
 from lpn.core.files import write_atomic
-from lpn.flights import open_flight
-from lpn.locate.belief import TAG_RADIUS, disagreements
-from lpn.locate.located import LocatedFlight
-from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import locate
-from lpn.maps import open_map
+from lpn.flight.files import open_flight
+from lpn.flight.locate.belief import TAG_RADIUS, disagreements
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import locate
+from lpn.flight.maps import open_map
 
 # Tangent of the 5 degrees by which an aircraft's camera may be tilted, as a share of the height.
 _SWAY = float(np.tan(np.radians(5.0)))
@@ -69,7 +69,7 @@ class RadiusRow:
         median: metres from the tags.
         own, with_tag, with_tilt: shares by the radius alone; with the tag's own error of 5 m; and with 5 degrees of
             tilt between camera and picture's middle, where the position is the middle's. Errors add up as squares.
-        contradictions: of registration and tag, see `lpn.locate.belief.disagreements`.
+        contradictions: of registration and tag, see `lpn.flight.locate.belief.disagreements`.
     """
 
     tags: str

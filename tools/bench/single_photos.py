@@ -18,12 +18,12 @@ from rich.console import Console
 from rich.table import Table
 
 from explorer import uploads
-from lpn.locate.ground import MapFeatures
-from lpn.locate.matchers import open_matchers
-from lpn.locate.own_photo import register_own_photo
-from lpn.maps import Map, open_map
-from lpn.maps.folder import add_trials
-from lpn.maps.trials import SinglePhotoTrials
+from lpn.flight.locate.ground import MapFeatures
+from lpn.flight.locate.matchers import open_matchers
+from lpn.flight.locate.own_photo import register_own_photo
+from lpn.flight.maps import Map, open_map
+from lpn.flight.maps.folder import add_trials
+from lpn.flight.maps.trials import SinglePhotoTrials
 
 _ENDS = {".jpg", ".jpeg", ".png", ".webp"}
 

@@ -29,11 +29,11 @@ import lpn
 from lpn.core.arrays import BoolArray, UInt8Array
 from lpn.core.errors import LPNError
 from lpn.core.files import write_atomic
-from lpn.flights import Flight, open_flight
-from lpn.locate.located import LocatedFlight, LocatedFrame
-from lpn.locate.options import LocateOptions
-from lpn.locate.pipeline import locate
-from lpn.maps import Map, Window, open_map
+from lpn.flight.files import Flight, open_flight
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import locate
+from lpn.flight.maps import Map, Window, open_map
 
 RENDERED = "rendered"
 _ASSETS = Path(__file__).parents[2] / "assets" / "demo-flight"

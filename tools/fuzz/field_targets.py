@@ -16,15 +16,15 @@ def flights(folder: Path) -> list[FuzzCase]:
     from PIL import ExifTags
 
     from lpn.core.images import header_error
-    from lpn.flights import Frame, footprint, open_flight, write_flight
-    from lpn.flights.clock_fit import fit_clocks
-    from lpn.flights.logs import Log, for_video, moments, read_log, rows_by_name
-    from lpn.flights.makers import XmpValues
-    from lpn.flights.photos import Photo, photo_of
-    from lpn.flights.subtitles import blocks_of, parse_subtitles
-    from lpn.flights.telemetry import Telemetry
-    from lpn.flights.track_files import parse_track
-    from lpn.flights.xmp import read_xmp
+    from lpn.flight.files import Frame, footprint, open_flight, write_flight
+    from lpn.flight.files.clock_fit import fit_clocks
+    from lpn.flight.files.logs import Log, for_video, moments, read_log, rows_by_name
+    from lpn.flight.files.makers import XmpValues
+    from lpn.flight.files.photos import Photo, photo_of
+    from lpn.flight.files.subtitles import blocks_of, parse_subtitles
+    from lpn.flight.files.telemetry import Telemetry
+    from lpn.flight.files.track_files import parse_track
+    from lpn.flight.files.xmp import read_xmp
     from tools.fixtures.field_photos import FIELD
     from tools.fixtures.photos import dji_xmp, exif, photo_bytes, sensefly_xmp, write_photo, xmp_packet
 
@@ -116,8 +116,8 @@ def maps(folder: Path) -> list[FuzzCase]:
     import rasterio
     from PIL import Image
 
-    from lpn.maps import MapOptions, Window, open_map
-    from lpn.maps.folder import build_map
+    from lpn.flight.maps import MapOptions, Window, open_map
+    from lpn.flight.maps.folder import build_map
     from tools.fixtures import small_tiles, small_worlds
 
     picture = small_worlds.place(1)[:64, :64]

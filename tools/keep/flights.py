@@ -19,8 +19,8 @@ from tools.keep._resumable import keep_row, resumable, run_lpn
 from tools.keep.measures import Bound, Figures, Measure, Value, at_least, at_most, data_folder, equal, reported, within
 
 if TYPE_CHECKING:
-    from lpn.flights import Flight
-    from lpn.maps import Map
+    from lpn.flight.files import Flight
+    from lpn.flight.maps import Map
 
 # Every how manieth photo of a flight is located over maps of other places, and over its own map in other pixels.
 WRONG_MAPS = {"brighton": (1, 1), "rendered": (1, 4), "caliterra": (4, 4), "seneca": (1, 4)}
@@ -152,7 +152,7 @@ def wrong_maps(name: str) -> Figures:
 
 
 def _located_over(flight: Flight, name: str, map_name: str, basemap: Map) -> dict[str, Any]:
-    from lpn.locate.pipeline import locate
+    from lpn.flight.locate.pipeline import locate
     from tools.bench.wrong_maps import row_of
 
     located = locate(basemap, flight)
@@ -197,9 +197,9 @@ def university_photos() -> Figures:
 def _single_photos(name: str, **sides: Mapping[Path, int]) -> Figures:
     """Register every n-th photo of folders on the shipped place's map, knowing their pixels alone."""
     from lpn.core.demo import DEMO_PLACE
-    from lpn.locate.ground import MapFeatures
-    from lpn.locate.matchers import open_matchers
-    from lpn.maps import open_map
+    from lpn.flight.locate.ground import MapFeatures
+    from lpn.flight.locate.matchers import open_matchers
+    from lpn.flight.maps import open_map
     from tools.bench.single_photos import accepted, photos_of
 
     with resumable(name) as folder:
@@ -236,10 +236,10 @@ def forged_tags() -> Figures:
 
 
 def _located_forged(map_path: Path, flight_path: Path, forgery: str) -> dict[str, int]:
-    from lpn.flights import open_flight
-    from lpn.locate.belief import best_answers
-    from lpn.locate.pipeline import locate
-    from lpn.maps import open_map
+    from lpn.flight.files import open_flight
+    from lpn.flight.locate.belief import best_answers
+    from lpn.flight.locate.pipeline import locate
+    from lpn.flight.maps import open_map
     from tools.bench.wrong_maps import forged
 
     basemap, flight = open_map(map_path), open_flight(flight_path)

@@ -153,4 +153,8 @@ class SoakClient(ABC):
         deadline = time.monotonic() + BOUND
         while not self._wait(holds):
             if time.monotonic() > deadline:
-                raise FaultError("no answer", f"expected {what} within {BOUND:g} s")
+                raise FaultError("no answer", f"expected {what} within {BOUND:g} s{self._said()}")
+
+    def _said(self) -> str:
+        """What the page says in place of an answer."""
+        return ""

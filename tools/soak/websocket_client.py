@@ -133,6 +133,11 @@ class WebSocketSoakClient(SoakClient):
     def _look(self) -> PageContent:
         return of_result(self._tab.last["result"])
 
+    def _said(self) -> str:
+        last = {name: self._tab.last.get(name) for name in ("error", "busy", "note", "state")}
+        shown = self._tab.last.get("result", {}).get("state")
+        return f"; it says {last}, and shows {shown}"
+
     def _wait(self, holds: Callable[[], bool]) -> bool:
         if holds():
             return True

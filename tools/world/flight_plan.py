@@ -19,7 +19,7 @@ from typing import Literal
 import numpy as np
 
 from lpn.core.arrays import Float64Array
-from lpn.flights import cameras
+from lpn.flight.files import cameras
 from tools.world.cameras import Site
 from tools.world.city import City
 
@@ -91,7 +91,7 @@ TAG_ERRORS = TagErrors()
 
 @dataclass(frozen=True)
 class AerialPose:
-    """A camera of a flight: metres east, north, and up in the plan, and angles in degrees as in `lpn.flights.Frame`."""
+    """A camera of a flight: metres east, north, and up in the plan, and angles in degrees as in `lpn.flight.files.Frame`."""
 
     x: float
     y: float

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from explorer.flight.service import SharedFlight
-from lpn.flights import Flight, Frame
-from lpn.locate.audit import TagAudit
-from lpn.locate.belief import FlightVerdicts
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
-from lpn.locate.retrieval import MapRetrieval
-from lpn.maps import Window, open_map
-from tests.lpn.maps.small_maps import smooth, write_geotiff
+from lpn.flight.files import Flight, Frame
+from lpn.flight.locate.audit import TagAudit
+from lpn.flight.locate.belief import FlightVerdicts
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.retrieval import MapRetrieval
+from lpn.flight.maps import Window, open_map
+from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
 # Metres from one frame to the next, and width of a photo on the ground.
 STEP, WIDTH = 20.0, 40.0

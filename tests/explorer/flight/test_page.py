@@ -19,16 +19,16 @@ from explorer.flight.own import own_photo
 from explorer.flight.service import FlightSnapshot
 from explorer.parameters import UnusableError
 from lpn.core.arrays import UInt8Array
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.belief import FlightVerdicts
+from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
+from lpn.flight.locate.matched_details import MatchedDetails
+from lpn.flight.locate.own_photo import OwnPhoto
+from lpn.flight.maps import open_map
 from lpn.library.analyser import OwnPicture
-from lpn.locate.agreement import MapAgreement
-from lpn.locate.belief import FlightVerdicts
-from lpn.locate.camera_pose import CameraPose
-from lpn.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.locate.matched_details import MatchedDetails
-from lpn.locate.own_photo import OwnPhoto
-from lpn.maps import open_map
 from tests.explorer.flight.conftest import SIZE, registered
-from tests.lpn.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
 
 ADDRESSES = {"tiles": ["t/"], "photo": "p/", "square": "s/", "ground": "g/"}
 

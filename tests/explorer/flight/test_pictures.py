@@ -13,10 +13,10 @@ from explorer.flight.pictures import TILE, FlightPicturesFeed, TilePyramid, grou
 from explorer.server.picture_route import PREFIX
 from lpn.core.arrays import AnyArray
 from lpn.core.errors import DataError
-from lpn.flights.lenses import Lens
-from lpn.locate.located import LocatedFlight
-from lpn.maps import Window, open_map
-from tests.lpn.maps.small_maps import smooth, write_geotiff
+from lpn.flight.files.lenses import Lens
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.maps import Window, open_map
+from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
 
 class Served:
@@ -79,7 +79,7 @@ def test_coarse_tiles_of_a_large_map_are_cut_from_one_overview(tmp_path: Path, m
     monkeypatch.setattr(pictures_module, "TILE", 32)
     monkeypatch.setattr(pictures_module, "OVERVIEW", 256)
     monkeypatch.setattr(pictures_module, "_COARSE", 3)
-    monkeypatch.setattr("lpn.maps.map.OVERVIEW", 256)
+    monkeypatch.setattr("lpn.flight.maps.map.OVERVIEW", 256)
     pyramid = TilePyramid.of(town)
     places = [(0, 0, 0), (1, 1, 0), (3, 2, 1), (3, 7, 3), (3, 7, 4)]
     windows = [pyramid.window(*place) for place in places]

@@ -15,10 +15,10 @@ from explorer.flight import page
 from explorer.flight import service as service_module
 from explorer.flight.service import SharedFlight
 from lpn.core.errors import InputError
-from lpn.locate import corrections
-from lpn.locate.agreement import MapAgreement
-from lpn.locate.corrections import NAME
-from lpn.locate.located import LocatedFlight
+from lpn.flight.locate import corrections
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.corrections import NAME
+from lpn.flight.locate.located import LocatedFlight
 from tests.explorer.flight.conftest import SIZE, shared_flight
 
 ADDRESSES = {"tiles": [], "photo": "p/", "square": "s/", "ground": "g/"}

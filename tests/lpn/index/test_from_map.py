@@ -12,12 +12,12 @@ import lpn
 from lpn.cli.main import main
 from lpn.core.arrays import Float32Array
 from lpn.core.progress import listening
+from lpn.flight.locate.map_windows import describe_windows
+from lpn.flight.maps import Map, NamedWindow, Window, open_map
 from lpn.index import DescriptorKind, create_index, open_index
 from lpn.index.from_map import index_windows
-from lpn.locate.map_windows import describe_windows
-from lpn.maps import Map, NamedWindow, Window, open_map
 from lpn.models.base import normalise
-from tests.lpn.maps.small_maps import smooth, write_geotiff
+from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
 
 
 @pytest.fixture

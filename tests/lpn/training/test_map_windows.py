@@ -15,15 +15,15 @@ import lpn
 from lpn.cli import main
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.errors import DataError, InputError
-from lpn.flights.cameras import rotation
-from lpn.maps import Map, Window, open_map
+from lpn.flight.files.cameras import rotation
+from lpn.flight.maps import Map, Window, open_map
 from lpn.training import appearance, map_windows
 from lpn.training.loader import Loader, TrainingBatch
 from lpn.training.losses import infonce_loss
 from lpn.training.map_windows import MapWindows, draw_photo, overlaps
 from lpn.training.recipes import RECIPES, Recipe
 from lpn.training.trainer import Trainer
-from tests.lpn.maps import small_maps
+from tests.lpn.flight.maps import small_maps
 from tools.fixtures.trainings import losses
 
 pytest.importorskip("rasterio")

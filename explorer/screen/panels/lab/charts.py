@@ -16,7 +16,7 @@ from lpn.analysis.near_duplicates import MAX_TILES, NearDuplicate, near_duplicat
 from lpn.core.arrays import Int64Array
 from lpn.core.errors import InputError
 from lpn.core.tables import Column
-from lpn.locate.task import REASON, stage_columns
+from lpn.flight.locate.task import REASON, stage_columns
 from lpn.tasks import query_outcomes
 from lpn.tasks.task import Task
 

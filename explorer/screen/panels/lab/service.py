@@ -23,8 +23,8 @@ from lpn.core.tables import Table
 from lpn.datasets.geo import Position
 from lpn.datasets.metadata import NOTE, TAGS
 from lpn.datasets.rendered import shows_rendered
-from lpn.locate.located import LocatedFlight
-from lpn.locate.task import stage_columns
+from lpn.flight.locate.located import LocatedFlight
+from lpn.flight.locate.task import stage_columns
 from lpn.tasks import notes, query_outcomes
 from lpn.tasks.notes import Note
 from lpn.tasks.query_outcomes import Outcomes

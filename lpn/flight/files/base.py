@@ -1,0 +1,129 @@
+"""One picture of a flight with the camera's position and angles, and the flight itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.numbers import wrap_degrees
+from lpn.datasets import geo
+from lpn.flight.files.lenses import Lens
+
+HeadingSource = Literal["gimbal", "camera", "aircraft", "course"]
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One picture of a flight. Every number that no file has is None.
+
+    Attributes:
+        name: unique in its flight.
+        file: the picture.
+        width, height: its pixels, upright (EXIF orientation applied).
+        time: seconds; see `Flight.utc`.
+        latitude, longitude: of the camera in WGS 84 degrees.
+        height_above_ground: of the camera in metres.
+        height_above_takeoff: in metres above the point of take-off, which is the ground below the camera on flat land only.
+        altitude: in metres above the sea, or above the ellipsoid where the file's writer meant that.
+        heading: of the picture's top in degrees clockwise from north, 0 <= heading < 360.
+        heading_source: "gimbal"; "camera", a direction of the camera in EXIF or XMP; "aircraft", whose camera may look elsewhere;
+            or "course", the direction of motion. None without a heading.
+        pitch: in degrees; -90 looks straight down, 0 looks at the horizon.
+        roll: in degrees about the picture's upward direction; positive with the right side down, so that a camera that would look
+            straight down looks to the left.
+        fov: horizontal field of view in degrees.
+        lens: with its distortion, where a file tells it and the picture has it still.
+    """
+
+    name: str
+    file: Path
+    width: int
+    height: int
+    time: float | None = None
+    latitude: float | None = None
+    longitude: float | None = None
+    height_above_ground: float | None = None
+    height_above_takeoff: float | None = None
+    altitude: float | None = None
+    heading: float | None = None
+    heading_source: HeadingSource | None = None
+    pitch: float | None = None
+    roll: float | None = None
+    fov: float | None = None
+    lens: Lens | None = None
+
+    @property
+    def flying_height(self) -> float | None:
+        """The height above ground in metres, else that above take-off; None if both are unknown."""
+        return self.height_above_takeoff if self.height_above_ground is None else self.height_above_ground
+
+    def undistorted(self, photo: UInt8Array) -> UInt8Array:
+        """Return the frame's photo, (H, W, 3) of any size, without the distortion of its lens; as it is if that is unknown.
+
+        The pixels of registrations, poses, and corrections are those of this picture.
+        """
+        return photo if self.lens is None else self.lens.undistorted(photo)
+
+
+@dataclass(frozen=True)
+class Flight:
+    """The pictures of one flight in the order of their times.
+
+    Attributes:
+        name: of its folder.
+        notes: one sentence for each oddity.
+        utc: times are seconds since 1970-01-01 in UTC; otherwise, since the first picture.
+    """
+
+    name: str
+    frames: tuple[Frame, ...]
+    notes: tuple[str, ...] = ()
+    utc: bool = False
+
+    @cached_property
+    def degrees(self) -> Float64Array:
+        """Latitude and longitude of each frame, (N, 2); NaN where unknown."""
+        return degrees(self.frames)
+
+    @cached_property
+    def times(self) -> Float64Array:
+        """Seconds of each frame, (N,); NaN where unknown."""
+        return np.array([math.nan if frame.time is None else frame.time for frame in self.frames], np.float64)
+
+    @cached_property
+    def day(self) -> date | None:
+        """The day in UTC on which all pictures of known time were taken; None if it is not one day, or not known."""
+        days = {
+            datetime.fromtimestamp(frame.time, UTC).date()
+            for frame in self.frames
+            if self.utc and frame.time is not None
+        }
+        return days.pop() if len(days) == 1 else None
+
+
+def degrees(frames: Sequence[Frame]) -> Float64Array:
+    """Return latitude and longitude of frames, (N, 2); NaN where unknown."""
+    coordinates = [(math.nan, math.nan) if f.latitude is None else (f.latitude, f.longitude) for f in frames]
+    return np.array(coordinates, np.float64).reshape(-1, 2)
+
+
+def local_metres(places: Float64Array) -> Float64Array:
+    """Return metres east and north of the first known latitude and longitude, (N, 2); NaN where unknown.
+
+    Accurate to 1 % within 50 km; see `lpn.datasets.geo.on_plane`.
+    """
+    known = places[~np.isnan(places[:, 0])]
+    if not len(known):
+        return np.full_like(places, np.nan)
+    origin = known[0]
+    north, east = geo.metres_per_degree(float(np.clip(known[:, 0].mean(), -89.0, 89.0)))
+    turned = wrap_degrees(places[:, 1] - origin[1])
+    return np.stack([turned * east, (places[:, 0] - origin[0]) * north], axis=1)

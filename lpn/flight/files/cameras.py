@@ -1,0 +1,140 @@
+"""The pinhole camera over flat ground: fields of view, footprints, and widths of pictures on the ground.
+
+A camera that looks straight down with the picture's top to the north is turned about three axes: first about the picture's
+upward direction (roll), then about its rightward direction (pitch + 90), then about the vertical (heading). Near the
+vertical, where nearly all pictures of a map are taken, the three angles are distinct. A gimbal counts its roll about the
+optical axis instead, which near the vertical is the heading; `from_gimbal` converts.
+
+Vectors are (north, east, down); those of a camera's body are (picture's top, picture's right, optical axis).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.flight.files.base import Frame
+
+# Rays that go down by less than this per metre count as rays above the horizon: they meet the ground beyond 50 heights.
+_LEAST_DOWN = 0.02
+# A gimbal's angles are converted below this pitch in degrees. Above it the picture's top points to the sky, and has no heading.
+_STEEP = -45.0
+# The body's axes in those of a gimbal, which are (optical axis, right, picture's bottom).
+_BODY_IN_GIMBAL = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+# Diagonal in millimetres of the 36 x 24 mm film that equivalent focal lengths refer to.
+_FILM_DIAGONAL = math.hypot(36.0, 24.0)
+# The least and the largest field of view in degrees that a frame may have.
+FOV_RANGE = 0.1, 170.0
+
+
+def rotation(heading: float, pitch: float, roll: float) -> Float64Array:
+    """Return the matrix from the camera's body to (north, east, down), (3, 3); angles in degrees as in `Frame`."""
+    return _yaw_pitch_roll(heading, pitch + 90.0, roll)
+
+
+def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, float]:
+    """Convert a gimbal's yaw, pitch, and roll about the optical axis to heading, pitch, and roll of a `Frame`, in degrees.
+
+    Above a pitch of -45 degrees the angles are returned as they are: they agree where the roll is 0.
+    """
+    if roll == 0 or pitch > _STEEP:
+        return yaw % 360.0, pitch, roll
+    return angles(_yaw_pitch_roll(yaw, pitch, roll) @ _BODY_IN_GIMBAL)
+
+
+def turned(heading: float, pitch: float, roll: float, turns: int) -> tuple[float, float, float]:
+    """Return the angles of a picture after quarter turns clockwise, which bring what was at its left to its top; in degrees."""
+    return angles(rotation(heading, pitch, roll) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
+
+
+def footprint(frame: Frame, height: float | None = None) -> Float64Array | None:
+    """Return the corners of a picture on flat ground, in metres east and north of the camera: (4, 2).
+
+    The order is top left, top right, bottom right, bottom left of the picture. An unknown roll counts as 0.
+
+    Args:
+        height: of the camera above the ground in metres; by default the frame's `flying_height`.
+
+    Returns:
+        None if height, heading, pitch, or field of view is unknown, or a corner looks above the horizon or nearly so.
+    """
+    height = frame.flying_height if height is None else height
+    if height is None or height <= 0 or frame.heading is None or frame.pitch is None or frame.fov is None:
+        return None
+    right = math.tan(math.radians(frame.fov) / 2)
+    top = right * frame.height / frame.width
+    rays = np.array([(top, -right, 1.0), (top, right, 1.0), (-top, right, 1.0), (-top, -right, 1.0)])
+    rays = rays @ rotation(frame.heading, frame.pitch, frame.roll or 0.0).T
+    down = rays[:, 2]
+    if (down < _LEAST_DOWN * np.linalg.norm(rays, axis=1)).any():
+        return None
+    return np.asarray(rays[:, [1, 0]] * (height / down)[:, None], np.float64)
+
+
+def ground_width(frame: Frame, height: float | None = None) -> float | None:
+    """Return the width in metres of what a picture shows in its middle row, on flat ground.
+
+    An unknown pitch counts as straight down; the roll is ignored.
+
+    Args:
+        height: as for `footprint`.
+
+    Returns:
+        None if height or field of view is unknown, or the camera looks at the horizon or above.
+    """
+    height = frame.flying_height if height is None else height
+    if height is None or height <= 0 or frame.fov is None:
+        return None
+    down = 1.0 if frame.pitch is None else -math.sin(math.radians(frame.pitch))
+    return None if down < _LEAST_DOWN else 2 * height / down * math.tan(math.radians(frame.fov) / 2)
+
+
+def fov_of_sensor(width: float, focal_length: float) -> float:
+    """Return the field of view in degrees across a width of the sensor; both in one unit, such as millimetres or pixels."""
+    return 2 * math.degrees(math.atan(width / 2 / focal_length))
+
+
+def fov_of_equivalent(equivalent: float, focal_length: float | None = None) -> float:
+    """Return the horizontal field of view in degrees of a focal length that is equivalent to one on 35 mm film.
+
+    Equivalent focal lengths compare diagonals. The sensor's proportions follow from its diagonal: sensors of 1 inch, APS-C,
+    and the size of the film are 3:2, others 4:3. A picture of 16:9 has the sensor's full width.
+
+    Args:
+        equivalent: in millimetres.
+        focal_length: the real one in millimetres; without it the sensor counts as 4:3.
+    """
+    diagonal = None if focal_length is None else _FILM_DIAGONAL * focal_length / equivalent
+    wide = diagonal is not None and (14.0 <= diagonal <= 18.0 or diagonal >= 25.0)
+    proportion = 3 / math.hypot(3, 2) if wide else 4 / 5
+    return fov_of_sensor(_FILM_DIAGONAL * proportion, equivalent)
+
+
+def fov_across(fov: float, ratio: float) -> float:
+    """Return the field of view in degrees across a length that is `ratio` times that of the field of view `fov`."""
+    return 2 * math.degrees(math.atan(math.tan(math.radians(fov) / 2) * ratio))
+
+
+def angles(matrix: Float64Array) -> tuple[float, float, float]:
+    """Return heading, pitch, and roll in degrees of the matrix that `rotation` makes of them."""
+    tilt = -math.degrees(math.asin(min(1.0, max(-1.0, float(matrix[2, 0])))))
+    heading = math.degrees(math.atan2(matrix[1, 0], matrix[0, 0]))
+    return heading % 360.0, tilt - 90.0, math.degrees(math.atan2(matrix[2, 1], matrix[2, 2]))
+
+
+def angles_of_view(matrix: Float64Array) -> tuple[float, float, float]:
+    """Return heading, pitch, and roll in degrees of OpenCV's rotation (3, 3) from (east, north, up) to (right, down, forward)."""
+    right, down, forward = matrix
+    body = np.stack([-down, right, forward], axis=1)
+    return angles(body[[1, 0, 2]] * np.array([[1.0], [1.0], [-1.0]]))
+
+
+def _yaw_pitch_roll(yaw: float, pitch: float, roll: float) -> Float64Array:
+    """Return the matrix of the three turns about down, right, and forward, in degrees, (3, 3)."""
+    (cy, sy), (cp, sp), (cr, sr) = ((math.cos(math.radians(a)), math.sin(math.radians(a))) for a in (yaw, pitch, roll))
+    about_down = np.array([[cy, -sy, 0], [sy, cy, 0], [0, 0, 1]])
+    about_right = np.array([[cp, 0, sp], [0, 1, 0], [-sp, 0, cp]])
+    about_forward = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    return np.asarray(about_down @ about_right @ about_forward, np.float64)

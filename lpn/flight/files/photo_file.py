@@ -1,0 +1,62 @@
+"""A photo's file as evidence: its digest, and what the file says of when, where, and by which camera the photo was taken."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Self
+
+from lpn.core.files import printable
+from lpn.flight.files.photos import Photo, photo_of
+
+
+@dataclass(frozen=True)
+class PhotoFile:
+    """A photo's file.
+
+    Attributes:
+        photo: what the file says of the photo.
+        size: in bytes.
+        digest: SHA-256 of the file in hexadecimal digits.
+    """
+
+    photo: Photo
+    size: int
+    digest: str
+
+    @classmethod
+    def of(cls, data: bytes, file: Path) -> Self:
+        """Return the file of these bytes, which `lpn.core.images.header_error` accepts; `file` is not read."""
+        return cls(photo_of(data, file), len(data), hashlib.sha256(data).hexdigest())
+
+    @property
+    def facts(self) -> list[tuple[str, str]]:
+        """Names and values for people; a time, a place, or a camera that the file does not tell is said to be missing."""
+        frame = self.photo.frame
+        place = "not told"
+        if frame.latitude is not None and frame.longitude is not None:
+            place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
+        place_by, time_by = (
+            " by the file's name alone" if one else "" for one in (self.photo.named, self.photo.time_named)
+        )
+        return [
+            ("File", printable(frame.name)),
+            ("SHA-256", self.digest),
+            ("Size", f"{frame.width} × {frame.height} pixels, {self.size:,} bytes"),
+            ("Taken", f"{self._taken}{time_by}"),
+            ("Camera", printable(self.photo.camera) or "not told"),
+            ("GPS tag", f"{place}{place_by}"),
+        ]
+
+    @property
+    def _taken(self) -> str:
+        utc, local = self.photo.utc, self.photo.local
+        told = [] if local is None else [f"{_written(local)} by the camera's clock"]
+        told += [] if utc is None else [f"{_written(utc)} UTC"]
+        return ", ".join(told) or "not told"
+
+
+def _written(seconds: float) -> str:
+    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%d %H:%M:%S}"

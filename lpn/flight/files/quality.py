@@ -1,0 +1,158 @@
+"""Checks across the frames of a flight: headings from the course, and notes about gaps and jumps."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Container, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.files import first_few
+from lpn.core.numbers import wrap_degrees
+from lpn.flight.files.base import Frame, degrees, local_metres
+
+# The course is measured over this many metres, which position noise of a metre turns by 11 degrees.
+_LEAST_STEP = 5.0
+# Seconds within which a frame's neighbours say the course.
+_COURSE_SECONDS = 15.0
+# Courses before and after a frame that differ by more, in degrees, are a turn. The camera's heading in it is unknown.
+_TURN = 45.0
+# A speed in m/s that no drone of this kind flies, and the factor of the median step that a jump exceeds.
+_FASTEST, _JUMP = 50.0, 8.0
+# A pause is longer than this many seconds, and this many usual ones.
+_PAUSE, _PAUSES = 30.0, 10.0
+# Without times, a jump is longer than this in metres.
+_FAR = 200.0
+_NAMED = 3
+
+
+def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[list[Frame], list[str]]:
+    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it.
+
+    Args:
+        unread: names of frames whose files have a heading that was not read, and which the course does not replace.
+    """
+    places, times = local_metres(degrees(frames)), _times(frames)
+    made, courses, left = [], 0, 0
+    for i, frame in enumerate(frames):
+        course = None if frame.heading is not None else _course(places, times, i)
+        if course is not None and frame.name in unread:
+            course, left = None, left + 1
+        courses += course is not None
+        made.append(frame if course is None else replace(frame, heading=course, heading_source="course"))
+    missing, notes = sum(frame.heading is None for frame in frames), []
+    if courses:
+        notes.append(
+            f"{missing} of {len(frames)} photos have no heading: {courses} got the course over ground, which is the camera's "
+            "heading only if the drone flew forwards."
+        )
+    if left:
+        notes.append(
+            f"{left} of {len(frames)} photos have no heading, and did not get the course over ground: their files have a value "
+            "that looks like a heading and was not read."
+        )
+    return made, notes
+
+
+def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()) -> list[str]:
+    """Return notes about a flight: what is missing, jumps of the position, stale positions, pauses.
+
+    Args:
+        oddities: of each frame: predicates whose subject is the frame.
+    """
+    return [*_counted(oddities, len(frames)), *_missing(frames), *_jumps(frames), *_stale(frames), *_pauses(frames)]
+
+
+def _times(frames: Sequence[Frame]) -> Float64Array:
+    return np.array([math.nan if frame.time is None else frame.time for frame in frames], np.float64)
+
+
+def _course(places: Float64Array, times: Float64Array, at: int) -> float | None:
+    """Return the course in degrees at a frame; None where it hovers, turns, or its position is unknown."""
+    if np.isnan(places[at, 0]):
+        return None
+    legs = []
+    for step in (-1, 1):
+        other = _away(places, times, at, step)
+        if other is not None:
+            east, north = (places[other] - places[at]) * step
+            legs.append(math.degrees(math.atan2(east, north)))
+    if not legs or (len(legs) == 2 and abs(wrap_degrees(legs[1] - legs[0])) > _TURN):
+        return None
+    sine, cosine = (sum(wave(math.radians(leg)) for leg in legs) for wave in (math.sin, math.cos))
+    return math.degrees(math.atan2(sine, cosine)) % 360.0
+
+
+def _away(places: Float64Array, times: Float64Array, at: int, step: int) -> int | None:
+    """Return the nearest frame before or after one that is some metres away; None if there is none within some seconds."""
+    other = at + step
+    while 0 <= other < len(places):
+        if abs(times[other] - times[at]) > _COURSE_SECONDS:
+            return None
+        if np.hypot(*(places[other] - places[at])) >= _LEAST_STEP:
+            return other
+        other += step
+    return None
+
+
+def _counted(oddities: Sequence[Sequence[str]], frames: int) -> Iterator[str]:
+    counts = Counter(oddity for some in oddities for oddity in dict.fromkeys(some))
+    for oddity, count in counts.items():
+        yield f"{count} of {frames} photos: each {oddity}."
+
+
+def _missing(frames: Sequence[Frame]) -> Iterator[str]:
+    names = [frame.name for frame in frames if frame.latitude is None]
+    if names and len(names) < len(frames):
+        yield f"{len(names)} of {len(frames)} photos have no GPS tag: {first_few(names, _NAMED)}."
+    elif names:
+        yield (
+            f"None of the {len(frames)} photos has a GPS tag. They can be placed without one, but how far off their places are "
+            "cannot be measured."
+        )
+
+
+def _steps(frames: Sequence[Frame]) -> tuple[list[Frame], Float64Array, Float64Array]:
+    """Return the frames with a position, and metres and seconds between neighbours among them."""
+    known = [frame for frame in frames if frame.latitude is not None]
+    places = local_metres(degrees(known))
+    return known, np.hypot(*np.diff(places, axis=0).T), np.diff(_times(known))
+
+
+def _jumps(frames: Sequence[Frame]) -> Iterator[str]:
+    known, metres, seconds = _steps(frames)
+    if len(metres) < 2:
+        return
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fast = np.where(np.isnan(seconds), metres > _FAR, metres / np.maximum(seconds, 1.0) > _FASTEST)
+    jumps = np.flatnonzero(fast & (metres > _JUMP * np.median(metres)))
+    if len(jumps):
+        first = int(jumps[0])
+        yield (
+            f"The GPS tags jump {'once' if len(jumps) == 1 else f'{len(jumps)} times'}, first by {metres[first]:.0f} m after "
+            f"{known[first].name}; tags about a jump are doubtful."
+        )
+
+
+def _stale(frames: Sequence[Frame]) -> Iterator[str]:
+    known, metres, seconds = _steps(frames)
+    moving = len(metres) > 2 and np.median(metres) > _LEAST_STEP
+    names = [known[i + 1].name for i in np.flatnonzero((metres == 0) & ~(seconds == 0))] if moving else []
+    if names:
+        which = first_few(names, _NAMED)
+        yield f"{len(names)} photos of a moving flight repeat the GPS tag before theirs: {which}; the tag lags there."
+
+
+def _pauses(frames: Sequence[Frame]) -> Iterator[str]:
+    timed = [frame for frame in frames if frame.time is not None]
+    seconds = np.diff(_times(timed))
+    if len(seconds) < 2:
+        return
+    pauses = np.flatnonzero((seconds > _PAUSE) & (seconds > _PAUSES * np.median(seconds)))
+    if len(pauses):
+        longest = int(pauses[np.argmax(seconds[pauses])])
+        times = "once" if len(pauses) == 1 else f"{len(pauses)} times"
+        yield f"The flight pauses {times}, for up to {seconds[longest]:.0f} s after {timed[longest].name}."

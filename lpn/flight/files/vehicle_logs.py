@@ -1,0 +1,217 @@
+"""Logs of autopilots: ULog of PX4, MAVLink of ground stations (.tlog), and data flash of ArduPilot (.bin).
+
+Each is read message by message in the order of time into the rows that tables and tracks have, too. Angles of a gimbal count
+before those of the aircraft; without a gimbal the camera counts as one that looks down from the aircraft's belly. The packages
+that read the files are those of the extra `live`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpn.core.errors import DataError, OtherKindError
+from lpn.core.files import printable
+from lpn.flight.files.logs import Log, LogRow
+from lpn.flight.files.mavlink import MavlinkTelemetry, mavlink_package
+from lpn.flight.files.telemetry import TelemetryEntry
+from lpn.flight.files.vehicles import VehicleState, euler_degrees
+
+SUFFIXES = (".ulg", ".tlog", ".bin")
+# How files of each kind begin; those of a .tlog begin with a time.
+_BEGINNINGS = {
+    ".ulg": b"ULog\x01\x12\x35",
+    ".bin": b"\xa3\x95\x80",
+}
+_KINDS = {
+    ".ulg": "a ULog of PX4",
+    ".tlog": "a MAVLink log of a ground station",
+    ".bin": "a data flash log of ArduPilot",
+}
+# A time under this value is counted from a start; it is not a UTC epoch.
+_FIRST_EPOCH = 10**8
+# Topics of PX4 that are read.
+_PX4 = (
+    "vehicle_global_position",
+    "vehicle_gps_position",
+    "sensor_gps",
+    "vehicle_attitude",
+    "vehicle_local_position",
+    "gimbal_device_attitude_status",
+)
+_PX4_GPS = ("vehicle_gps_position", "sensor_gps")
+
+
+def read_vehicle_log(file: Path) -> Log:
+    """Read a log of an autopilot.
+
+    Raises:
+        OtherKindError: if it is of another kind than its suffix says.
+        DataError: if it is damaged, or has no position.
+        ModuleNotFoundError: if the package that reads it is not installed.
+    """
+    name = printable(file.name)
+    suffix = file.suffix.lower()
+    _check_beginning(file, suffix, name)
+    reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash}[suffix]
+    notes: list[str] = []
+    try:
+        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
+            entries = list(reader(file, name, notes))
+    except (DataError, ModuleNotFoundError):
+        raise
+    except Exception as error:  # the packages raise whatever damaged bytes lead to
+        reason = printable(f"{type(error).__name__}: {error}")[:200]
+        raise DataError(
+            f"{name} is damaged and cannot be read as {_KINDS[suffix]} ({reason}); copy it again."
+        ) from error
+    if not entries:
+        raise DataError(f"{name} has no position in it; expected the log of a flight with a receiver or a filter.")
+    utc = all(entry.clock is not None for entry in entries)
+    if not utc:
+        notes.append(f"{name} has no time of day; its times are counted from its start.")
+    return Log(name, tuple(LogRow(entry) for entry in entries), utc, tuple(notes))
+
+
+def _check_beginning(file: Path, suffix: str, name: str) -> None:
+    expected = _BEGINNINGS.get(suffix)
+    try:
+        with file.open("rb") as opened:
+            begin = opened.read(16)
+    except OSError as error:
+        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
+    fits = begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")
+    if not fits:
+        found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
+        raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
+
+
+def _ulog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
+    from pyulog import ULog
+
+    log = ULog(str(file), list(_PX4))
+    if log.file_corruption:
+        notes.append(f"{name} is damaged in places; the rest of it was used.")
+    topics = {data.name: data.data for data in reversed(log.data_list)}  # the first instance of each counts
+    lead = None
+    for topic in _PX4_GPS:
+        if topic in topics and "time_utc_usec" in topics[topic]:
+            utc = topics[topic]["time_utc_usec"].astype(np.float64) / 1e6
+            known = utc > _FIRST_EPOCH
+            if known.any():
+                lead = float(np.median((utc - topics[topic]["timestamp"] / 1e6)[known]))
+                break
+    rows = sorted(
+        (float(time) / 1e6, topic, i) for topic, data in topics.items() for i, time in enumerate(data["timestamp"])
+    )
+    state = VehicleState()
+    for time, topic, i in rows:
+        columns = topics[topic]
+
+        def value(key: str, columns: dict[str, Any] = columns, i: int = i) -> float | None:
+            return float(columns[key][i]) if key in columns else None
+
+        entry = _px4(state, topic, time, value, None if lead is None else time + lead)
+        if entry is not None:
+            yield entry
+    if state.outside:
+        notes.append(_outside(state.outside, name))
+
+
+def _px4(
+    state: VehicleState, topic: str, time: float, value: Callable[[str], float | None], clock: float | None
+) -> TelemetryEntry | None:
+    """Take a message of PX4, whose fields are `value`s; return the entry of a position."""
+    q = [value(f"q[{i}]") for i in range(4)]
+    angles = euler_degrees(*(math.nan if one is None else one for one in q))
+    if topic == "vehicle_attitude":
+        state.attitude(time, *angles)
+    elif topic == "gimbal_device_attitude_status":
+        # Flags as in MAVLink: 16 locks the yaw to north, 32 says that it is from north.
+        state.gimbal(time, *angles, bool(int(value("device_flags") or 0) & 48))
+    elif topic == "vehicle_local_position":
+        if value("dist_bottom_valid"):
+            state.above_ground(time, value("dist_bottom") or math.nan)
+    elif topic in _PX4_GPS:
+        latitude, longitude, altitude = (value(key) for key in ("latitude_deg", "longitude_deg", "altitude_msl_m"))
+        if latitude is None:  # before PX4 1.14
+            scaled = [value(key) for key in ("lat", "lon", "alt")]
+            latitude, longitude, altitude = (
+                None if one is None else one / by for one, by in zip(scaled, (1e7, 1e7, 1e3), strict=True)
+            )
+        if latitude is not None and longitude is not None and (value("fix_type") or 0) >= 3:
+            return state.position(time, latitude, longitude, altitude, raw=True, clock=clock)
+    elif topic == "vehicle_global_position" and (latitude := value("lat")) is not None:
+        above = None
+        if (terrain := value("terrain_alt")) is not None and value("terrain_alt_valid"):
+            above = (value("alt") or math.nan) - terrain
+            state.above_ground(time, above)
+        return state.position(time, latitude, value("lon") or 0.0, value("alt"), clock=clock)
+    return None
+
+
+def _tlog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
+    mavutil = mavlink_package()
+    log = mavutil.mavlogfile(str(file))
+    telemetry = MavlinkTelemetry()
+    with contextlib.closing(log):
+        while (message := log.recv_msg()) is not None:
+            time = float(message._timestamp)
+            entry = telemetry.take(message, time, time if time > _FIRST_EPOCH else None)
+            if entry is not None:
+                yield entry
+    if others := [str(system) for system, count in sorted(telemetry.foreign.items()) if count]:
+        notes.append(
+            f"{name} has positions of several vehicles; those of system {telemetry.system} were used, and not those of "
+            f"{', '.join(others)}."
+        )
+    if telemetry.outside:
+        notes.append(_outside(telemetry.outside, name))
+
+
+def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
+    mavlink_package()
+    from pymavlink import DFReader
+
+    state = VehicleState()
+    with contextlib.closing(DFReader.DFReader_binary(str(file))) as log:
+        yield from _data_flash_entries(log, state)
+    if state.outside:
+        notes.append(_outside(state.outside, name))
+
+
+def _data_flash_entries(log: Any, state: VehicleState) -> Iterator[TelemetryEntry]:
+    kinds = ["GPS", "POS", "ATT", "MNT", "RFND"]
+    while (message := log.recv_match(type=kinds)) is not None:
+        time = float(message._timestamp)
+        clock = time if time > _FIRST_EPOCH else None
+        fields = message.to_dict()
+        entry = None
+        match message.get_type():
+            case "ATT":
+                state.attitude(time, fields["Roll"], fields["Pitch"], fields["Yaw"])
+            case "MNT" if {"R", "P"} <= fields.keys():
+                # The yaw from north is YE, that from the nose YB; NaN where the mount does not know it.
+                north = fields.get("YE", math.nan)
+                known = math.isfinite(north)
+                state.gimbal(time, fields["R"], fields["P"], north if known else fields.get("YB", math.nan), known)
+            case "RFND" if fields.get("Orient", fields.get("Orient1")) == 25:
+                state.above_ground(time, fields.get("Dist", fields.get("Dist1", math.nan)))
+            case "POS":
+                entry = state.position(
+                    time, fields["Lat"], fields["Lng"], fields["Alt"], fields.get("RelHomeAlt"), clock=clock
+                )
+            case "GPS" if fields.get("Status", 0) >= 3:
+                entry = state.position(time, fields["Lat"], fields["Lng"], fields["Alt"], raw=True, clock=clock)
+        if entry is not None:
+            yield entry
+
+
+def _outside(count: int, name: str) -> str:
+    return f"{count} positions of {name} are none on the Earth, and were left out."

@@ -1,0 +1,181 @@
+"""A flight that is located while it flies: pictures and telemetry come in, answers go out, until the flight ends."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Protocol
+
+from lpn.core.errors import LPNError
+from lpn.flight.live.frames import ArrivedPicture, LiveSource, Say
+from lpn.flight.live.locator import LiveLocator
+from lpn.flight.live.outputs import LiveFix
+from lpn.flight.live.telemetry import LiveTelemetry
+from lpn.flight.locate.belief import AGAINST, BestAnswer, best_answer
+from lpn.flight.locate.camera_place import below_camera
+from lpn.flight.locate.located import LocatedFrame
+
+# Seconds without a frame after which the source counts as stalled.
+_STALLED = 5.0
+# Frames in a row without a place to use, or with one against their tags, after which a sentence says so; and windows from the
+# map's border within which it may be the reason.
+_REFUSED, _BORDER = 10, 1.0
+# Seconds for which one look at the queue waits.
+_LOOK = 0.2
+
+
+class FixOutput(Protocol):
+    """A receiver of the fixes of a flight."""
+
+    def send(self, fix: LiveFix) -> None:
+        """Take a fix."""
+
+
+class LiveRun:
+    """Locates the frames of a source one after another.
+
+    Args:
+        source: of the pictures; it is started and closed here.
+        telemetry: of the pictures; it is closed here.
+        locator: of the frames.
+        outputs: that take each fix.
+        say: receives sentences about what is odd.
+        idle: seconds without a frame after which the run ends; None waits for ever, unless the source itself ends.
+        stop: ends the run once it is set.
+    """
+
+    def __init__(
+        self,
+        source: LiveSource,
+        telemetry: LiveTelemetry,
+        locator: LiveLocator,
+        outputs: Sequence[FixOutput],
+        say: Say,
+        idle: float | None = None,
+        stop: threading.Event | None = None,
+    ) -> None:
+        self._source, self._telemetry, self._locator, self._outputs = source, telemetry, locator, outputs
+        self._say, self._idle = say, idle
+        self._stop = stop or threading.Event()
+        # The wall clock may jump while the flight goes on; it is read once.
+        self._clock_lead = time.time() - time.monotonic()
+        # The frames in a row without a place that may be used, by state, and those that their tags alone contradict.
+        self._unplaced, self._apart = Counter[str](), 0
+        self._failed: set[int] = set()
+        self._problem = ""
+
+    def run(self) -> int:
+        """Locate frames until the source ends, nothing has come for `idle` seconds, or the run is stopped.
+
+        Returns:
+            The number of frames.
+        """
+        count = 0
+        try:
+            self._source.start()
+            for picture in self._pictures():
+                if (fix := self._fix(picture)) is not None:
+                    count += 1
+                    self._send(fix)
+                    self._watch(fix)
+        finally:
+            self._source.close()
+            self._telemetry.close()
+        return count
+
+    def _pictures(self) -> Iterator[ArrivedPicture]:
+        """Yield the newest picture again and again, and say when none comes."""
+        came, stalled = time.monotonic(), False
+        while not self._stop.is_set() and not self._source.newest.ended:
+            picture = self._source.newest.take(_LOOK)
+            waited = time.monotonic() - came
+            if picture is not None:
+                if stalled:
+                    self._say("Frames come again.")
+                yield picture
+                came, stalled = time.monotonic(), False
+            elif self._idle is not None and waited > self._idle:
+                self._say(f"No frame has come for {self._idle:g} s, so the flight counts as ended.")
+                return
+            elif waited > _STALLED and not stalled:
+                stalled = True
+                self._say(
+                    f"No frame has come for {_STALLED:g} s; the last answer grows old, and the next frame is waited for."
+                )
+
+    def _fix(self, picture: ArrivedPicture) -> LiveFix | None:
+        frame, telemetry_age = self._telemetry.value(picture)
+        if frame.time is None:
+            frame = replace(frame, time=picture.received)
+        try:
+            pixels = picture.pixels()
+            # Describing the map takes long, so the first frame may be old by then.
+            if self._locator.begin(frame) and self._source.newest.replaced():
+                return None
+            located = self._locator.locate(frame, pixels)
+        except LPNError as error:
+            if str(error) != self._problem:
+                self._say(f"{error} The flight goes on without it.")
+            self._problem = str(error)
+            return None
+        for note in self._locator.take_notes():
+            self._say(note)
+        best = live_answer(located)
+        answer, latitude, longitude = best.answer, None, None
+        if answer.x is not None and answer.y is not None:
+            latitude, longitude = self._locator.basemap.frame.degrees([(answer.x, answer.y)])[0].tolist()
+        clock = (
+            picture.frame.time
+            if picture.utc and picture.frame.time is not None
+            else picture.received + self._clock_lead
+        )
+        age = time.monotonic() - picture.received
+        return LiveFix(
+            located, best, latitude, longitude, clock, age, self._source.newest.dropped, telemetry_age, pixels
+        )
+
+    def _send(self, fix: LiveFix) -> None:
+        for i, output in enumerate(self._outputs):
+            try:
+                output.send(fix)
+            except (LPNError, OSError, ValueError) as error:
+                if i not in self._failed:
+                    self._say(f"An output failed ({error}); the flight goes on.")
+                self._failed.add(i)
+
+    def _watch(self, fix: LiveFix) -> None:
+        """Say when frames one after another have no place that may be used, or another one than their tags."""
+        self._apart = self._apart + 1 if fix.may_correct and not fix.best.usable else 0
+        if self._apart == _REFUSED:
+            self._say(
+                f"{_REFUSED} frames in a row are placed, and their GPS tags alone disagree. Tags may have drifted, so that holds "
+                "none of these places back."
+            )
+        if fix.may_correct:
+            self._unplaced.clear()
+            return
+        self._unplaced[fix.best.state] += 1
+        if self._unplaced.total() != _REFUSED:
+            return
+        were = f"{_REFUSED} frames in a row were {' or '.join(sorted(self._unplaced, reverse=True))}"
+        sizes = self._locator.window_side
+        if fix.best.state != "refused":
+            self._say(f"{were}; the last one is placed, but {' and '.join(AGAINST[one] for one in fix.best.doubt)}.")
+        elif sizes is not None and self._locator.near_border(_BORDER * sizes):
+            self._say(f"{were} near the border of the map; the flight may have left it.")
+        else:
+            self._say(f"{were}; the last says: {fix.best.verdict.reason}")
+
+
+def live_answer(located: LocatedFrame) -> BestAnswer:
+    """Return the answer that counts, as `lpn locate --best` has it: an accepted registration, else that of the sequence.
+
+    Both are moved below the camera as far as its tilt is known, see `below_camera`, and compared there with the frame's position.
+    A refused place of the sequence is told, too.
+    """
+    stages = {stage: below_camera(located.frame, answer) for stage, answer in located.stages.items()}
+    best = best_answer(replace(located, stages=stages), last="sequence")
+    return best if best.verdict.stage is not None else replace(best, answer=stages["sequence"])

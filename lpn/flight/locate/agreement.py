@@ -1,0 +1,156 @@
+"""How far places of a registered photo lie from where the map has them, beyond the one transformation that lays the photo.
+
+A map that is pieced together, a lens, and whatever stands on the ground bend a photo against its map. Square places of the laid
+photo are matched with the map around them by normalised cross-correlation, and back.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import cv2
+import numpy as np
+
+from lpn.core import images
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, UInt8Array
+from lpn.core.homography import apply_homography, corner_pixels, inverse, middle_pixel
+from lpn.flight.locate.photo_places import PhotoPlaces, offset_rows
+from lpn.flight.maps import Map, Window
+
+# Pixels of the square that holds the laid photo, of a place's side, and of how far from its place it is looked for.
+_PHOTO, _PLACE, _REACH = 456, 56, 64
+# Pixels of the square of ground that is compared: places at the photo's border are looked for there and back.
+_SIDE = _PHOTO + 4 * _REACH
+# The most metres that a photo's square may hold.
+_LARGEST = 5000.0
+# Standard deviation of the blur, in pixels, that is taken out: light and season differ more than edges do.
+_BLUR = 8.0
+# A place counts if its correlation is so high, stands out so much from all that is more pixels away, and leads back so near.
+_LEAST, _STANDS_OUT, _BESIDE, _BACK = 0.55, 0.15, 5, 3.0
+# The share of a place that photo and map must show, and its least contrast in grey levels.
+_SHOWN, _CONTRAST = 0.98, 2.0
+# Fewer places of a photo tell nothing of the rest.
+_FEW_PLACES = 3
+# A place that lies so near the border of what was searched, as a share of it, may have others beyond.
+_BORDER = 0.9
+
+
+class MapAgreement(PhotoPlaces, frozen=True):
+    """Places of a photo, and how far from them the map has what they show.
+
+    Attributes:
+        reach: metres east, west, north, and south within which a place was looked for.
+    """
+
+    reach: float
+
+    @classmethod
+    def of(cls, places: Float64Array, offsets: Float64Array, reach: float) -> MapAgreement:
+        """Keep places (N, 2) and offsets (N, 2), to centimetres."""
+        return cls(offset_rows(places, offsets, 2), round(reach, 2))
+
+    @property
+    def median(self) -> float | None:
+        """Median of `metres`; None where too few places are found to tell."""
+        return float(np.median(self.metres)) if len(self.rows) >= _FEW_PLACES else None
+
+    @property
+    def largest(self) -> float | None:
+        """The most of `metres`; None where too few places are found to tell."""
+        return float(self.metres.max()) if len(self.rows) >= _FEW_PLACES else None
+
+    @property
+    def unchecked(self) -> str:
+        """Say that too few places are found to check the photo away from its middle; "" if they are enough."""
+        count = len(self.rows)
+        if count >= _FEW_PLACES:
+            return ""
+        found = "no place" if not count else f"only {count} place{'s' if count > 1 else ''}"
+        return (
+            f"Away from its middle, {found} of the photo could be found on the map. At least {_FEW_PLACES} such places are "
+            "needed to check that the photo fits there, too."
+        )
+
+    @property
+    def may_be_larger(self) -> bool:
+        """True if the farthest place lies so near the border of what was searched that others may lie beyond."""
+        return bool(self.rows) and float(np.abs(self.offsets[self.metres.argmax()]).max()) >= _BORDER * self.reach
+
+
+def map_agreement(basemap: Map, photo: UInt8Array, homography: Float64Array, size: tuple[int, int]) -> MapAgreement:
+    """Compare places of a photo with the map.
+
+    Args:
+        photo: RGB (H, W, 3) of any size, without the distortion of its lens.
+        homography: from pixels of the photo in its own size to metres of the map's frame, (3, 3).
+        size: the photo's own width and height in pixels.
+    """
+    corners = apply_homography(homography, corner_pixels(*size))
+    middle = apply_homography(homography, middle_pixel(*size))
+    extent = 2 * float(np.abs(corners - middle).max())
+    if not extent <= _LARGEST:  # a border of the photo looks above the horizon, or nearly so
+        return MapAgreement([], 0.0)
+    scale = _PHOTO / extent
+    side = _SIDE / scale
+    photo = images.shrink(photo, _PHOTO)
+    height, width = photo.shape[:2]
+    # From pixels of the photo as it is given to those of its own size, to metres, to pixels of the square of ground.
+    zoom = np.array([size[0] / width, size[1] / height])
+    own = np.array([[zoom[0], 0, (zoom[0] - 1) / 2], [0, zoom[1], (zoom[1] - 1) / 2], [0, 0, 1]])
+    half = (_SIDE - 1) / 2
+    to_square = np.array([[scale, 0, half - scale * middle[0]], [0, -scale, half + scale * middle[1]], [0, 0, 1]])
+    lay = to_square @ homography @ own
+    laid = _edges(cast(UInt8Array, cv2.warpPerspective(photo, lay, (_SIDE, _SIDE), flags=cv2.INTER_LINEAR)))
+    seen = cv2.warpPerspective(np.full((height, width), 255, np.uint8), lay, (_SIDE, _SIDE)) == 255
+    picture, valid = basemap.read(Window(float(middle[0]), float(middle[1]), side), _SIDE)
+    ground = _edges(picture)
+    matched, offsets = [], []
+    first = 2 * _REACH + _PLACE // 2
+    for y in range(first, _SIDE - first + 1, _PLACE):
+        for x in range(first, _SIDE - first + 1, _PLACE):
+            if not _comparable(laid, seen, valid, (x, y)) or (there := _match(laid, ground, (x, y))) is None:
+                continue
+            back = _match(ground, laid, there)
+            if back is not None and np.hypot(back[0] - x, back[1] - y) <= _BACK:
+                matched.append((x, y))
+                offsets.append(((there[0] - x) / scale, (y - there[1]) / scale))
+    pixels = apply_homography(inverse(to_square @ homography), np.array(matched, np.float64).reshape(-1, 2))
+    return MapAgreement.of((pixels + 0.5) / size, np.array(offsets, np.float64).reshape(-1, 2), _REACH / scale)
+
+
+def _edges(picture: UInt8Array) -> Float32Array:
+    """Return what is finer than the blur, in grey levels."""
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY).astype(np.float32)
+    return np.asarray(grey - cv2.GaussianBlur(grey, (0, 0), _BLUR), np.float32)
+
+
+def _around(place: tuple[int, int], reach: int) -> tuple[slice, slice]:
+    half = _PLACE // 2 + reach
+    return np.s_[max(place[1] - half, 0) : place[1] + half, max(place[0] - half, 0) : place[0] + half]
+
+
+def _comparable(laid: Float32Array, seen: BoolArray, valid: BoolArray, place: tuple[int, int]) -> bool:
+    return bool(
+        seen[_around(place, 0)].mean() >= _SHOWN
+        and valid[_around(place, _REACH)].mean() >= _SHOWN
+        and laid[_around(place, 0)].std() >= _CONTRAST
+    )
+
+
+def _match(one: Float32Array, other: Float32Array, place: tuple[int, int]) -> tuple[int, int] | None:
+    """Return where another picture has what a place of one shows; None if that is not clear.
+
+    The best place on the border of what is searched is not clear either: a better one may lie beyond.
+    """
+    searched = other[_around(place, _REACH)]
+    if searched.shape != (_PLACE + 2 * _REACH,) * 2:
+        return None
+    scores = cv2.matchTemplate(searched, one[_around(place, 0)], cv2.TM_CCOEFF_NORMED)
+    row, column = np.unravel_index(int(scores.argmax()), scores.shape)
+    best = float(scores[row, column])
+    if row in (0, 2 * _REACH) or column in (0, 2 * _REACH):
+        return None
+    scores[max(row - _BESIDE, 0) : row + _BESIDE + 1, max(column - _BESIDE, 0) : column + _BESIDE + 1] = -1
+    if best < _LEAST or best - float(scores.max()) < _STANDS_OUT:
+        return None
+    return place[0] + int(column) - _REACH, place[1] + int(row) - _REACH

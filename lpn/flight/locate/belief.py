@@ -1,0 +1,342 @@
+"""The answers of all stages for one frame in one verdict, and the frames whose answers contradict each other."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Literal
+
+from lpn.core.numbers import upper_bound
+from lpn.flight.locate.located import BY_HAND, LocatedFlight, LocatedFrame, StageRecord, checked_beside_middle
+from lpn.flight.locate.tracks import TrackPoint, TrackState
+
+# 1-sigma radius in metres of a tag by a consumer's receiver in the open.
+TAG_RADIUS = 5.0
+# Answers contradict each other beyond this multiple of their common 1-sigma radius.
+SIGMAS = 3.0
+# A camera of unknown tilt nearly always looks at most this many degrees away from straight down.
+TILT = 15.0
+# The summary of a registration, which goes on with what contradicts it.
+PLACED = "Placed by its details"
+# The answers that may contradict a place, in words.
+AGAINST = {
+    "tag": "its GPS tag disagrees",
+    "map": "away from its middle it does not fit the map",
+    "sequence": "its neighbours disagree",
+}
+
+
+@dataclass(frozen=True)
+class Belief:
+    """The verdict on one frame.
+
+    Attributes:
+        sign: True if its position may be believed, None if nothing has verified it or answers contradict each other, False if
+            there is no position.
+        headline: the verdict in some words.
+        summary: the same without figures.
+        reason: its grounds in a sentence.
+        stage: the stage whose position counts; None without a position.
+        corrected: True if a person has corrected that position, which settles every doubt.
+    """
+
+    sign: bool | None
+    headline: str
+    summary: str
+    reason: str
+    stage: str | None = None
+    corrected: bool = False
+
+    @property
+    def contradicted(self) -> bool:
+        """True if details place the photo, and something contradicts them."""
+        return self.stage == "registration" and self.sign is None
+
+    @property
+    def in_doubt(self) -> bool:
+        """True if the place is contradicted, and nobody has corrected it."""
+        return self.contradicted and not self.corrected
+
+
+@dataclass(frozen=True)
+class BestAnswer:
+    """The answer for one frame that counts.
+
+    Attributes:
+        stage: that gave it, or `BY_HAND`; the last stage that ran where there is no position.
+        answer: its answer; a refused one without a position where no stage has one.
+        state: "contradicted" for a registration that the verdict doubts, else the answer's own.
+        doubt: the answers that contradict it: "tag", stages, or "map".
+        verdict: of all stages; a correction by hand stands above it.
+    """
+
+    stage: str
+    answer: StageRecord
+    state: TrackState
+    doubt: tuple[str, ...]
+    verdict: Belief
+
+    @property
+    def usable(self) -> bool:
+        """True if the position is accepted and nothing contradicts it, or the verdict believes it all the same."""
+        return self.state == "accepted" and (not self.doubt or self.verdict.sign is True)
+
+    @property
+    def reason(self) -> str:
+        """The verdict in one short sentence to filter by."""
+        return f"{self.verdict.summary}."
+
+    @property
+    def checked(self) -> Literal["yes", "no", "contradicted", ""]:
+        """If places beside a registered photo's middle lie where the map has them, see `TrackPoint.checked`."""
+        if self.stage != "registration" or not self.answer.accepted:
+            return ""
+        return "contradicted" if "map" in self.doubt else checked_beside_middle(self.answer)
+
+
+@dataclass(frozen=True)
+class Disagreement:
+    """Two answers for one frame that lie farther apart than their radii allow.
+
+    Attributes:
+        frame: position in the flight.
+        one, other: stages, or "tag"; "map" is what the map has at places away from the photo's middle.
+        metres: between them; the median of such places.
+        allowed: metres that their radii allow.
+    """
+
+    frame: int
+    one: str
+    other: str
+    metres: float
+    allowed: float
+
+    @property
+    def figures(self) -> tuple[str, str]:
+        """The metres, and those that are allowed, a bound and so rounded up; with digits enough to tell that they are more."""
+        digits = next((n for n in (1, 2) if round(self.metres, n) - 10.0**-n >= self.allowed - 1e-6), 3)
+        return f"{self.metres:.{digits}f}", upper_bound(self.allowed, digits)
+
+    @property
+    def sentence(self) -> str:
+        """The finding in the field's words, as files have it."""
+        metres, allowed = self.figures
+        if self.other == "map":
+            return (
+                f"Away from its middle, the photo lies {metres} m off the map in the median; the radius on this "
+                f"map ({self.allowed / SIGMAS:.1f} m) allows {allowed} m. Its middle may still be right."
+            )
+        return f"{self.one.capitalize()} and {self.other} lie {metres} m apart; their radii allow {allowed} m."
+
+
+def disagreements(frames: Sequence[LocatedFrame]) -> list[Disagreement]:
+    """Return the contradictions between accepted registration, accepted sequence, tag, and map, frame by frame.
+
+    Two answers contradict each other if they lie farther apart than three times the root of the sum of their squared 1-sigma
+    radii. The map's error moves registration and sequence alike, so it counts against the tag alone, which has 5 m. An answer
+    that is the picture's middle is moved by an unknown tilt: the tangent of 15 degrees times the flying height, or times half of
+    the picture's width on the ground, is allowed in addition. A registration contradicts the map where the median of its
+    `MapAgreement` is more than three times its radius on this map.
+    """
+    pairs = []
+    for i, located in enumerate(frames):
+        places: dict[str, tuple[float, float, float, float, bool]] = {}
+        for stage in ("registration", "sequence"):
+            answer = located.stages.get(stage)
+            if answer is not None and answer.accepted and answer.x is not None and answer.y is not None:
+                places[stage] = answer.x, answer.y, answer.radius or 0.0, answer.own_radius, answer.camera
+        if located.tag is not None:
+            places["tag"] = float(located.tag[0]), float(located.tag[1]), TAG_RADIUS, TAG_RADIUS, True
+        for (one, a), (other, b) in combinations(places.items(), 2):
+            metres = math.hypot(a[0] - b[0], a[1] - b[1])
+            tilt = _shift(located) if a[4] != b[4] else 0.0
+            radius = 2 if other == "tag" else 3
+            allowed = SIGMAS * math.hypot(a[radius], b[radius]) + tilt
+            if metres > allowed:
+                pairs.append(Disagreement(i, one, other, metres, allowed))
+        if (misfit := map_misfit(located.stages.get("registration"), i)) is not None:
+            pairs.append(misfit)
+    return pairs
+
+
+def tag_allowance(located: LocatedFrame) -> float:
+    """Return the metres that a registration and its tag may lie apart, see `disagreements`."""
+    answer = located.stages["registration"]
+    return SIGMAS * math.hypot(answer.radius or 0.0, TAG_RADIUS) + (0.0 if answer.camera else _shift(located))
+
+
+def map_misfit(answer: StageRecord | None, frame: int = 0) -> Disagreement | None:
+    """Return that places away from the middle of a registered photo lie elsewhere on the map; None if not, or if too few tell."""
+    if answer is None or not answer.accepted or answer.agreement is None or answer.radius_on_map is None:
+        return None
+    metres, allowed = answer.agreement.median, SIGMAS * answer.radius_on_map
+    return None if metres is None or metres <= allowed else Disagreement(frame, "registration", "map", metres, allowed)
+
+
+def beliefs(frames: Sequence[LocatedFrame], contradictions: Sequence[Disagreement]) -> list[Belief]:
+    """Return the verdict on each frame; `contradictions` are those of all frames."""
+    of_frame = _by_frame(contradictions)
+    return [belief(located, of_frame.get(i, ())) for i, located in enumerate(frames)]
+
+
+@dataclass(frozen=True, eq=False)
+class FlightVerdicts:
+    """The verdicts on the frames of a flight.
+
+    Attributes:
+        contradictions: see `disagreements`.
+        beliefs: the verdict on each frame.
+    """
+
+    contradictions: Sequence[Disagreement]
+    beliefs: Sequence[Belief]
+
+    @classmethod
+    def of(cls, flight: LocatedFlight) -> FlightVerdicts:
+        """Judge all frames of a flight."""
+        contradictions = disagreements(flight.frames)
+        return cls(contradictions, beliefs(flight.frames, contradictions))
+
+
+def full_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return the points of all stages, each with the answers that contradict it."""
+    of_frame = _by_frame(disagreements(flight.frames))
+    frames = {one.frame.name: (one, of_frame.get(i, ())) for i, one in enumerate(flight.frames)}
+    confirmed = flight.radii_confirmed
+    return [
+        _doubted(_confirmed(point, confirmed), _doubt(*frames[point.frame], point.stage)) for point in flight.track()
+    ]
+
+
+def _confirmed(point: TrackPoint, stages: Mapping[str, bool]) -> TrackPoint:
+    """Return a point that tells if its radius is confirmed; `stages` are those of `LocatedFlight.radii_confirmed`."""
+    if point.radius is None or point.state == "refused" or point.stage not in stages:
+        return point
+    return replace(point, radius_confirmed="yes" if stages[point.stage] else "no")
+
+
+def _doubted(point: TrackPoint, doubt: tuple[str, ...]) -> TrackPoint:
+    return replace(point, doubt=doubt, checked="contradicted" if "map" in doubt else point.checked)
+
+
+def best_answers(flight: LocatedFlight) -> list[BestAnswer]:
+    """Return the answer that counts for each frame: its correction by hand, or that of the stage that the verdict names."""
+    of_frame = _by_frame(disagreements(flight.frames))
+    last = flight.stages[-1] if flight.stages else ""
+    return [best_answer(located, of_frame.get(i, ()), last) for i, located in enumerate(flight.frames)]
+
+
+def best_answer(
+    located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None, last: str = ""
+) -> BestAnswer:
+    """Return the answer that counts for one frame, see `best_answers`.
+
+    Args:
+        contradictions: those of this frame; by default they are looked for.
+        last: the last stage that ran, which is named where there is no position.
+    """
+    if contradictions is None:
+        contradictions = disagreements([located])
+    verdict = belief(located, contradictions)
+    stage, answer = last, StageRecord("refused", verdict.reason)
+    if located.by_hand is not None:
+        stage, answer = BY_HAND, located.by_hand
+    elif verdict.stage is not None:
+        stage, answer = verdict.stage, located.stages[verdict.stage]
+    is_doubted = stage == "registration" and answer.accepted and verdict.sign is None
+    state: TrackState = "contradicted" if is_doubted else answer.state
+    return BestAnswer(stage, answer, state, _doubt(located, contradictions, stage), verdict)
+
+
+def best_track(flight: LocatedFlight) -> list[TrackPoint]:
+    """Return one point a frame, that of the answer that counts, see `best_answers`; state and reason are those of the verdict."""
+    points, confirmed = [], flight.radii_confirmed
+    for located, best in zip(flight.frames, best_answers(flight), strict=True):
+        point = _confirmed(flight.point(located, best.stage, best.answer), confirmed)
+        if best.stage != BY_HAND:
+            point = replace(
+                _doubted(point, best.doubt),
+                state=best.state,
+                reason=best.reason,
+                note=best.verdict.reason,
+            )
+        points.append(point)
+    return points
+
+
+def _by_frame(contradictions: Sequence[Disagreement]) -> dict[int, list[Disagreement]]:
+    of_frame: dict[int, list[Disagreement]] = {}
+    for one in contradictions:
+        of_frame.setdefault(one.frame, []).append(one)
+    return of_frame
+
+
+def _doubt(located: LocatedFrame, contradictions: Sequence[Disagreement], stage: str) -> tuple[str, ...]:
+    """Return the answers for a frame that contradict a stage's, given its contradictions; a correction settles it."""
+    if located.by_hand is not None:
+        return ()
+    pairs = [(one.one, one.other) for one in contradictions]
+    return tuple(other if one == stage else one for one, other in pairs if stage in (one, other))
+
+
+def belief(located: LocatedFrame, contradictions: Sequence[Disagreement] | None = None) -> Belief:
+    """Return the verdict on a frame.
+
+    A registration is believed unless its tag contradicts it, the map away from its middle does, or, without a tag, the sequence.
+
+    Args:
+        contradictions: those of this frame; by default they are looked for.
+    """
+    if contradictions is None:
+        contradictions = disagreements([located])
+    registration, sequence, retrieval = (located.stages.get(s) for s in ("registration", "sequence", "retrieval"))
+    why = "" if registration is None else registration.sentence
+    if registration is not None and registration.accepted:
+        summary = PLACED
+        headline = f"{summary}, ± {registration.radius or 0:.1f} m {on_what(registration)}"
+        error = located.error("registration")
+        beside = "" if error is None else f" It lies {error:.1f} m from its GPS tag."
+        against = {one.other: one for one in contradictions if one.one == "registration"}
+        doubt = against.get("tag") or against.get("map") or against.get("sequence")
+        if doubt is None:
+            return Belief(True, headline, summary, why + beside, "registration")
+        if doubt.other == "sequence" and located.tag is not None:  # two of three agree
+            beside += f" Its neighbours would place it {doubt.metres:.1f} m from here."
+            return Belief(True, headline, summary, why + beside, "registration")
+        but = f", but {AGAINST[doubt.other]}"
+        corrected = located.by_hand is not None
+        return Belief(None, headline + but, summary + but, doubt.sentence, "registration", corrected)
+    if sequence is not None and sequence.accepted:
+        summary = "Placed by its neighbours only"
+        return Belief(
+            None,
+            f"{summary}, ± {sequence.radius or 0:.0f} m on this map",
+            summary,
+            why or sequence.sentence,
+            "sequence",
+        )
+    if retrieval is not None and retrieval.x is not None:
+        refused = _first_refusal(registration, sequence)
+        guess = "Not placed, a best guess only"
+        return Belief(None, guess, guess, refused or retrieval.sentence, "retrieval")
+    why = _first_refusal(registration, sequence, retrieval) or "No stage has an answer."
+    return Belief(False, "Not located", "Not located", why)
+
+
+def on_what(answer: StageRecord) -> str:
+    """Return what the radius of an answer refers to: this map, or earth, where the map tells the error of its place."""
+    return "on earth" if answer.on_earth else "on this map"
+
+
+def _first_refusal(*answers: StageRecord | None) -> str:
+    return next((answer.sentence for answer in answers if answer is not None and answer.state == "refused"), "")
+
+
+def _shift(located: LocatedFrame) -> float:
+    """Return the metres by which an unknown tilt may move the picture's middle from below the camera."""
+    answer = located.stages.get("registration")
+    width = 0.0 if answer is None or answer.width is None else answer.width
+    height = located.frame.flying_height or width / 2
+    return height * math.tan(math.radians(TILT))

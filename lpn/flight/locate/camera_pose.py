@@ -1,0 +1,442 @@
+"""The six degrees of a camera by its photo's matches with the map and their heights: PnP with MAGSAC, refined, with covariance.
+
+A map point is (east, north, height) in metres. OpenCV's camera looks along +z, with x to the picture's right and y downward; a
+turned map point is R (p - c), where c is the camera's place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float64Array
+from lpn.core.homography import apply_homography, inverse
+from lpn.core.numbers import wrap_degrees
+from lpn.flight.files.cameras import angles_of_view, fov_of_sensor, rotation
+
+# Fields of view in degrees across the picture that are tried where it is unknown, and the one that stands for it.
+_FOVS = (35.0, 50.0, 62.0, 72.0, 82.0, 95.0)
+DEFAULT_FOV = 72.0
+# An unknown focal length counts as solved if its 1-sigma error is at most this share of it.
+_FOCAL_ERROR = 0.05
+# Matches, and cells of a grid over the photo that hold some, which a pose needs.
+_LEAST_MATCHES, _LEAST_CELLS, _GRID = 12, 6, 5
+# Matches must agree with a pose so many times as densely as they lie around it.
+_OVER_CHANCE = 2.0
+# A pose's 1-sigma error may be this share of its height above ground.
+_WORST = 0.25
+# The 1-sigma error of an assumed focal length, and so of the height, as a share of it.
+_ASSUMED_ERROR = 0.15
+# Relief that flat ground lacks moves groups of matches alike. On the rendered flight, over houses and trees, errors on flat
+# ground are so many times those of the inliers' scatter, and heights count from roofs and trees as much as from the ground.
+_RELIEF, _RELIEF_METRES = 8.0, 6.0
+_ITERATIONS = 30
+# Pixels below which residuals are no better than pictures' sampling.
+_FINEST = 0.3
+# The largest squared residual counts as this many variances (GRIC's lambda 3 times its codimension).
+_CUT = 4.0
+
+
+class CameraTilt(NamedTuple):
+    """The angle between a camera's axis and straight down, its 1-sigma error, and where the camera looks clockwise from north.
+
+    All are in degrees.
+    """
+
+    degrees: float
+    error: float
+    azimuth: float
+
+
+class CameraPose(msgspec.Struct, frozen=True):
+    """Where a photo's camera was, and how it was turned.
+
+    Attributes:
+        east, north: metres in the map's frame.
+        altitude: metres above the datum of the map's elevation; above the ground where it counts as flat.
+        height: metres above the elevation below the camera, which may be a roof; None where that is unknown.
+        heading, pitch, roll: degrees, as in `lpn.flight.files.Frame`.
+        fov: horizontal field of view in degrees.
+        fov_source: "told" by the photo, "solved" with the pose, or "assumed", because neither the photo nor the scene tells it.
+        flat: whether the ground counts as flat, because the map has no elevation.
+        inliers: matches that agree with it.
+        covariance: of east, north, altitude in metres, and heading, pitch, roll in degrees, 36 numbers by rows.
+    """
+
+    east: float
+    north: float
+    altitude: float
+    height: float | None
+    heading: float
+    pitch: float
+    roll: float
+    fov: float
+    fov_source: str
+    flat: bool
+    inliers: int
+    covariance: list[float]
+
+    @property
+    def sigmas(self) -> Float64Array:
+        """The 1-sigma errors of east, north, altitude in metres, and heading, pitch, roll in degrees, (6,)."""
+        return np.sqrt(np.diag(np.array(self.covariance).reshape(6, 6)))
+
+    @property
+    def radius(self) -> float:
+        """The 1-sigma radius in metres: the root mean square of the errors to the east and north."""
+        return float(np.sqrt((self.sigmas[:2] ** 2).mean()))
+
+    @property
+    def tilt(self) -> CameraTilt:
+        """The angle between optical axis and straight down, with its error by the covariance of pitch and roll."""
+        north, east, down = rotation(self.heading, self.pitch, self.roll)[:, 2].tolist()
+        away = math.hypot(north, east)
+        degrees = math.degrees(math.atan2(away, down))
+        # The tilt's cosine is cos(pitch + 90) cos(roll), so its slopes need no step; at 0 degrees pitch and roll count alike.
+        pitch, roll = math.radians(self.pitch + 90), math.radians(self.roll)
+        slopes = np.array([math.sin(pitch) * math.cos(roll), math.cos(pitch) * math.sin(roll)])
+        slopes = slopes / away if away > 1e-9 else np.full(2, math.sqrt(0.5))
+        covariance = np.array(self.covariance).reshape(6, 6)[4:, 4:]
+        error = math.sqrt(float(slopes @ covariance @ slopes))
+        return CameraTilt(degrees, error, math.degrees(math.atan2(east, north)) % 360)
+
+    @property
+    def sentence(self) -> str:
+        """A line about the pose, with its errors and what was assumed."""
+        sigmas = self.sigmas
+        above = "above flat ground" if self.flat else "above the datum"
+        ground = "" if self.flat or self.height is None else f", {self.height:.1f} m above ground"
+        sentence = (
+            f"The camera was {self.altitude:.1f} m {above}{ground} (± {sigmas[2]:.1f}), heading {self.heading:.1f}° "
+            f"(± {sigmas[3]:.1f}), pitch {self.pitch:.1f}° (± {sigmas[4]:.1f}), roll {self.roll:.1f}° (± {sigmas[5]:.1f})."
+        )
+        if self.fov_source == "solved":
+            sentence += f" Its field of view is {self.fov:.1f}°, solved with the pose."
+        if self.fov_source == "assumed":
+            sentence += f" Neither the photo nor the scene tells its field of view; {self.fov:.0f}° is assumed."
+        return sentence
+
+
+@dataclass(frozen=True, eq=False)
+class PoseMatches:
+    """The observations that a pose is solved from.
+
+    Attributes:
+        pixels: of the photo, (M, 2).
+        points: of the map with heights, (M, 3) metres.
+        size: width and height of the photo in pixels.
+        plane: the homography from pixels to metres by which the photo was registered, (3, 3).
+        plane_parameters: 8 of a homography; 4 of a similarity, or 6 where it is the special case of a pose whose tilt is known.
+        noise: 1-sigma error of a match in pixels that is to be expected.
+    """
+
+    pixels: Float64Array
+    points: Float64Array
+    size: tuple[int, int]
+    plane: Float64Array
+    plane_parameters: int
+    noise: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Camera:
+    """A camera during the search: OpenCV's rotation vector and translation (3,) each, and the focal length in pixels."""
+
+    turn: Float64Array
+    shift: Float64Array
+    focal: float
+
+    @property
+    def matrix(self) -> Float64Array:
+        return np.asarray(cv2.Rodrigues(self.turn)[0], np.float64)
+
+    @property
+    def place(self) -> Float64Array:
+        return -self.matrix.T @ self.shift
+
+
+def solve_pose(
+    matches: PoseMatches,
+    fov: float | None,
+    flat: bool,
+    ground_below: Callable[[Float64Array], float | None],
+    rematch: Callable[[Callable[[Float64Array], Float64Array]], PoseMatches | None] | None = None,
+    proven: bool = False,
+) -> CameraPose | str:
+    """Solve the pose of a camera from matches of its photo with the map.
+
+    Perspective-n-point by USAC with MAGSAC's score (Barath et al., CVPR 2020), then Levenberg's least squares on the inliers.
+    An unknown focal length is one more unknown. The covariance is (J^T J)^-1 times the inliers' variance; neighbours err alike,
+    so each cell of a grid over the photo counts as one match. The pose stands unless the plane's model explains the matches
+    clearly better by GRIC (Torr, "Geometric motion segmentation and model selection", 1998): the sum of squared residuals over
+    their variance, each at most 4, plus the number of parameters times the logarithm of 4 n; clearly is by one parameter's worth.
+
+    Args:
+        matches: of the registration.
+        fov: horizontal field of view in degrees; None if the photo does not tell it.
+        flat: whether heights are those of flat ground.
+        ground_below: returns the height in metres at a place (2,); None if that is unknown.
+        rematch: matches again near the pixels that a function from map points (N, 3) to pixels (N, 2) predicts.
+        proven: the pose stands only if it explains the matches clearly better than the plane's model.
+
+    Returns:
+        The pose, or a sentence that says why there is none.
+    """
+    if len(matches.points) < _LEAST_MATCHES:
+        return "Too few matches have a height for a pose of the camera."
+    middle = np.array([*matches.points[:, :2].mean(axis=0), np.median(matches.points[:, 2])])
+    solved = _solved(matches, middle, fov)
+    if isinstance(solved, str):
+        return solved
+    camera, source, inliers = solved
+    # Matches of a second round lie near the pose's own places, which the plane's model could not explain.
+    if not _explains(matches, _residuals(camera, matches, middle), 6 + (source == "solved"), proven):
+        return (
+            "On flat ground the matches do not show how far the camera was tilted, so there is no pose."
+            if proven
+            else "The matches lie on the map as on a plane, and no camera with this field of view explains them as well."
+        )
+    if rematch is not None:
+        first = camera
+        again = rematch(lambda points: _project(first, points - middle, matches.size))
+        if again is not None and len(again.points) >= len(matches.points) // 2:
+            better = _solved(again, middle, camera_fov(camera, matches.size) if fov is None else fov)
+            if not isinstance(better, str) and better[2].sum() >= inliers.sum():
+                matches, (camera, _, inliers) = again, better
+    cells = _cells(matches.pixels[inliers], matches.size)
+    # A ring of twice the threshold has three times the area of what is within it.
+    ring = int((_residuals(camera, matches, middle) < 2 * _threshold(matches)).sum() - inliers.sum())
+    if inliers.sum() < _OVER_CHANCE * ring / 3:
+        return f"The {int(inliers.sum())} matches that agree on a pose of the camera are hardly more than would agree by chance."
+    if inliers.sum() < _LEAST_MATCHES or cells < _LEAST_CELLS:
+        return f"Only {int(inliers.sum())} matches, in {cells} parts of the photo, agree on a pose of the camera."
+    place = camera.place + middle
+    below = ground_below(place[:2])
+    height = place[2] if flat else None if below is None else place[2] - below
+    above = place[2] - middle[2]
+    if above <= 0 or (height is not None and height <= 0):
+        return "The pose that the matches agree on lies below the ground."
+    covariance = _covariance(camera, matches, middle, inliers, source == "solved", cells)
+    if flat:
+        covariance *= _RELIEF**2
+        covariance[2, 2] += _RELIEF_METRES**2
+    if not np.isfinite(covariance).all() or np.sqrt(np.diag(covariance)[:3]).max() > _WORST * above:
+        return "The matches do not tell the pose: its error would be more than a quarter of the height."
+    if source == "assumed":
+        covariance[2, 2] += (_ASSUMED_ERROR * above) ** 2
+    heading, pitch, roll = angles_of_view(camera.matrix)
+    return CameraPose(
+        float(place[0]),
+        float(place[1]),
+        float(place[2]),
+        None if height is None else float(height),
+        heading,
+        pitch,
+        roll,
+        camera_fov(camera, matches.size),
+        source,
+        flat,
+        int(inliers.sum()),
+        [float(value) for value in covariance.ravel()],
+    )
+
+
+def camera_fov(camera: _Camera, size: tuple[int, int]) -> float:
+    """Return the horizontal field of view of a camera in degrees."""
+    return fov_of_sensor(size[0], camera.focal)
+
+
+def _solved(matches: PoseMatches, middle: Float64Array, fov: float | None) -> tuple[_Camera, str, BoolArray] | str:
+    """Return the camera, the source of its field of view, and which matches agree; or why there is none."""
+    tried = []
+    for angle in _FOVS if fov is None else (fov,):
+        camera = _first(matches, middle, matches.size[0] / 2 / math.tan(math.radians(angle) / 2))
+        if camera is not None:
+            tried.append(_refined(camera, matches, middle, False))
+    if not tried:
+        return "The matches agree on no pose of the camera."
+    threshold = _threshold(matches)
+
+    def cost(camera: _Camera) -> float:
+        return float(np.minimum((_residuals(camera, matches, middle) / threshold) ** 2, 1).sum())
+
+    best = min(tried, key=cost)
+    source = "told"
+    if fov is None:
+        free = _refined(best, matches, middle, True)
+        agreeing = _residuals(free, matches, middle) < threshold
+        error = _focal_error(free, matches, middle, agreeing)
+        if error <= _FOCAL_ERROR and _FOVS[0] - 15 < camera_fov(free, matches.size) < _FOVS[-1] + 15:
+            best, source = free, "solved"
+        else:
+            focal = matches.size[0] / 2 / math.tan(math.radians(DEFAULT_FOV) / 2)
+            again = _first(matches, middle, focal)
+            if again is None:
+                return "The matches agree on no pose of the camera."
+            best, source = _refined(again, matches, middle, False), "assumed"
+    return best, source, _residuals(best, matches, middle) < threshold
+
+
+def _threshold(matches: PoseMatches) -> float:
+    """Return the pixels within which a match agrees: three sigmas of what is to be expected."""
+    return max(3 * matches.noise, 0.004 * matches.size[0], 1.5)
+
+
+def _intrinsics(focal: float, size: tuple[int, int]) -> Float64Array:
+    return np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+
+
+def _first(matches: PoseMatches, middle: Float64Array, focal: float) -> _Camera | None:
+    """Return the camera by random samples."""
+    parameters = cv2.UsacParams()
+    parameters.threshold = _threshold(matches)
+    parameters.confidence = 0.999
+    parameters.maxIterations = 2000
+    parameters.score = cv2.SCORE_METHOD_MAGSAC
+    parameters.loMethod = cv2.LOCAL_OPTIM_SIGMA
+    parameters.randomGeneratorState = 0
+    try:
+        found, _, turn, shift, _ = cv2.solvePnPRansac(
+            np.ascontiguousarray(matches.points - middle),
+            np.ascontiguousarray(matches.pixels),
+            _intrinsics(focal, matches.size),
+            np.zeros(4),
+            params=parameters,
+        )
+    except cv2.error:
+        return None
+    if not found or not (np.isfinite(turn).all() and np.isfinite(shift).all()):
+        return None
+    return _Camera(np.asarray(turn, np.float64).ravel(), np.asarray(shift, np.float64).ravel(), focal)
+
+
+def _refined(camera: _Camera, matches: PoseMatches, middle: Float64Array, free: bool) -> _Camera:
+    """Fit a camera to the matches that agree with it by Levenberg's method, with the focal length if it is free."""
+    threshold = _threshold(matches)
+    damping = 1e-3
+    points = matches.points - middle
+
+    def judged(candidate: _Camera) -> tuple[float, Float64Array, Float64Array]:
+        off, jacobian = _linearised(candidate, points, matches, free)
+        squares = (off.reshape(-1, 2) ** 2).sum(axis=1) / threshold**2
+        # Geman and McClure's weights, whose cost has no step where a match begins to agree.
+        weights = np.repeat(1 / (1 + squares) ** 2, 2)
+        cost = float((squares / (1 + squares)).sum())
+        return cost, (jacobian * weights[:, None]).T @ jacobian, (jacobian * weights[:, None]).T @ off
+
+    cost, normal, slope = judged(camera)
+    for _ in range(_ITERATIONS):
+        step = np.linalg.lstsq(normal + damping * np.diag(np.diag(normal)), slope, rcond=None)[0]
+        focal = camera.focal * math.exp(float(np.clip(step[6], -0.3, 0.3))) if free else camera.focal
+        moved = _Camera(camera.turn + step[:3], camera.shift + step[3:6], focal)
+        tried = judged(moved)
+        if np.isfinite(tried[0]) and tried[0] < cost:
+            done = cost - tried[0] < 1e-7 * cost
+            camera, (cost, normal, slope), damping = moved, tried, damping / 5
+            if done:
+                break
+        else:
+            damping *= 10
+            if damping > 1e8:
+                break
+    return camera
+
+
+def _linearised(
+    camera: _Camera, points: Float64Array, matches: PoseMatches, free: bool
+) -> tuple[Float64Array, Float64Array]:
+    """Return pixels minus projections, (2 M,), and the projections' Jacobian by turn, shift, and the focal length's logarithm."""
+    projected, jacobian = cv2.projectPoints(
+        points, camera.turn, camera.shift, _intrinsics(camera.focal, matches.size), np.zeros(4)
+    )
+    off = (matches.pixels - projected.reshape(-1, 2)).ravel()
+    columns = [jacobian[:, :6]]
+    if free:
+        columns.append((jacobian[:, 6:7] + jacobian[:, 7:8]) * camera.focal)
+    return off, np.hstack(columns)
+
+
+def _project(camera: _Camera, points: Float64Array, size: tuple[int, int]) -> Float64Array:
+    """Return the pixels (N, 2) of points (N, 3) about the middle; NaN behind the camera."""
+    seen = points @ camera.matrix.T + camera.shift
+    with np.errstate(divide="ignore", invalid="ignore"):
+        pixels = seen[:, :2] / seen[:, 2:] * camera.focal + (np.array(size) - 1) / 2
+    return np.where(seen[:, 2:] > 0, pixels, np.nan)
+
+
+def _residuals(camera: _Camera, matches: PoseMatches, middle: Float64Array) -> Float64Array:
+    """Return the pixels from each match to its projection, (M,); infinite behind the camera."""
+    off = np.linalg.norm(_project(camera, matches.points - middle, matches.size) - matches.pixels, axis=1)
+    return np.where(np.isnan(off), np.inf, off)
+
+
+def _explains(matches: PoseMatches, residuals: Float64Array, parameters: int, clearly: bool) -> bool:
+    """Return whether a pose, by its residuals in pixels, explains the matches as well as the plane's model, or clearly better."""
+    flat = np.linalg.norm(apply_homography(inverse(matches.plane), matches.points[:, :2]) - matches.pixels, axis=1)
+    sigma = _threshold(matches) / 3
+    cells = _cells(matches.pixels, matches.size)
+    share = min(cells / len(residuals), 1.0)
+
+    def gric(values: Float64Array, count: int) -> float:
+        return share * float(np.minimum((values / sigma) ** 2, _CUT).sum()) + count * math.log(4 * cells)
+
+    margin = -math.log(4 * cells) if clearly else math.log(4 * cells)
+    return gric(residuals, parameters) <= gric(flat, matches.plane_parameters) + margin
+
+
+def _normal(
+    camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray, free: bool, cells: int
+) -> Any:
+    """Return the inverse covariance of turn, shift, and the focal length's logarithm."""
+    off, jacobian = _linearised(camera, matches.points - middle, matches, free)
+    rows = np.repeat(inliers, 2)
+    off, jacobian = off[rows], jacobian[rows]
+    variance = max(float(off @ off) / max(len(off) - jacobian.shape[1], 1), (_FINEST / 2) ** 2)
+    return jacobian.T @ jacobian / variance * (min(cells, int(inliers.sum())) / max(int(inliers.sum()), 1))
+
+
+def _focal_error(camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray) -> float:
+    """Return the 1-sigma error of a solved focal length as a share of it."""
+    if inliers.sum() < _LEAST_MATCHES:
+        return math.inf
+    normal = _normal(camera, matches, middle, inliers, True, _cells(matches.pixels[inliers], matches.size))
+    try:
+        return math.sqrt(max(float(np.linalg.inv(normal)[6, 6]), 0.0))
+    except np.linalg.LinAlgError:
+        return math.inf
+
+
+def _covariance(
+    camera: _Camera, matches: PoseMatches, middle: Float64Array, inliers: BoolArray, free: bool, cells: int
+) -> Float64Array:
+    """Return the covariance of place in metres and of heading, pitch, and roll in degrees, (6, 6)."""
+    normal = _normal(camera, matches, middle, inliers, free, cells)
+    try:
+        inner = np.linalg.inv(normal)[:6, :6]
+    except np.linalg.LinAlgError:
+        return np.full((6, 6), np.nan)
+
+    def outer(values: Float64Array) -> Float64Array:
+        moved = _Camera(values[:3], values[3:], camera.focal)
+        return np.array([*moved.place, *angles_of_view(moved.matrix)])
+
+    at = np.concatenate([camera.turn, camera.shift])
+    start = outer(at)
+    slopes = np.empty((6, 6))
+    for i, step in enumerate([1e-5] * 3 + [1e-3] * 3):
+        change = outer(at + step * np.eye(6)[i]) - start
+        change[3] = wrap_degrees(change[3])
+        slopes[:, i] = change / step
+    return np.asarray(slopes @ inner @ slopes.T)
+
+
+def _cells(pixels: Float64Array, size: tuple[int, int]) -> int:
+    """Return how many cells of a grid over the photo hold at least one of these pixels."""
+    cells = np.floor((pixels + 0.5) / size * _GRID).astype(np.int64).clip(0, _GRID - 1)
+    return len(np.unique(cells[:, 0] * _GRID + cells[:, 1]))

@@ -1,0 +1,173 @@
+"""A person's corrected places of frames, in `corrections.csv` beside a flight; the flight's own files stay as they are.
+
+    frame,latitude,longitude,top left,top right,bottom right,bottom left
+    DJI_0018.JPG,46.84260512,-91.99455804,46.84281 -91.99501,46.84297 -91.99430,46.84240 -91.99410,46.84224 -91.99481
+
+`latitude` and `longitude` are of the picture's middle on the ground, the other columns of its corners, in WGS 84 degrees. The
+file may be edited by hand, and by several programs at once, since each change replaces one line under a lock. It is UTF-8;
+bytes of a file's name that are not stay as they are. What a spreadsheet would compute has an apostrophe in front, such as
+'-33.4 -70.6, which is no difference here; see `lpn.core.csv_cells`.
+"""
+
+from __future__ import annotations
+
+import codecs
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.csv_cells import csv_bytes, delimited, unescape
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.core.homography import apply_homography, corner_pixels, four_point_homography
+from lpn.core.own_files import OwnFileFormat
+from lpn.flight.maps import LocalFrame
+
+NAME = "corrections.csv"
+_HEADER = ["frame", "latitude", "longitude", "top left", "top right", "bottom right", "bottom left"]
+# Sides and least area of a corrected picture, in metres and square metres, and the least sine at a corner.
+_MIN_SIDE, _MAX_SIDE, _MIN_AREA, _MIN_SINE = 0.1, 20_000.0, 1.0, 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Where a person says that a frame's picture lies.
+
+    Attributes:
+        middle: latitude and longitude of the picture's middle on the ground, (2,).
+        corners: those of its corners, (4, 2): top left, top right, bottom right, bottom left.
+    """
+
+    middle: Float64Array
+    corners: Float64Array
+
+    @classmethod
+    def of(cls, corners: Float64Array, frame: LocalFrame) -> Correction:
+        """Make a correction of corners in metres of a map's frame, (4, 2).
+
+        Raises:
+            InputError: if no camera above the ground could take such a picture.
+        """
+        if not _possible(corners):
+            raise InputError(
+                "The tie points turn the photo over, fold it, or make it too small or too large; move them back into the order "
+                "in which the photo shows them."
+            )
+        middle = apply_homography(four_point_homography(corner_pixels(1, 1), corners), (0, 0))
+        return cls(frame.degrees([middle])[0], frame.degrees(corners))
+
+    def homography(self, frame: LocalFrame, width: int, height: int) -> Float64Array:
+        """Return the matrix from pixels of a picture of this size to metres of a map's frame, (3, 3)."""
+        return four_point_homography(corner_pixels(width, height), frame.xy(*self.corners.T))
+
+
+def _possible(corners: Float64Array, slack: float = 1.0) -> bool:
+    """Return whether a camera above the ground could take a picture with these corners in metres, (4, 2).
+
+    Args:
+        slack: factor of at least 1 on the limits, for corners that were rounded since they were checked.
+    """
+    after, before = np.roll(corners, -1, axis=0) - corners, corners - np.roll(corners, 1, axis=0)
+    turns = before[:, 0] * after[:, 1] - before[:, 1] * after[:, 0]
+    sides = np.linalg.norm(after, axis=1)
+    if not (_MIN_SIDE / slack <= sides.min() and sides.max() <= _MAX_SIDE * slack):
+        return False
+    # Seen from above, the corners of a picture follow each other clockwise.
+    sines = -turns / (sides * np.roll(sides, 1))
+    return bool((sines >= _MIN_SINE / slack).all() and -turns.sum() / 4 >= _MIN_AREA / slack)
+
+
+def read_corrections(file: Path) -> dict[str, Correction]:
+    """Read all corrections, by the frame's name; empty if the file does not exist.
+
+    Raises:
+        DataError: when the file is not in the format above; the message names the entry.
+    """
+    return _FORMAT.read(file)
+
+
+def set_correction(
+    file: Path, name: str, correction: Correction | None, known: Mapping[str, Correction] | None = None
+) -> dict[str, Correction]:
+    """Replace one frame's correction on disk and keep all others; None removes its line.
+
+    Args:
+        file: usually `corrections.csv` in the flight's folder.
+        name: of the frame.
+        known: the corrections that the person has seen; None replaces any.
+
+    Returns:
+        All corrections after the change.
+
+    Raises:
+        InputError: when the frame's correction is not the known one; it is not changed.
+        DataError: when the existing file is damaged; it is not changed.
+        OutputError: when the file cannot be written.
+    """
+
+    def change(corrections: dict[str, Correction]) -> dict[str, Correction]:
+        stored, seen = ({name: all_of[name]} if name in all_of else {} for all_of in (corrections, known or {}))
+        if known is not None and _encode(stored) != _encode(seen):
+            raise InputError("Somebody else has corrected this photo meanwhile; save again to replace that.")
+        corrections.pop(name, None)
+        return corrections if correction is None else corrections | {name: correction}
+
+    return _FORMAT.change(file, change)
+
+
+def _decode(content: bytes, file: Path) -> dict[str, Correction]:
+    text = content.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
+    try:
+        rows = [[unescape(value) for value in values] for _, values in delimited(text, strict=True).rows]
+    except csv.Error as error:
+        raise DataError(f"{file} is not a CSV file; correct it, or move it away.") from error
+    if not rows or rows[0] != _HEADER:
+        first = printable(",".join(rows[0]))[:100] if rows else "empty"
+        raise DataError(f"The first line of {file} is {first}; expected {','.join(_HEADER)}, so correct it.")
+    by_name: dict[str, Correction] = {}
+    for number, row in enumerate(rows[1:], 1):
+        if not row:
+            continue
+        name, correction = _parse(file, number, row)
+        if name in by_name:
+            raise DataError(
+                f"Entry {number} of {file} is a second one of the photo {printable(name)[:100]}; remove one of them."
+            )
+        by_name[name] = correction
+    return by_name
+
+
+def _parse(file: Path, number: int, row: list[str]) -> tuple[str, Correction]:
+    try:
+        places = np.array([row[1:3], *(corner.split() for corner in row[3:])], np.float64)
+        valid = places.shape == (5, 2) and bool((np.abs(places) <= (90, 180)).all()) and bool(row[0])
+    except ValueError:
+        valid = False
+    if not valid:
+        raise DataError(
+            f"Entry {number} of {file} is {printable(','.join(row))[:100]}; expected {','.join(_HEADER)}, each corner as "
+            "latitude and longitude with a space between them."
+        )
+    middle, corners = places[0], places[1:]
+    if not _possible(LocalFrame(*corners[0].tolist()).xy(*corners.T), slack=1.25):
+        raise DataError(
+            f"Entry {number} of {file} has corners that turn the photo {printable(row[0])[:100]} over, fold it, or make it too "
+            "small or too large; correct them, or remove the line."
+        )
+    return row[0], Correction(middle, corners)
+
+
+def _encode(corrections: Mapping[str, Correction]) -> bytes:
+    rows = [_HEADER]
+    for name, one in sorted(corrections.items()):
+        latitude, longitude = one.middle.tolist()
+        corners = [f"{a:.9f} {b:.9f}" for a, b in one.corners.tolist()]
+        rows.append([name, f"{latitude:.9f}", f"{longitude:.9f}", *corners])
+    return csv_bytes(rows, own=True)
+
+
+_FORMAT = OwnFileFormat("corrections", _decode, _encode, dict, "remove some of them")

@@ -1,0 +1,76 @@
+"""The ground that each frame shows, and the frames that show a spot."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.homography import apply_homography, corner_pixels, middle_pixel
+from lpn.flight.files import footprint
+from lpn.flight.locate.located import LocatedFrame
+
+
+@dataclass(frozen=True, eq=False)
+class Outline:
+    """The ground that a frame shows.
+
+    Attributes:
+        corners: (4, 2) metres in the map's frame: top left, top right, bottom right, bottom left of the picture.
+        registered: whether they follow from an accepted registration; otherwise from position, height, angles, and field of view.
+    """
+
+    corners: Float64Array
+    registered: bool
+
+
+def outline(located: LocatedFrame) -> Outline | None:
+    """Return the ground that a frame shows; None if neither a registration nor the camera's model tells it.
+
+    The camera's model is laid at the tag. Without a tag its middle is laid at the answer of the sequence, if that is accepted.
+    """
+    answer = located.stages.get("registration")
+    if answer is not None and answer.accepted and answer.homography is not None:
+        corners = corners_of(np.array(answer.homography).reshape(3, 3), located.frame.width, located.frame.height)
+        return None if corners is None else Outline(corners, True)
+    corners = footprint(located.frame)
+    if corners is None:
+        return None
+    if located.tag is not None:
+        return Outline(corners + located.tag, False)
+    answer = located.stages.get("sequence")
+    if answer is None or not answer.accepted or answer.x is None or answer.y is None:
+        return None
+    return Outline(corners - crossing(corners) + (answer.x, answer.y), False)
+
+
+def crossing(corners: Float64Array) -> Float64Array:
+    """Return where the diagonals of a picture's corners on the ground, (4, 2), cross: the ground of its middle, (2,)."""
+    along, across = corners[2] - corners[0], corners[3] - corners[1]
+    share = np.linalg.solve(np.stack([along, -across], axis=1), corners[1] - corners[0])[0]
+    return np.asarray(corners[0] + share * along, np.float64)
+
+
+def corners_of(homography: Float64Array, width: int, height: int) -> Float64Array | None:
+    """Return the corners of a picture on the ground, (4, 2) metres; None if a corner lies beyond the horizon.
+
+    Args:
+        homography: from pixels (column, row; whole numbers are the centres of pixels) to metres, (3, 3).
+        width, height: of the picture in pixels.
+    """
+    pixels = corner_pixels(width, height)
+    depths = np.array([*pixels, middle_pixel(width, height)]) @ homography[2, :2] + homography[2, 2]
+    return None if (depths[:4] * depths[4] <= 1e-9 * depths[4] ** 2).any() else apply_homography(homography, pixels)
+
+
+def seen_by(outlines: Sequence[Outline | None], x: float, y: float) -> list[int]:
+    """Return the positions of the outlines that hold a spot, in metres of the map's frame; a border belongs to its outline."""
+    holding = []
+    for i, one in enumerate(outlines):
+        # Corners are taken relative to the spot, because OpenCV computes in single precision.
+        if one is not None and cv2.pointPolygonTest((one.corners - (x, y)).astype(np.float32), (0.0, 0.0), False) >= 0:
+            holding.append(i)
+    return holding

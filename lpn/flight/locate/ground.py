@@ -1,0 +1,209 @@
+"""Local features of a map, described block by block when a photo needs them, and kept in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import logging
+import math
+import threading
+import zipfile
+from collections import OrderedDict
+from collections.abc import Hashable
+from pathlib import Path
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import OutputError
+from lpn.core.files import cache_folder, write_atomic
+from lpn.flight.locate.matchers import Matcher
+from lpn.flight.locate.registration import Ground, describe_ground
+from lpn.flight.maps import Map, Window
+
+log = logging.getLogger(__name__)
+
+FORMAT = "lpn-ground/2"
+# Side of a block in pixels, its margin, and the most features of a block.
+_SIDE = 1024
+_MARGIN = 24
+_LIMIT = 7500
+# A photo is resized to at most this width, and a map is enlarged at most twice.
+_PHOTO = 900
+_ENLARGED = 2.0
+# Blocks that one photo may be compared with.
+MAX_BLOCKS = 48
+# Bytes of features in memory: as many blocks as one photo needs of two matchers, 2 MB each of XFeat and 4 MB of SIFT.
+_MEMORY = 300_000_000
+
+
+class GroundCache:
+    """Features of blocks of all maps of a process, of which those that were used last stay (LRU); thread-safe.
+
+    Args:
+        limit: the most bytes that all features together take; the newest are kept even if they take more.
+
+    Attributes:
+        size: the bytes that they take.
+    """
+
+    def __init__(self, limit: int) -> None:
+        self._limit, self._lock = limit, threading.Lock()
+        self._grounds: OrderedDict[Hashable, Ground] = OrderedDict()
+        self.size = 0
+
+    def get(self, key: Hashable) -> Ground | None:
+        """Return the features of a block; None if they are not held."""
+        with self._lock:
+            if key in self._grounds:
+                self._grounds.move_to_end(key)
+            return self._grounds.get(key)
+
+    def put(self, key: Hashable, ground: Ground) -> None:
+        """Hold the features of a block."""
+        with self._lock:
+            self._drop(self._grounds.pop(key, None))
+            self._grounds[key] = ground
+            self.size += _bytes(ground)
+            while self.size > self._limit and len(self._grounds) > 1:
+                self._drop(self._grounds.popitem(last=False)[1])
+
+    def clear(self) -> None:
+        """Hold nothing."""
+        with self._lock:
+            self._grounds.clear()
+            self.size = 0
+
+    def _drop(self, ground: Ground | None) -> None:
+        self.size -= 0 if ground is None else _bytes(ground)
+
+
+# Shared by all maps, so that a process that shows several needs no more memory.
+in_memory = GroundCache(_MEMORY)
+
+
+class MapFeatures:
+    """Features of the blocks of a map: in memory for the frames to come, and on disk for the runs to come.
+
+    A block's file is addressed by the digest of the map, the matcher with its version, and the block, so a change of one of them
+    describes the block again. A file that cannot be read is made anew; a cache that cannot be written costs time only.
+
+    Args:
+        basemap: the map.
+        matcher: describes it.
+        on_disk: whether features are kept on disk, too.
+    """
+
+    def __init__(self, basemap: Map, matcher: Matcher, on_disk: bool = True) -> None:
+        self._map, self.matcher = basemap, matcher
+        identity = [FORMAT, basemap.digest(), matcher.name, matcher.version, _SIDE, _MARGIN, _LIMIT]
+        self._digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:24]
+        self._folder: Path | None = cache_folder() / "locate" / "ground" / self._digest if on_disk else None
+
+    def resolution(self, width: float) -> float:
+        """Return the metres per pixel at which photos of a ground width are compared: a power of two of the map's half pixel."""
+        finest = self._map.resolution / _ENLARGED
+        return finest * 2.0 ** max(0, math.ceil(math.log2(max(width / _PHOTO / finest, 1e-9))))
+
+    def around(self, centres: Float64Array | None, reach: float, width: float) -> Ground | None:
+        """Return the features of squares of side 2 `reach` about points (K, 2), or of the whole map.
+
+        Returns:
+            None if more than `MAX_BLOCKS` blocks would be needed.
+        """
+        resolution = self.resolution(width)
+        side = _SIDE * resolution
+        west, north = self._map.bounds[0], self._map.bounds[3]
+        columns, rows = self._grid(side)
+        if centres is None:
+            if columns * rows > MAX_BLOCKS:
+                return None
+            blocks = {(row, column) for row in range(rows) for column in range(columns)}
+        else:
+            blocks = set()
+            for x, y in centres:
+                left, right = (int((x + d - west) // side) for d in (-reach, reach))
+                top, bottom = (int((north - y - d) // side) for d in (reach, -reach))
+                blocks |= {
+                    (row, column)
+                    for row in range(max(top, 0), min(bottom, rows - 1) + 1)
+                    for column in range(max(left, 0), min(right, columns - 1) + 1)
+                }
+            if len(blocks) > MAX_BLOCKS:
+                return None
+        level = round(math.log2(resolution / self._map.resolution))
+        grounds = [self._block(level, row, column, resolution) for row, column in sorted(blocks)]
+        points = np.concatenate([ground.points for ground in grounds]) if grounds else np.zeros((0, 2))
+        values = np.concatenate([ground.descriptors for ground in grounds]) if grounds else np.zeros((0, 1), np.float32)
+        if centres is None:
+            return Ground(points, values, resolution)
+        near = np.zeros(len(points), bool)
+        for centre in centres:
+            near |= (np.abs(points - centre) <= reach).all(axis=1)
+        return Ground(points[near], values[near], resolution)
+
+    def holds_map(self, width: float) -> bool:
+        """Return whether photos of a ground width in metres may be compared with the whole map, see `MAX_BLOCKS`."""
+        columns, rows = self._grid(_SIDE * self.resolution(width))
+        return columns * rows <= MAX_BLOCKS
+
+    def _grid(self, side: float) -> tuple[int, int]:
+        """Return the columns and rows of blocks of a side in metres."""
+        west, south, east, north = self._map.bounds
+        return max(math.ceil((east - west) / side), 1), max(math.ceil((north - south) / side), 1)
+
+    def _block(self, level: int, row: int, column: int, resolution: float) -> Ground:
+        key = (level, row, column)
+        ground = in_memory.get((self._digest, key))
+        if ground is None:
+            ground = self._read(key, resolution)
+            if ground is None:
+                ground = self._described(row, column, resolution)
+                self._write(key, ground)
+            in_memory.put((self._digest, key), ground)
+        return ground
+
+    def _described(self, row: int, column: int, resolution: float) -> Ground:
+        west, north = self._map.bounds[0], self._map.bounds[3]
+        x, y = west + (column + 0.5) * _SIDE * resolution, north - (row + 0.5) * _SIDE * resolution
+        pixels = _SIDE + 2 * _MARGIN
+        size = pixels * resolution
+        picture, valid = self._map.read(Window(x, y, size), pixels)
+        corner = (x - size / 2, y + size / 2)
+        features = describe_ground(self.matcher, picture, valid, corner, resolution, _LIMIT)
+        return features.near(np.array([x, y]), _SIDE * resolution / 2)
+
+    def _file(self, key: tuple[int, int, int]) -> Path | None:
+        return None if self._folder is None else self._folder / f"{'_'.join(map(str, key))}.npz"
+
+    def _read(self, key: tuple[int, int, int], resolution: float) -> Ground | None:
+        """Read a block's file; None without one, or if it is damaged."""
+        if (file := self._file(key)) is None:
+            return None
+        try:
+            with np.load(io.BytesIO(file.read_bytes()), allow_pickle=False) as arrays:
+                return Ground(arrays["points"], arrays["descriptors"], resolution)
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def _write(self, key: tuple[int, int, int], ground: Ground) -> None:
+        if (file := self._file(key)) is None:
+            return
+        data = io.BytesIO()
+        np.savez(data, points=ground.points, descriptors=ground.descriptors)
+        try:
+            file.parent.mkdir(parents=True, exist_ok=True)
+            write_atomic(file, data.getvalue())
+        except (OSError, OutputError) as error:
+            self._folder = None  # one sentence, not one for each block
+            log.warning(
+                "Features of the map are not kept for the next run, as %s cannot be written (%s); set LPN_CACHE to a folder that "
+                "can be.",
+                file.parent,
+                getattr(error, "strerror", None) or error,
+            )
+
+
+def _bytes(ground: Ground) -> int:
+    return ground.points.nbytes + ground.descriptors.nbytes

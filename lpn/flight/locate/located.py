@@ -1,0 +1,485 @@
+"""The answers of the stages for each frame of a flight, their errors, and their track."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float64Array
+from lpn.core.homography import apply_homography, middle_pixel
+from lpn.core.numbers import distance
+from lpn.datasets.rendered import is_rendered_flight
+from lpn.flight.files import Flight, Frame
+from lpn.flight.locate import measures
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.audit import UNKNOWN, TagAudit, audit_tags, corrected_tags
+from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.matched_details import MatchedDetails
+from lpn.flight.locate.options import TOP
+from lpn.flight.locate.retrieval import MapRetrieval
+from lpn.flight.locate.tracks import POSE_AXES, State, TrackPoint
+from lpn.flight.maps import Map
+from lpn.retrieval import field_metrics
+
+STAGES = ("retrieval", "sequence", "registration")
+# The stage of a track that has the places of corrected frames.
+BY_HAND = "by hand"
+# By what a photo's look is graded.
+Judge = Literal["its GPS tag", "its GPS tag without its lag", "its details"]
+# Least distance between the centres of a frame's kept windows, as a share of their side; windows that overlap show one place.
+APART = 0.5
+
+
+class WindowRecord(msgspec.Struct, frozen=True):
+    """A ranked window of a frame: its place and side in metres, score, heading, part cosines, and part contributions."""
+
+    x: float
+    y: float
+    size: float
+    score: float
+    heading: float
+    cosines: list[float]
+    contributions: list[float]
+
+
+class StageRecord(msgspec.Struct, frozen=True, omit_defaults=True):
+    """One stage's answer for a frame.
+
+    Attributes:
+        state: "accepted" if the position may be used, "refused" if not, "not verified" if the stage cannot tell.
+        sentence: what was found, or why it was refused.
+        x, y: metres east and north in the map's frame: of the camera where `camera`, else of the picture's middle.
+        camera: whether the position is the camera's, which needs a pose, or a known tilt: of 15 degrees at most, while the flight
+            goes on of 60.
+        radius: 1-sigma radius in metres; None for the retrieval, which has none.
+        heading: of the picture's top in degrees.
+        turn: `heading` minus the heading in the flight's files, in degrees.
+        width: metres of ground across the picture.
+        inliers: matches that agree.
+        homography: from pixels to metres, 9 numbers by rows.
+        unverified: whether it is refused for one reason alone: nothing shows that the map is of this place.
+        pose: of the camera; None where the matches do not tell it.
+        map_error: 1-sigma error of the map in metres that the radius holds; it moves all places on the map alike.
+        place_error: the part of it that is the error of the map's place on earth, as the map tells it; 0 if it does not.
+        agreement: of places away from the photo's middle with the map; None while they are not compared.
+        middle_radius: 1-sigma radius in metres of the ground at the photo's middle, where the position is the camera's; with the
+            map's error, as `radius` has it. None where it is not known.
+        details: the matches that agree with a registration, `inliers` in number, and a sample of them; None for other answers.
+    """
+
+    state: State
+    sentence: str
+    x: float | None = None
+    y: float | None = None
+    camera: bool = False
+    radius: float | None = None
+    heading: float | None = None
+    turn: float | None = None
+    width: float | None = None
+    inliers: int | None = None
+    homography: list[float] | None = None
+    unverified: bool = False
+    pose: CameraPose | None = None
+    map_error: float = 0.0
+    place_error: float = 0.0
+    agreement: MapAgreement | None = None
+    middle_radius: float | None = None
+    details: MatchedDetails | None = None
+
+    @property
+    def on_earth(self) -> bool:
+        """True if the radius holds the error of the map's place on earth, as the map tells it."""
+        return self.place_error > 0
+
+    @property
+    def radius_on_map(self) -> float | None:
+        """The radius in metres without the error of the map's place on earth; None without a radius."""
+        return None if self.radius is None else math.sqrt(max(self.radius**2 - self.place_error**2, 0.0))
+
+    @property
+    def own_radius(self) -> float:
+        """The radius in metres against other places on the same map, whose error cancels; 0 without one."""
+        return math.sqrt(max((self.radius or 0.0) ** 2 - self.map_error**2, 0.0))
+
+    @property
+    def accepted(self) -> bool:
+        """True if the position may be used."""
+        return self.state == "accepted"
+
+    @property
+    def by_pose(self) -> bool:
+        """True if the position and its radius are those of the pose."""
+        return self.pose is not None and self.camera and (self.x, self.y) == (self.pose.east, self.pose.north)
+
+    def distance(self, place: Float64Array) -> float:
+        """Return the metres from the position, which must be known, to a place (2,)."""
+        assert self.x is not None
+        assert self.y is not None
+        return math.hypot(self.x - place[0], self.y - place[1])
+
+
+@dataclass
+class LocatedFrame:
+    """A frame with the answers of the stages that ran.
+
+    Attributes:
+        frame: of the flight.
+        tag: its position in metres of the map's frame, (2,); None without a tag.
+        stages: answers by stage.
+        windows: best windows of the retrieval.
+        likely: windows of the sequence's greatest posterior, whose centres lie half of a side apart: x, y, and side in metres;
+            none where the sequence did not run over the whole flight.
+        by_hand: where a person's correction lays the photo; None without one.
+    """
+
+    frame: Frame
+    tag: Float64Array | None
+    stages: dict[str, StageRecord] = field(default_factory=dict)
+    windows: list[WindowRecord] = field(default_factory=list)
+    likely: list[tuple[float, float, float]] = field(default_factory=list)
+    by_hand: StageRecord | None = None
+
+    def truth(self, camera: bool) -> Float64Array | None:
+        """Return the true place of the camera or of the picture's middle, (2,): the correction's, else the tag, else None."""
+        if self.by_hand is None or (camera and not self.by_hand.camera):
+            return self.tag
+        if camera:
+            return np.array([self.by_hand.x, self.by_hand.y])
+        return self.middle(self.by_hand)
+
+    def likely_places(self) -> list[list[float]]:
+        """Return the places (K, 2) that the registration searches about: the sequence's, and those of the two best windows.
+
+        There are none without an answer of the sequence.
+        """
+        answer = self.stages.get("sequence")
+        if answer is None or answer.x is None or answer.y is None:
+            return []
+        return [[answer.x, answer.y]] + [[window.x, window.y] for window in self.windows[:2]]
+
+    def searched_places(self, around_tag: bool) -> Float64Array | None:
+        """Return the places (K, 2) about which the registration searches; None where it searches the whole map.
+
+        Args:
+            around_tag: True if it searches about the tag where no stage before it tells a place.
+        """
+        if places := self.likely_places():
+            return np.array(places)
+        if self.windows:
+            return np.array([(window.x, window.y) for window in self.windows])
+        return self.tag[None] if around_tag and self.tag is not None else None
+
+    def middle(self, answer: StageRecord) -> Float64Array:
+        """Return the ground at the picture's middle, (2,), by an answer that lays the picture over the map."""
+        matrix = np.array(answer.homography).reshape(3, 3)
+        return apply_homography(matrix, middle_pixel(self.frame.width, self.frame.height))
+
+    def error(self, stage: str) -> float | None:
+        """Return the metres from the truth to a stage's position; None without one of them."""
+        answer = self.stages.get(stage)
+        return None if answer is None else self.error_of(answer)
+
+    def error_of(self, answer: StageRecord) -> float | None:
+        """Return the metres from the truth to an answer's position; None without one of them."""
+        if answer.x is None or answer.y is None or (truth := self.truth(answer.camera)) is None:
+            return None
+        return answer.distance(truth)
+
+    @property
+    def sentence(self) -> str:
+        """Summarise in one line what the stages found."""
+        sentences = [f"{name.capitalize()}: {answer.sentence}" for name, answer in self.stages.items()]
+        return " ".join(
+            sentences if self.by_hand is None else [*sentences, f"{BY_HAND.capitalize()}: {self.by_hand_sentence}"]
+        )
+
+    @property
+    def by_hand_sentence(self) -> str:
+        """Say what a correction changed; "" without one."""
+        if self.by_hand is None:
+            return ""
+        apart = None if self.tag is None else self.by_hand.distance(self.tag)
+        sentence = f"{self.by_hand.sentence}{_sentence('The GPS tag lies', apart)}"
+        answer, apart = self.stages.get("registration"), self.error("registration")
+        if answer is not None and not answer.accepted:
+            return f"{sentence} The registration is refused."
+        return sentence + _sentence("The registration lies", apart)
+
+
+def tag_positions(frames: Iterable[LocatedFrame]) -> Float64Array:
+    """Return the frames' tags in metres, (N, 2); NaN rows for frames without one."""
+    return np.array([UNKNOWN if frame.tag is None else frame.tag for frame in frames], np.float64).reshape(-1, 2)
+
+
+@dataclass(eq=False)
+class LocatedFlight:
+    """A flight over a map, located.
+
+    Attributes:
+        flight, basemap: what was located, and where.
+        frames: in the order of the flight.
+        audit: of the tags against registered positions; None without registration.
+        notes: sentences about the run.
+        retrieval: scores of all windows; None without a model.
+        tags_without_lag: positions of the tags in metres without the constant lag that the audit finds, (N, 2), NaN where they
+            are not known; None if it finds none.
+        tags_corrected: whether the frames have these as their tags.
+        map_error: 1-sigma error in metres along each axis that the radii of registrations hold for the map; None without them.
+        place_error: the part of it that is the error of the map's place on earth, see `Map.place_error`.
+        tags_away: metres from the map's edge to the nearest tag where all lie far off the map, so that they were left out;
+            None where they do not.
+        shipped: registrations that ship with the flight, by the frame's name, see `lpn.flight.locate.shipped`.
+        prior: metres about each tag that registration searched; None if the search used no tag.
+    """
+
+    flight: Flight
+    basemap: Map
+    frames: list[LocatedFrame]
+    audit: TagAudit | None
+    notes: list[str]
+    retrieval: MapRetrieval | None
+    shipped: Mapping[str, StageRecord] = field(default_factory=dict)
+    tags_without_lag: Float64Array | None = None
+    tags_corrected: bool = False
+    map_error: float | None = None
+    place_error: float = 0.0
+    tags_away: float | None = None
+    prior: float | None = None
+
+    @property
+    def elsewhere(self) -> str:
+        """Say that all GPS tags lie far off the map, and so how far; "" where they do not."""
+        return "" if self.tags_away is None else f"The flight's GPS tags lie {distance(self.tags_away)} from this map"
+
+    @property
+    def stages(self) -> list[str]:
+        """The stages that ran."""
+        return [stage for stage in STAGES if any(stage in located.stages for located in self.frames)]
+
+    @cached_property
+    def rendered(self) -> bool:
+        """True if its photos are those of a rendered world, whose coordinates are of no real place."""
+        return bool(self.frames) and is_rendered_flight(self.frames[0].frame.file.parent)
+
+    @cached_property
+    def late_tags(self) -> TagAudit | None:
+        """The audit of the tags against the registrations that ship with the flight; None unless these show a constant lag."""
+        answers = [self.shipped.get(located.frame.name) for located in self.frames]
+        places = np.array([UNKNOWN if a is None or not a.accepted or a.x is None else (a.x, a.y) for a in answers])
+        audit = audit_tags(self.flight.times, tag_positions(self.frames), places.astype(np.float64), middles=True)
+        return audit if audit.has_lag else None
+
+    def judge_of(self, frame: int) -> Judge:
+        """Return what a photo's look is graded by, see `photographed`."""
+        if self.late_tags is None:
+            return "its GPS tag"
+        return "its GPS tag without its lag" if self._shipped_middle(self.frames[frame]) is None else "its details"
+
+    @cached_property
+    def photographed(self) -> list[Float64Array | None]:
+        """The place of each photo's middle, (2,), that its ranking is graded by; None where that is not known.
+
+        It is the tag, unless the tags are late (`late_tags`): then it is the registration that ships with the flight, and for a
+        frame without one the tag without the lag.
+        """
+        if (audit := self.late_tags) is None or audit.lag is None:
+            return [located.tag for located in self.frames]
+        moved = corrected_tags(self.flight.times, tag_positions(self.frames), audit.lag)
+        places: list[Float64Array | None] = []
+        for located, tag in zip(self.frames, moved, strict=True):
+            middle = self._shipped_middle(located)
+            known = None if np.isnan(tag).any() else tag
+            places.append(known if middle is None else middle)
+        return places
+
+    def _shipped_middle(self, located: LocatedFrame) -> Float64Array | None:
+        answer = self.shipped.get(located.frame.name)
+        if answer is None or not answer.accepted or answer.homography is None:
+            return None
+        return located.middle(answer)
+
+    def track(self) -> list[TrackPoint]:
+        """Return the track's points, stage by stage; a correction takes the place of its frame's registration."""
+        return [
+            self.point(located, stage, answer)
+            for stage in (*self.stages, BY_HAND)
+            for located in self.frames
+            if (answer := located.by_hand if stage == BY_HAND else located.stages.get(stage)) is not None
+            and not (stage == "registration" and located.by_hand is not None)
+        ]
+
+    def point(self, located: LocatedFrame, stage: str, answer: StageRecord) -> TrackPoint:
+        """Return the track's point of a frame's answer by a stage."""
+        latitude = longitude = easting = northing = projection = apart = east = north = None
+        frame = self.basemap.frame
+        if answer.x is not None and answer.y is not None:
+            latitude, longitude = frame.degrees([(answer.x, answer.y)])[0].tolist()
+            easting, northing = frame.utm([(answer.x, answer.y)])[0].tolist()
+            projection = frame.utm_zone
+            if (tag := self._told_tag(located)) is not None:
+                apart = answer.distance(tag)
+                east, north = ((easting, northing) - frame.utm([tag])[0]).tolist()
+        reason, note = short_reason(located.by_hand_sentence if stage == BY_HAND else answer.sentence)
+        return TrackPoint(
+            located.frame.name,
+            stage,
+            answer.state,
+            reason,
+            located.frame.time,
+            latitude,
+            longitude,
+            answer.camera,
+            answer.radius_on_map,
+            answer.radius if answer.on_earth else None,
+            answer.heading,
+            apart,
+            note=note,
+            easting=easting,
+            northing=northing,
+            projection=projection,
+            misfit=None if answer.agreement is None else answer.agreement.median,
+            largest_misfit=None if answer.agreement is None else answer.agreement.largest,
+            east_from_tag=east,
+            north_from_tag=north,
+            tag_latitude=located.frame.latitude,
+            tag_longitude=located.frame.longitude,
+            checked=checked_beside_middle(answer) if stage == "registration" and answer.accepted else "",
+            **_of_pose(answer.pose, self.basemap),
+        )
+
+    def _told_tag(self, located: LocatedFrame) -> Float64Array | None:
+        """Return the tag in the frame's file in metres, (2,), which is late where the tags have a lag; None without one."""
+        frame = located.frame
+        if self.tags_corrected and frame.latitude is not None and frame.longitude is not None:
+            place: Float64Array = self.basemap.frame.xy([frame.latitude], [frame.longitude])[0]
+            return place
+        return located.tag
+
+    def without_lag(self) -> LocatedFlight:
+        """Return the flight with the tags of `tags_without_lag`; itself if there are none, or it has them already."""
+        if self.tags_without_lag is None or self.tags_corrected:
+            return self
+        pairs = zip(self.frames, self.tags_without_lag, strict=True)
+        frames = [replace(located, tag=None if np.isnan(tag).any() else tag) for located, tag in pairs]
+        return replace(self, frames=frames, tags_corrected=True)
+
+    def summaries(self, limit: float = 50.0) -> dict[str, measures.ErrorSummary]:
+        """Return the errors of each stage against `LocatedFrame.truth`; frames without one are left out, refused positions do
+        not count.
+
+        Answers of the retrieval are ordered by their scores, those of the other stages by their radii.
+        """
+        known = [located for located in self.frames if located.truth(False) is not None]
+        summaries = {}
+        for stage in self.stages:
+            answers = [located.stages.get(stage) for located in known]
+            errors = [
+                math.nan if answer is None or answer.state == "refused" or error is None else error
+                for answer, error in zip(answers, (located.error(stage) for located in known), strict=True)
+            ]
+            radii = [math.nan if answer is None or answer.radius is None else answer.radius for answer in answers]
+            scores = [located.windows[0].score if located.windows else math.nan for located in known]
+            summaries[stage] = measures.summarise(errors, radii, limit, scores=scores if stage == "retrieval" else None)
+        return summaries
+
+    @cached_property
+    def registration_summary(self) -> measures.ErrorSummary | None:
+        """The summary of the registration's errors, see `summaries`; None while no frame is registered."""
+        return self.summaries().get("registration")
+
+    @cached_property
+    def radii_confirmed(self) -> dict[str, bool]:
+        """By stage, if three radii hold its errors about as often as right ones would; without stages that no tag checks.
+
+        A search with a prior finds nothing far from the tags, so these may refute its radii, and confirm none.
+        """
+        checked = {stage: one.calibration for stage, one in self.summaries().items() if one.calibration}
+        confirmed = {stage: shares[3] >= measures.CONFIRMED_SHARE for stage, shares in checked.items()}
+        return confirmed if self.prior is None else {stage: False for stage, held in confirmed.items() if not held}
+
+    def field_measures(self) -> dict[str, float]:
+        """Return Recall@K, SDM@K of GTA-UAV, Dis@K, and MA@m of the retrieval against `LocatedFrame.truth`.
+
+        A window is a hit if it holds that place. "recall@5 apart" is measured on windows whose centres are at least half a side
+        apart, as the registration searches them without a sequence; "sequence recall@5 apart" on those of the sequence's greatest
+        posterior. A frame that cannot be read is a miss of the retrieval, and left out of Dis@K only. Empty without retrieval or
+        such places.
+        """
+        if self.retrieval is None:
+            return {}
+        depth = min(10, len(self.retrieval.windows))
+        rows: list[Float64Array] = []
+        hits: list[BoolArray] = []
+        apart: list[bool] = []
+        likely: list[list[bool]] = []
+        for i, located in enumerate(self.frames):
+            if (truth := located.truth(False)) is None:
+                continue
+            if located.likely:
+                near = np.array(located.likely)
+                likely.append(np.all(np.abs(near[:, :2] - truth) <= near[:, 2:] / 2, axis=1).tolist())
+            if i in self.retrieval.broken:
+                rows.append(np.full(depth, np.inf))
+                hits.append(np.zeros(depth, bool))
+                apart.append(False)
+                continue
+            off = self.retrieval.places - truth
+            holds = np.all(np.abs(off) <= self.retrieval.sizes[:, None] / 2, axis=1)
+            order = self.retrieval.first(i, depth)
+            rows.append(np.linalg.norm(off[order], axis=1))
+            hits.append(holds[order])
+            apart.append(bool(holds[self.retrieval.first(i, TOP, APART)].any()))
+        if not rows:
+            return {}
+        distances = np.array(rows)
+        read = distances[np.isfinite(distances).all(axis=1)]
+        depths = [k for k in (1, 5, 10) if k <= distances.shape[1]]
+        figures = {f"recall@{k}": field_metrics.recall_at(hits, k) for k in depths}
+        figures[f"recall@{TOP} apart"] = 100 * float(np.mean(apart))
+        if likely:
+            figures |= {
+                f"sequence recall@{k} apart": 100 * float(np.mean([any(own[:k]) for own in likely])) for k in (1, TOP)
+            }
+        figures |= {f"sdm@{k}": float(field_metrics.sdm_gta_uav(distances, k).mean()) for k in depths}
+        if len(read):
+            figures |= {f"dis@{k}": float(field_metrics.distance_at(read, k).mean()) for k in depths}
+        return figures | {f"ma@{m}": field_metrics.accuracy_within(distances[:, 0], m) for m in (20, 50, 100)}
+
+
+def short_reason(text: str) -> tuple[str, str]:
+    """Return the first sentence of a text, and the others."""
+    first, end, rest = text.partition(". ")
+    return (f"{first}.", rest) if end else (text, "")
+
+
+def checked_beside_middle(answer: StageRecord) -> Literal["yes", "no"]:
+    """Return "yes" if places away from the photo's middle are enough to check it by the map; they may contradict it."""
+    return "no" if answer.agreement is None or answer.agreement.unchecked else "yes"
+
+
+def _of_pose(pose: CameraPose | None, basemap: Map) -> dict[str, Any]:
+    """Return the entries of a track's point that a pose has."""
+    if pose is None:
+        return {}
+    latitude, longitude = basemap.frame.degrees([(pose.east, pose.north)])[0].tolist()
+    return {
+        "pose_latitude": latitude,
+        "pose_longitude": longitude,
+        "altitude": None if pose.flat else pose.altitude,
+        "height": pose.height,
+        "yaw": pose.heading,
+        "pitch": pose.pitch,
+        "roll": pose.roll,
+        "fov": pose.fov,
+        **dict(zip((f"sigma_{name}" for name in POSE_AXES), pose.sigmas.tolist(), strict=True)),
+    }
+
+
+def _sentence(what: str, metres: float | None) -> str:
+    return "" if metres is None else f" {what} {metres:.1f} m from there."

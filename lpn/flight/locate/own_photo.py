@@ -1,0 +1,85 @@
+"""The registration of one photo of no flight: on the whole map, or about its most similar windows where that is too large."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lpn.core.arrays import UInt8Array
+from lpn.core.progress import CountProgress
+from lpn.flight.files import Frame, ground_width
+from lpn.flight.locate.ground import MapFeatures
+from lpn.flight.locate.located import LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.registered_stage import PhotoSearch, compared, register_photo, tried_widths, with_map_error
+from lpn.flight.maps import Map, Window
+
+
+@dataclass(frozen=True, eq=False)
+class OwnPhoto:
+    """The answer of the registration for one photo.
+
+    Attributes:
+        located: the photo, with one stage.
+        whole_map: whether all of the map was searched.
+    """
+
+    located: LocatedFrame
+    whole_map: bool
+
+    @property
+    def answer(self) -> StageRecord:
+        """The answer; its homography is from pixels of the photo without the distortion of its lens, see `Frame.undistorted`."""
+        return self.located.stages["registration"]
+
+
+def register_own_photo(
+    basemap: Map,
+    features: Sequence[MapFeatures],
+    photo: UInt8Array,
+    frame: Frame | None,
+    windows: Sequence[Window],
+    on_progress: CountProgress | None = None,
+    map_error: float | None = None,
+) -> OwnPhoto:
+    """Register a photo of which nothing needs to be known: neither its place nor its heading, height, or field of view.
+
+    It is accepted by the rules of a flight's photos, see `lpn.flight.locate.registration`, and needs more support
+    than these, see `lpn.flight.locate.registration.proven`. The whole map is searched where it is small enough, so that every place
+    that looks alike is a rival.
+
+    Args:
+        features: of the map by each matcher, which are tried in this order.
+        photo: RGB, (H, W, 3), as it was taken.
+        frame: what the photo's file tells; None if it tells nothing. It is not believed where its tag lies farther off the map
+            than the map is wide: then either the photo is of another place, or what it tells is of another photo.
+        windows: the most similar ones, about which a large map is searched.
+        on_progress: called before each try with the number of those made, and of all; what it raises ends the search.
+        map_error: see `LocateOptions.map_error`.
+    """
+    height, width = photo.shape[:2]
+    frame = replace(frame or Frame("photo", Path("photo"), width, height), width=width, height=height)
+    tag = None
+    if frame.latitude is not None and frame.longitude is not None:
+        tag = basemap.frame.xy([frame.latitude], [frame.longitude])[0]
+    located = LocatedFrame(frame, tag if tag is not None and np.isfinite(tag).all() else None)
+    if located.tag is not None and basemap.metres_off(located.tag) > max(basemap.sides):
+        located.frame = frame = Frame(frame.name, frame.file, width, height)
+    smallest = min(metres for metres, _ in tried_widths(basemap, ground_width(frame), ()))
+    whole_map = all(kind.holds_map(smallest) for kind in features)
+    side = None
+    if not whole_map and windows:
+        located.windows = [WindowRecord(one.x, one.y, one.size, 0.0, 0.0, [], []) for one in windows]
+        side = float(np.median([one.size for one in windows]))
+    plain = frame.undistorted(photo)
+    search = PhotoSearch(
+        basemap, features, located, plain, LocateOptions(), side=side, on_progress=on_progress, anywhere=True
+    )
+    answer = compared(basemap, register_photo(search), plain)
+    located.stages["registration"] = with_map_error(
+        answer, basemap.total_error(map_error), basemap.place_error(map_error)
+    )
+    return OwnPhoto(located, whole_map)

@@ -1,0 +1,91 @@
+"""The pose of a registered photo's camera, from its matches and the map's heights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.homography import apply_homography, inverse
+from lpn.flight.files import Frame
+from lpn.flight.locate.camera_place import told_tilt_error
+from lpn.flight.locate.camera_pose import CameraPose, PoseMatches, solve_pose
+from lpn.flight.locate.levelled import Levelled, PhotoView
+from lpn.flight.locate.matchers import Complex
+from lpn.flight.locate.registration import Registration
+from lpn.flight.maps import Map
+
+# Matches of the second round lie within this share of the picture's width of where the first pose has them.
+_REACH = 0.02
+# Ground that the plane's model lays within so many widths of the picture's middle may be seen.
+_SEEN = 1.0
+# Sigmas by which a pose's tilt may differ from the one that the photo tells.
+_SIGMAS = 3.0
+# 1-sigma error of a match in pixels of the pictures that were compared.
+_MATCH_ERROR = 1.0
+
+
+def photo_pose(
+    basemap: Map, frame: Frame, size: tuple[int, int], registration: Registration, levelled: Levelled | None
+) -> CameraPose | str:
+    """Solve the pose of a photo's camera; on flat ground if the map has no elevation.
+
+    Args:
+        size: width and height of the photo in pixels.
+        registration: of the photo, with its matches; `homography` and `width` are those of the photo itself.
+        levelled: the picture that was registered in place of the photo; None if it was the photo.
+
+    Returns:
+        The pose, or a sentence that says why there is none; "" without matches.
+    """
+    matched, plane, metres = registration.matched, registration.homography, registration.width
+    if matched is None or plane is None or metres is None:
+        return ""
+    flat = basemap.elevation is None
+    noise = _MATCH_ERROR * max(1.0, matched.ground.resolution * size[0] / metres)
+    view = PhotoView(size, levelled)
+    # Where neither heights nor the photo tell the tilt, noise and relief would pass for one.
+    proven = flat and (frame.pitch is None or frame.roll is None)
+
+    def collected(u: Complex, places: Float64Array) -> PoseMatches:
+        heights = np.zeros(len(places)) if flat else basemap.heights(places)
+        known = np.isfinite(heights)
+        points = np.column_stack([places, heights])[known]
+        parameters = 8 if registration.model == "homography" else 4 if proven else 6
+        return PoseMatches(view.pixels(u)[known], points, size, plane, parameters, noise)
+
+    def again(predict: Callable[[Float64Array], Float64Array]) -> PoseMatches:
+        # The plane's model tells which ground the photo may show at all.
+        on_plane = np.abs(view.units(apply_homography(inverse(plane), matched.ground.points)))
+        numbers = np.flatnonzero(on_plane < _SEEN)
+        places = matched.ground.points[numbers]
+        heights = np.zeros(len(places)) if flat else basemap.heights(places)
+        predicted = np.full(len(matched.ground.points), np.nan, np.complex128)
+        predicted[numbers] = view.units(predict(np.column_stack([places, heights])))
+        u, chosen = matched.again(predicted, _REACH)
+        return collected(u, matched.ground.points[chosen])
+
+    def ground_below(place: Float64Array) -> float | None:
+        height = 0.0 if flat else float(basemap.heights(place[None])[0])
+        return height if np.isfinite(height) else None
+
+    first = collected(matched.u, np.stack([matched.m.real, matched.m.imag], axis=1))
+    solved = solve_pose(first, frame.fov, flat, ground_below, None if flat else again, proven)
+    return solved if isinstance(solved, str) else _contradiction(frame, solved, registration.turned) or solved
+
+
+def _contradiction(frame: Frame, solved: CameraPose, turned: bool) -> str:
+    """Return that pitch or roll contradict what the photo tells, as a sentence; "" if they agree within three sigmas."""
+    if frame.pitch is None or frame.roll is None:
+        return ""
+    way = -1 if turned else 1  # the file was turned after it was taken
+    told = way * (frame.pitch + 90) - 90, way * frame.roll
+    limits = [_SIGMAS * math.hypot(told_tilt_error(frame), float(sigma)) for sigma in solved.sigmas[4:]]
+    if abs(solved.pitch - told[0]) <= limits[0] and abs(solved.roll - told[1]) <= limits[1]:
+        return ""
+    return (
+        f"The matches would have the camera at a pitch of {solved.pitch:.1f}° and a roll of {solved.roll:.1f}°, and the photo "
+        f"tells {told[0]:.1f}° and {told[1]:.1f}°, so there is no pose."
+    )

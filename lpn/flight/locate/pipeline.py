@@ -1,0 +1,221 @@
+"""The three stages over a whole flight: retrieval, sequence, registration; resumable, and past frames that cannot be read."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, InputError
+from lpn.core.numbers import error_figure
+from lpn.flight.files import Flight
+from lpn.flight.locate.audit import TagAudit, audit_tags, corrected_tags
+from lpn.flight.locate.beyond import places_beyond
+from lpn.flight.locate.corrections import Correction
+from lpn.flight.locate.index_windows import WindowIndex
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
+from lpn.flight.locate.map_proof import refuse_unproven
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.ranked_stages import OVERLAP, confirm_sequence, enter_retrieval, enter_sequence
+from lpn.flight.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
+from lpn.flight.locate.registration import is_turned_over
+from lpn.flight.locate.retrieval import MapRetrieval, retrieve
+from lpn.flight.locate.shipped import ShippedAnswers
+from lpn.flight.locate.tags import enter_corrections, tags_on_map
+from lpn.flight.maps import Map
+from lpn.models.base import Model
+
+# Seconds from one answer of a registration that goes on to the next.
+_PARTIAL_INTERVAL = 3.0
+# Photos before and after one whose details, within three quarters of a window's side, show that it lies on the map.
+_NEIGHBOURS = (-2, -1, 1, 2)
+
+
+def locate(
+    basemap: Map,
+    flight: Flight,
+    model: Model | None = None,
+    options: LocateOptions | None = None,
+    corrections: Mapping[str, Correction] | None = None,
+    indexed: WindowIndex | None = None,
+    shipped: Path | None = None,
+) -> LocatedFlight:
+    """Locate the frames of a flight.
+
+    Registered frames are kept in the user's cache, so a run that was killed goes on where it stopped.
+
+    Args:
+        model: for the retrieval; without one, registration searches the whole map, or around the tags with a prior.
+        corrections: a person's, by the frame's name. They change no answer of a stage: they are the truth of errors and of the
+            audit, and stand in the track in place of registrations.
+        indexed: of the map's windows, described by the model; without it, the windows that the options tell are described.
+        shipped: a folder of answers that ship with the flight, which are taken if they fit, see `lpn.flight.locate.shipped`.
+
+    Raises:
+        InputError: if no stage is left, a prior is given beside a model, or the model lacks a view.
+        DataError: if the flight has no frame.
+    """
+    options = options or LocateOptions()
+    if not flight.frames:
+        raise DataError(f"The flight {flight.name} has no photo; give one with photos.")
+    if model is not None and options.prior is not None:
+        raise InputError(
+            "With a model, registration searches where the model finds it, not around the GPS tag; leave --prior or --model out."
+        )
+    if model is None and not options.register:
+        raise InputError(
+            "There is nothing to do without a model and without registration; give --model, or allow --register."
+        )
+    tags, notes, tags_away = tags_on_map(basemap, flight)
+    frames = [
+        LocatedFrame(frame, None if np.isnan(tag).any() else tag)
+        for frame, tag in zip(flight.frames, tags, strict=True)
+    ]
+    notes += enter_corrections(basemap, frames, corrections or {})
+    if options.prior is not None:
+        notes.append(
+            f"Registration searched around the GPS tags only (prior {options.prior:g} m), so errors against them say less than "
+            "those of a search without a prior."
+        )
+    retrieval, answers = None, None
+    if model is not None:
+        if shipped is not None:
+            answers = ShippedAnswers.open(shipped, FORMAT, model, basemap, flight)
+        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, options.centre, indexed, answers)
+        notes += retrieval.notes
+        if retrieval.broken:
+            notes.append(
+                f"{len(retrieval.broken)} of {len(frames)} photos cannot be read; the retrieval's measures count them as misses, "
+                "and Dis@K leaves them out."
+            )
+        enter_retrieval(retrieval, frames, options.top)
+        if options.sequence and answers is not None and len(answers.sequence) == len(frames):
+            for frame in frames:
+                frame.stages["sequence"] = answers.sequence[frame.frame.name]
+            notes += answers.notes
+        elif options.sequence:
+            notes += enter_sequence(retrieval, flight, frames, options, _beyond(retrieval, basemap))
+    registrations = {} if answers is None else answers.registration
+    located = LocatedFlight(
+        flight, basemap, frames, None, notes, retrieval, registrations, tags_away=tags_away, prior=options.prior
+    )
+    return registered(located, model, options) if options.register else located
+
+
+def registered(
+    located: LocatedFlight,
+    model: Model | None,
+    options: LocateOptions | None = None,
+    on_partial: Callable[[LocatedFlight], None] | None = None,
+) -> LocatedFlight:
+    """Register the frames of a flight whose other stages are done, and audit its tags; `located` is not changed.
+
+    Args:
+        model, options: those that the flight was located with, so that answers of `locate` are found in the cache.
+        on_partial: called every few seconds with the flight as far as it is registered; the tags are not audited yet.
+    """
+    options = replace(options or LocateOptions(), register=True)
+    map_error = located.basemap.total_error(options.map_error)
+    place_error = located.basemap.place_error(options.map_error)
+    frames = [replace(frame, stages=dict(frame.stages)) for frame in located.frames]
+    published = time.monotonic()
+
+    def publish(done: int, total: int) -> None:
+        nonlocal published
+        if on_partial is not None and done < total and time.monotonic() - published >= _PARTIAL_INTERVAL:
+            copies = [replace(frame, stages=dict(frame.stages)) for frame in frames]
+            refuse_contradicted(copies[:done])
+            on_partial(replace(located, frames=copies))
+            published = time.monotonic()
+
+    notes = register_frames(
+        located.basemap, located.flight, frames, options, model, located.retrieval, publish, located.shipped
+    )
+    side = None if located.retrieval is None else float(np.median(located.retrieval.sizes))
+    if side is not None:
+        if not located.shipped:  # a sequence that ships knows them
+            _know_frames_on_map(located, frames, options)
+        confirm_sequence(frames, side, located.basemap.bounds)
+    notes += refuse_unproven(frames, located.basemap.bounds, options.prior, side)
+    answers = [frame.by_hand or frame.stages["registration"] for frame in frames]
+    places = np.array(
+        [(a.x, a.y) if a.accepted and a.x is not None else (np.nan, np.nan) for a in answers], np.float64
+    ).reshape(-1, 2)
+    tags = tag_positions(frames)
+    audit = audit_tags(located.flight.times, tags, places, any(a.accepted and not a.camera for a in answers))
+    if any(answer.accepted and answer.radius is not None for answer in answers):
+        source = f", {place_error:.1f} m by the GPS tags that place it" if place_error else ""
+        if place_error == located.basemap.surveyed_error:
+            source = ", as it was surveyed"
+        notes.append(
+            f"Radii of registrations hold {error_figure(map_error)} m for the error of the map itself{source}."
+        )
+    moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
+    if options.tags == "corrected":
+        notes.append(
+            _corrected_note(audit)
+            if audit.has_lag
+            else "GPS tags were left as they are, because the registration finds no constant lag of them."
+        )
+    found = replace(
+        located,
+        frames=frames,
+        audit=audit,
+        notes=[*located.notes, *notes, *_turn_notes(frames)],
+        tags_without_lag=moved,
+        map_error=map_error,
+        place_error=place_error,
+    )
+    return found.without_lag() if options.tags == "corrected" else found
+
+
+def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
+    return places_beyond(basemap, retrieval.places, retrieval.sizes, retrieval.overlap)
+
+
+def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], options: LocateOptions) -> None:
+    """Compute the sequence anew where it refuses frames: those that their details, or a person, place are not beyond the map.
+
+    Beyond the edge a photo may fit an equal building by itself, so details count where those of a photo before or after place
+    that near by, see `_NEIGHBOURS`.
+    """
+    if located.retrieval is None:
+        return
+    near = OVERLAP * float(np.median(located.retrieval.sizes))
+    refused = any("sequence" in one.stages and not one.stages["sequence"].accepted for one in frames)
+    answers = [one.stages["registration"] for one in frames]
+    placed = {i: np.array([one.x, one.y]) for i, one in enumerate(answers) if one.accepted and one.x is not None}
+    on_map = {i for i, one in enumerate(frames) if one.by_hand is not None}
+    on_map |= {i for i in placed for j in _NEIGHBOURS if i + j in placed and answers[i].distance(placed[i + j]) <= near}
+    if refused and on_map:
+        beyond = _beyond(located.retrieval, located.basemap)
+        enter_sequence(located.retrieval, located.flight, frames, options, beyond, on_map)
+
+
+def _corrected_note(audit: TagAudit) -> str:
+    """Return a sentence about errors against tags without their lag."""
+    note = f"Errors are against the GPS tags without their lag of {audit.lag:.1f} s (--tags corrected)."
+    if audit.looks_ahead:
+        note += (
+            f" If {audit.looks_ahead} instead, these are the places of the pictures' middles, and not of the camera."
+        )
+    return note
+
+
+def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:
+    """Yield a sentence about pictures that are turned against their heading."""
+    turned = [
+        located.frame.name
+        for located in frames
+        if (answer := located.stages["registration"]).accepted and is_turned_over(answer.turn)
+    ]
+    if turned:
+        one = len(turned) == 1
+        yield (
+            f"{len(turned)} photo{' is' if one else 's are'} turned by about 180 degrees against "
+            f"{'its' if one else 'their'} heading: {', '.join(turned)}."
+        )

@@ -1,0 +1,631 @@
+"""The stage of a flight that registers each photo on the map; resumable."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from lpn.core import images
+from lpn.core.arrays import Float64Array, UInt8Array
+from lpn.core.errors import DataError, PictureError
+from lpn.core.files import cache_folder
+from lpn.core.numbers import SIGMA, error_figure
+from lpn.core.progress import CountProgress, report_progress
+from lpn.flight.files import Flight, Frame, ground_width
+from lpn.flight.locate import continuity
+from lpn.flight.locate.agreement import map_agreement
+from lpn.flight.locate.camera_place import camera_place, height_of_width, told_tilt_error
+from lpn.flight.locate.camera_pose import DEFAULT_FOV, CameraPose
+from lpn.flight.locate.ground import MAX_BLOCKS, MapFeatures
+from lpn.flight.locate.levelled import Levelled, PhotoView, level, pixel_grid
+from lpn.flight.locate.line_records import LineRecords
+from lpn.flight.locate.located import LocatedFrame, StageRecord, tag_positions
+from lpn.flight.locate.matched_details import MatchedDetails
+from lpn.flight.locate.matchers import Matcher, open_matchers
+from lpn.flight.locate.options import TOP, LocateOptions
+from lpn.flight.locate.photo_pose import photo_pose
+from lpn.flight.locate.registration import (
+    APART,
+    MIN_RATIO,
+    MIN_SUPPORT,
+    Expectation,
+    Ground,
+    Registration,
+    Similarity,
+    contested,
+    pose,
+    proven,
+    register,
+    turn_between,
+)
+from lpn.flight.locate.retrieval import MapRetrieval, frame_identity, heading_is_certain
+from lpn.flight.locate.tilts import COMMON, tilt_error
+from lpn.flight.maps import Map
+from lpn.models.base import Model
+
+FORMAT = "lpn-locate/7"
+# Answers in the cache have poses and matched details of this version.
+_POSES = 6
+# Ratios between the ground widths that are tried where none is known.
+_WIDTHS = 1.9
+# Frames whose registered widths correct the next one's, and those that stand for it where no height is known.
+_RECENT = 7
+_LATEST = 3
+# Ground widths around a candidate that are searched.
+AROUND = 0.75
+# Share of a photo's ground beyond what was searched, above which the search is repeated about the place found.
+_BEYOND = 0.05
+# How far a picture's middle may sway with the tilt, as a share of the ground width: 8 degrees at 70 degrees of view.
+_SWAY = 0.1
+# Pitches at which a photo is levelled that tells none and is not placed as it is, and the field of view where that is not told.
+_TRIED_PITCHES = (-60.0, -42.0)
+# Flights of fewer frames do not show by themselves that the map is of their place.
+FEWEST = 5
+# Levelled so, a photo needs so many times the usual support, as each try is a chance to agree with a wrong place.
+_TRIED_SUPPORT = 2.0
+# Each model of a registration in words: the matches agree on it.
+_AGREED = {"similarity": "one place, turn, and scale", "homography": "one place, turn, scale, and tilt"}
+
+
+def register_frames(
+    basemap: Map,
+    flight: Flight,
+    frames: list[LocatedFrame],
+    options: LocateOptions,
+    model: Model | None,
+    retrieval: MapRetrieval | None,
+    on_frame: CountProgress,
+    shipped: Mapping[str, StageRecord],
+) -> list[str]:
+    """Enter the answers of the registration, shipped ones and those of a killed run's records first; return sentences on them.
+
+    Args:
+        on_frame: called after each frame with the numbers of frames done and of all.
+    """
+    matchers = open_matchers(options.matcher)
+    features = [MapFeatures(basemap, matcher) for matcher in matchers]
+    # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
+    names = [matcher.name for matcher in matchers]
+    searched = replace(options, top=TOP, map_error=None, tags="told")
+    side = None if retrieval is None else float(np.median(retrieval.sizes))
+    heights = None if basemap.elevation is None else basemap.elevation.digest()
+    key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]
+    file = cache_folder() / "locate" / "registration" / f"{_digest([*key, flight.name])}.jsonl"
+    records = LineRecords(file, StageRecord)
+    # So few photos show nothing together: without a tag on the map each proves the map alone, as a photo of no flight does.
+    alone = len(frames) < FEWEST and all(located.by_hand is None for located in frames)
+    widths: list[float] = []
+    ratios: list[float] = []
+    heading: float | None = None
+    trail = _digest(key)
+    answers: list[StageRecord] = []
+    map_error, place_error = basemap.total_error(options.map_error), basemap.place_error(options.map_error)
+    for i, located in enumerate(frames):
+        # An answer depends on the frames before it, whose widths it takes over.
+        places = located.searched_places(options.prior is not None)
+        around = None if places is None else places.tolist()
+        anywhere = alone and located.tag is None
+        identity = [frame_identity(located.frame), _plain(located.frame), around, *["anywhere"] * anywhere]
+        trail = _digest([trail, *identity])
+        answer = shipped.get(located.frame.name) or records.get(trail)
+        if answer is None:
+            answer = register_frame(basemap, features, located, options, widths, ratios, retrieval, heading, anywhere)
+            records.append(trail, answer)
+        elif answer.accepted and answer.agreement is None:  # it was kept before places were compared
+            with suppress(PictureError):  # it is gone since then
+                answer = compared(basemap, answer, _photo(located.frame))
+                if answer.agreement is not None:
+                    records.append(trail, answer)
+        answers.append(answer)
+        located.stages["registration"] = with_map_error(answer, map_error, place_error)
+        if answer.accepted and answer.width is not None:
+            heading = answer.heading
+            widths.append(answer.width)
+            if (expected := ground_width(located.frame)) is not None:
+                ratios.append(answer.width / expected)
+        report_progress("Registering frames", i + 1, len(frames))
+        on_frame(i + 1, len(frames))
+    notes = refuse_contradicted(frames)
+    return notes + correct_radii(frames, answers, map_error)
+
+
+def correct_radii(frames: list[LocatedFrame], answers: Sequence[StageRecord], map_error: float) -> list[str]:
+    """Give the radii of accepted cameras the error of the tilts that the flight itself shows; return sentences about it.
+
+    An error that frames have in common, such as a camera mounted askew, moves them alike along a leg and does not scatter. So
+    the squares of the scatter and of a share `COMMON` of the told error add up, and radii never grow.
+
+    Args:
+        answers: of the registration of each frame, before the map's error was added.
+    """
+    notes = []
+    for told in sorted({told_tilt_error(located.frame) for located in frames}):
+        of_cameras = [
+            (located, answer, located.frame.time, height_of_width(located.frame, answer.width))
+            for located, answer in zip(frames, answers, strict=True)
+            if located.stages["registration"].accepted
+            and answer.camera
+            and not answer.by_pose
+            and answer.radius is not None
+            and answer.width is not None
+            and located.frame.time is not None
+            and told_tilt_error(located.frame) == told
+        ]
+        of_cameras.sort(key=lambda one: one[2])
+        times, heights = (np.array([one[k] for one in of_cameras], np.float64) for k in (2, 3))
+        places = np.array([(answer.x, answer.y) for _, answer, *_ in of_cameras], np.float64).reshape(-1, 2)
+        radii = np.array([answer.radius for _, answer, *_ in of_cameras], np.float64)
+        spreads = np.sqrt(np.maximum(radii**2 - (heights * math.tan(math.radians(told))) ** 2, 0))
+        scatter = tilt_error(times, places, spreads, heights, told)
+        degrees = math.hypot(scatter, COMMON * told)
+        if degrees >= told:
+            continue
+        for (located, answer, *_), spread, height in zip(of_cameras, spreads, heights, strict=True):
+            radius = math.hypot(spread, height * math.tan(math.radians(degrees)))
+            changed = msgspec.structs.replace(answer, radius=radius)
+            place_error = located.stages["registration"].place_error
+            located.stages["registration"] = with_map_error(changed, map_error, place_error)
+        notes.append(
+            f"Neighbouring places of the camera scatter as an error of {scatter:.1f} degrees in the tilts would have it. With "
+            f"{COMMON * told:.2g} degrees for an error that photos have in common, which scatter does not show, radii count with "
+            f"{degrees:.1f} in place of {told:g} degrees."
+        )
+    return notes
+
+
+def with_map_error(answer: StageRecord, map_error: float, place_error: float) -> StageRecord:
+    """Add the map's error to an answer's radius, and tell the radius of an accepted one.
+
+    Args:
+        place_error: see `Map.place_error`.
+    """
+    if answer.radius is None:
+        return answer
+    on_earth = place_error > 0
+    radius = math.hypot(answer.radius, map_error)
+    sentence = answer.sentence
+    if answer.accepted:
+        place = "camera's place" if answer.camera else "picture's middle"
+        where = "earth" if on_earth else "the map"
+        sentence += f" The error of the {place} on {where} is ± {radius:.1f} m ({SIGMA})"
+        on_map = math.sqrt(max(map_error**2 - place_error**2, 0.0))
+        parts = [f"± {error_figure(on_map)} m are assumed for the map"] if on_map else []
+        parts += [f"± {error_figure(place_error)} m are the error of the map's place"] if on_earth else []
+        sentence += f", of which {' and '.join(parts)}." if parts else "."
+    middle = None if answer.middle_radius is None else math.hypot(answer.middle_radius, map_error)
+    return msgspec.structs.replace(
+        answer, radius=radius, middle_radius=middle, sentence=sentence, map_error=map_error, place_error=place_error
+    )
+
+
+def refuse_contradicted(frames: list[LocatedFrame]) -> list[str]:
+    """Refuse registrations that the flight's other ones contradict, by turn or by place; return sentences about it."""
+    return [*_refuse_turned(frames), *_refuse_jumps(frames)]
+
+
+def _refuse_turned(frames: list[LocatedFrame]) -> list[str]:
+    """Refuse registrations that are turned against a certain heading unlike the others; return a sentence about them.
+
+    A share of them that is too large is not known: beyond the edge of a map 5 of 21 were false.
+    """
+    turned = [
+        (located, answer, answer.turn)
+        for located in frames
+        if (answer := located.stages["registration"]).accepted
+        and answer.turn is not None
+        and heading_is_certain(located.frame)
+    ]
+    found = continuity.other_turns(np.array([turn for *_, turn in turned], np.float64))
+    for i, degrees in found.items():
+        located, answer, _ = turned[i]
+        located.stages["registration"] = turned_away(answer, degrees, "other frames")
+    if not found:
+        return []
+    least, most = _degrees(min(found.values())), _degrees(max(found.values()))
+    by = f"by {least}" if least == most else f"by {least} to {most}"
+    count = f"{len(found)} of {len(turned)} registrations"
+    if len(found) == 1:
+        return [
+            f"{count} is turned {by} against its heading, unlike the others, and is refused, as it may show an equal building. "
+            "If the headings of its leg are off, it may be right."
+        ]
+    return [
+        f"{count} are turned {by} against their headings, unlike the others, and are refused, as they may show equal buildings. "
+        f"Of each leg whose headings are off, up to {continuity.NEW_HEADING - 1} right photos may be among them."
+    ]
+
+
+def _degrees(degrees: float) -> str:
+    return f"{degrees:.1f}°" if degrees < 10 else f"{degrees:.0f}°"
+
+
+def turned_away(answer: StageRecord, degrees: float, others: str) -> StageRecord:
+    """Refuse a registration that lies by some degrees from where its heading and those of others, frames in words, have it."""
+    sentence = (
+        f"The photo fits the map here, but turned by {_degrees(degrees)} from where its heading and those of the {others} have "
+        "it: it may be an equal building."
+    )
+    return msgspec.structs.replace(answer, state="refused", sentence=sentence)
+
+
+def _refuse_jumps(frames: list[LocatedFrame]) -> list[str]:
+    """Refuse registrations that the drone cannot have flown to and back from, unless they are many; return sentences about it.
+
+    Cameras and pictures' middles are two tracks. The map's error moves neighbours alike, so their radii count without it.
+    """
+    notes = []
+    for of_camera in (True, False):
+        timed = [
+            (located, answer)
+            for located in frames
+            if (answer := located.stages["registration"]).accepted
+            and answer.camera == of_camera
+            and answer.radius is not None
+            and located.frame.time is not None
+        ]
+        times = np.array([located.frame.time for located, _ in timed], np.float64)
+        places = np.array([(answer.x, answer.y) for _, answer in timed], np.float64).reshape(-1, 2)
+        sway = 0.0 if of_camera else _SWAY
+        radii = np.array([math.hypot(answer.own_radius, sway * (answer.width or 0.0)) for _, answer in timed])
+        tags = tag_positions(located for located, _ in timed)
+        if (speeds := continuity.top_speeds(times, places, tags)) is None:
+            continue
+        jumps = np.flatnonzero(continuity.jumps(times, places, radii, speeds))
+        if len(jumps) > continuity.MOST * len(timed):
+            notes.append(
+                f"{len(jumps)} of {len(timed)} registrations lie where the drone would have had to be faster than it flies to "
+                "get there and back. These are too many to tell which of all are wrong, so none of them was refused; check "
+                "the track."
+            )
+            continue
+        for i in jumps:
+            located, answer = timed[i]
+            sentence = (
+                f"The photo fits the map here, but the drone flies up to {speeds[i - 1 : i + 1].max():.0f} m/s and would have "
+                "had to be faster to get here and back: it may be an equal building."
+            )
+            located.stages["registration"] = msgspec.structs.replace(answer, state="refused", sentence=sentence)
+    return notes
+
+
+def register_frame(
+    basemap: Map,
+    features: Sequence[MapFeatures],
+    located: LocatedFrame,
+    options: LocateOptions,
+    widths: list[float],
+    ratios: list[float],
+    retrieval: MapRetrieval | None,
+    heading: float | None = None,
+    anywhere: bool = False,
+) -> StageRecord:
+    """Register one frame, and describe the answer in a sentence.
+
+    Args:
+        widths, ratios: of the accepted frames before: metres across the picture, and as a share of those that were expected.
+        heading: of the accepted frame before, in degrees.
+        anywhere: see `PhotoSearch`.
+    """
+    try:
+        photo = _photo(located.frame)
+    except PictureError as error:
+        return StageRecord("refused", str(error))
+    side = None if retrieval is None else float(np.median(retrieval.sizes))
+    search = PhotoSearch(basemap, features, located, photo, options, widths, ratios, side, heading, anywhere=anywhere)
+    return compared(basemap, register_photo(search), photo)
+
+
+def _photo(frame: Frame) -> UInt8Array:
+    return frame.undistorted(images.load_picture(frame.file))
+
+
+def compared(basemap: Map, answer: StageRecord, photo: UInt8Array) -> StageRecord:
+    """Compare places of an accepted answer's photo, RGB (H, W, 3) as it was registered, with the map."""
+    if not answer.accepted or answer.homography is None:
+        return answer
+    matrix = np.array(answer.homography).reshape(3, 3)
+    with suppress(DataError):  # a damaged part of the map away from the photo's middle
+        agreement = map_agreement(basemap, photo, matrix, (photo.shape[1], photo.shape[0]))
+        return msgspec.structs.replace(answer, agreement=agreement)
+    return answer
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSearch:
+    """A search of the map for one photo.
+
+    Attributes:
+        features: of the map by each matcher, which are tried in this order.
+        located: the frame, with the answers of earlier stages.
+        photo: RGB (H, W, 3), without the distortion of its lens, see `Frame.undistorted`.
+        widths: metres of ground across the pictures that were registered before.
+        ratios: of these widths to those that heights and fields of view tell.
+        side: of the windows that the frame's places come from, in metres; None if they do not come from windows.
+        heading: of the accepted frame before, in degrees.
+        quick: try the width by height and field of view alone, where it is known, and no tilt that the photo does not tell.
+        on_progress: called before each try of a matcher and a width; an exception that it raises ends the search.
+        anywhere: the photo may be of another place than the map's; all matchers together must have more support then, and no
+            tilt is tried that the photo does not tell.
+    """
+
+    basemap: Map
+    features: Sequence[MapFeatures]
+    located: LocatedFrame
+    photo: UInt8Array
+    options: LocateOptions
+    widths: Sequence[float] = ()
+    ratios: Sequence[float] = ()
+    side: float | None = None
+    heading: float | None = None
+    quick: bool = False
+    on_progress: CountProgress | None = None
+    anywhere: bool = False
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the photo in pixels."""
+        return self.photo.shape[1], self.photo.shape[0]
+
+
+def register_photo(search: PhotoSearch) -> StageRecord:
+    """Register the photo of a search, and describe the answer in a sentence."""
+    basemap, frame, options = search.basemap, search.located.frame, search.options
+    if options.prior is not None and search.located.tag is None and search.side is None:
+        return StageRecord(
+            "refused", "The photo has no GPS tag to search around; leave --prior out to search the whole map."
+        )
+    answer = _searched(search, frame, search.quick)
+    best, solved = _posed(search, answer)
+    # On flat ground most photos from straight above have no pose either, and are placed well enough without one.
+    unsolved = not best.accepted or (basemap.elevation is not None and isinstance(solved, str))
+    # More tries are more chances for a false answer, of which a photo of another place must have none.
+    if unsolved and not search.quick and not search.anywhere and answer.has_ground and frame.pitch is None:
+        near = best if best.accepted else None
+        tilts = (replace(frame, pitch=pitch, roll=0.0, fov=frame.fov or DEFAULT_FOV) for pitch in _TRIED_PITCHES)
+        clearest = _clearest(answer, [_searched(search, tilted, True, near) for tilted in tilts])
+        if clearest is not answer:
+            answer = clearest
+            best, solved = _posed(search, answer)
+    around_tag = answer.reach if answer.has_ground and search.side is None and options.prior is not None else None
+    tried = answer.pitch if frame.pitch is None else None
+    placed = basemap.elevation is not None or answer.levelled is not None
+    details = MatchedDetails.of(best, PhotoView(search.size, answer.levelled))
+    return _record(frame, search.size, best, around_tag, solved, placed, tried, details)
+
+
+@dataclass(frozen=True, eq=False)
+class _SearchResult:
+    """The best registration of a photo at one tilt.
+
+    Attributes:
+        levelled: the picture that was registered in place of the photo; None if it was the photo.
+        reach: half the side of the squares that were searched, in metres.
+        pitch: at which the photo was searched, in degrees; None if none was known or tried.
+        has_ground: whether the map could be searched.
+    """
+
+    best: Registration
+    levelled: Levelled | None
+    reach: float
+    pitch: float | None
+    has_ground: bool = True
+
+
+def _posed(search: PhotoSearch, answer: _SearchResult) -> tuple[Registration, CameraPose | str]:
+    """Return the registration of the photo itself, and its camera's pose or why there is none."""
+    best, frame = answer.best, search.located.frame
+    if answer.levelled is not None:
+        best = _of_photo(best, answer.levelled, search.size, frame)
+    return best, photo_pose(search.basemap, frame, search.size, best, answer.levelled) if best.accepted else ""
+
+
+def _clearest(plain: _SearchResult, tilted: Sequence[_SearchResult]) -> _SearchResult:
+    """Return the search of the levelled photo that explains clearly more than the photo as it is, and than every other tilt does
+    elsewhere; else `plain`."""
+    clearest = max(tilted, key=lambda search: search.best.support)
+    best = clearest.best
+    if not best.accepted or best.support < _TRIED_SUPPORT * MIN_SUPPORT:
+        return plain
+    assert best.centre is not None
+    assert best.width is not None
+    for other in (plain.best, *(search.best for search in tilted)):
+        elsewhere = other.centre is not None and np.linalg.norm(other.centre - best.centre) > APART * best.width
+        counts = elsewhere or (other is plain.best and other.accepted)
+        if counts and best.support < MIN_RATIO * other.support:
+            return plain
+    return clearest
+
+
+def _searched(search: PhotoSearch, frame: Frame, quick: bool, near: Registration | None = None) -> _SearchResult:
+    """Search the map for a photo as `frame` tells its tilt.
+
+    Args:
+        quick: in place of that of the search.
+        near: an answer about whose place, heading, and width alone the photo is searched.
+    """
+    basemap, features, photo = search.basemap, search.features, search.photo
+    centres = search.located.searched_places(search.options.prior is not None)
+    levelled = level(photo, frame, assumed=frame is not search.located.frame)
+    shown, valid, wider = (photo, None, 1.0) if levelled is None else (levelled.picture, levelled.valid, levelled.wider)
+    grid = pixel_grid((shown.shape[1], shown.shape[0]), 9) if levelled is None else levelled.grid(25)
+    known_width = ground_width(frame)
+    if known_width is not None and search.ratios:
+        known_width *= float(np.median(search.ratios[-_RECENT:]))
+    if near is not None and near.centre is not None and near.width is not None:
+        centres, known_width = near.centre[None], near.width
+    best: Registration | None = None
+    searched = 0.0
+    for again in (False, True):
+        best = None
+        searches: dict[float, dict[str, tuple[Matcher, Ground]]] = {}
+        rivals: list[Similarity] = []
+        tried = list(tried_widths(basemap, known_width, search.widths))
+        tries = list(product(features, tried[:1] if quick and known_width is not None else tried))
+        for done, (kind, (width, known)) in enumerate(tries):
+            if search.on_progress is not None:
+                search.on_progress(done, len(tries))
+            width *= wider
+            reach = AROUND * width + (search.options.prior or 0.0 if search.side is None else 0.5 * search.side)
+            ground = kind.around(centres, reach, width)
+            if ground is None:
+                reason = (
+                    f"More than {MAX_BLOCKS} blocks of {basemap.name} would have to be searched for this photo; give --model, or "
+                    "--prior with the metres around the GPS tag."
+                )
+                return _SearchResult(
+                    Registration(False, reason, kind.matcher.name), levelled, reach, frame.pitch, has_ground=False
+                )
+            if near is None:
+                expected = Expectation(
+                    width if known else None,
+                    frame.heading,
+                    heading_is_certain(frame),
+                    _guess(search.located, search.heading),
+                )
+            else:
+                expected = Expectation(width, near.heading)
+            answer = register(kind.matcher, shown, ground, expected, [width], basemap.bounds, valid)
+            alike = searches.setdefault(width, {})
+            alike[answer.matcher] = kind.matcher, ground
+            # A search that finds one of several equal places must not undo that an earlier one found more.
+            if answer.accepted and rivals:
+                answer = contested(answer, shown, list(alike.values()), rivals, valid)
+            rivals += answer.places
+            if answer.accepted and search.anywhere:
+                others = [(one.matcher, one.around(centres, reach, width)) for one in features if one is not kind]
+                answer = proven(answer, shown, [(one, seen) for one, seen in others if seen is not None], valid)
+            if best is None or (answer.accepted, answer.support) > (best.accepted, best.support):
+                best, searched = answer, reach
+            if answer.accepted:
+                break
+        assert best is not None
+        if again or search.side is None or centres is None or not _reaches_out(best, grid, centres, searched):
+            break
+        # A wrong place at the border of what was searched has no rival, as the true one beyond was not seen.
+        assert best.centre is not None
+        centres = best.centre[None]
+    assert best is not None
+    return _SearchResult(best, levelled, searched, frame.pitch)
+
+
+def _guess(located: LocatedFrame, before: float | None) -> float | None:
+    """Return the heading to try first: that of the sequence, else of the accepted frame before, else of the retrieval."""
+    sequence, retrieval = (located.stages.get(stage) for stage in ("sequence", "retrieval"))
+    if sequence is not None and sequence.accepted and sequence.heading is not None:
+        return sequence.heading
+    return before if before is not None or retrieval is None else retrieval.heading
+
+
+def _of_photo(answer: Registration, levelled: Levelled, size: tuple[int, int], frame: Frame) -> Registration:
+    """Return the registration of a photo of this size, from that of its levelled picture."""
+    if answer.homography is None:
+        return answer
+    full = answer.homography @ levelled.matrix
+    full /= full[2, 2]
+    centre, heading, width = pose(full, *size)
+    turn = turn_between(frame.heading, heading)
+    return replace(answer, homography=full, centre=centre, heading=heading, width=width, turn=turn)
+
+
+def _reaches_out(answer: Registration, pixels: Float64Array, centres: Float64Array, reach: float) -> bool:
+    """Return whether an accepted photo lies beyond squares of side 2 `reach` about points (K, 2); `pixels` (N, 2) are a grid."""
+    if not answer.accepted:
+        return False
+    off = np.abs(answer.to_metres(pixels)[:, None] - centres).max(axis=2).min(axis=1)
+    return bool((off > reach).mean() > _BEYOND)
+
+
+def tried_widths(basemap: Map, known_width: float | None, widths: Sequence[float]) -> Iterator[tuple[float, bool]]:
+    """Yield ground widths to try, and whether each is known: that of the height, that of the frames before, or a range."""
+    if known_width is not None:
+        yield known_width, True
+        # The height may be that above take-off, and the correction by the frames before may be wrong.
+        yield known_width, False
+        return
+    if widths:  # a flight that climbs or sinks moves away from it, so it is no more than a start
+        yield float(np.median(widths[-_LATEST:])), False
+    largest = 0.8 * min(basemap.bounds[2] - basemap.bounds[0], basemap.bounds[3] - basemap.bounds[1])
+    width = min(largest, 400.0)
+    for _ in range(4):
+        yield width / 1.3, False
+        width /= _WIDTHS
+
+
+def _record(
+    frame: Frame,
+    size: tuple[int, int],
+    registration: Registration,
+    reach: float | None,
+    solved: CameraPose | str,
+    placed: bool,
+    tried: float | None,
+    details: MatchedDetails | None,
+) -> StageRecord:
+    """Return the record of a registration.
+
+    Args:
+        reach: half the side of the square about the tag that was searched; None if none was.
+        solved: the pose of the camera, or why there is none.
+        placed: whether the pose may give the position. On flat ground that of a photo from nearly straight above is worse than
+            the middle of its picture.
+        tried: the pitch in degrees at which the photo was levelled, without one in its file; None if it was not.
+    """
+    how = ""
+    if reach is not None:
+        how = f" The search used the GPS tag: it saw the map in a square of {2 * reach:.0f} m about it."
+    if registration.centre is None or registration.homography is None:
+        return StageRecord("refused", registration.reason + how)
+    place, radius = registration.centre, registration.radius
+    if (below := camera_place(frame, size, registration)) is not None:
+        place, radius = below
+    heading, camera = registration.heading, below is not None
+    solution = None if isinstance(solved, str) else solved
+    by_tilt = ""
+    if placed and solution is not None and (below is None or radius is None or solution.radius < radius):
+        place, radius, camera = np.array([solution.east, solution.north]), solution.radius, True
+        heading = solution.heading
+    elif solution is not None and camera:
+        by_tilt = "Its place rests on the tilt in the photo's file, which is surer than that of this pose."
+    sentence = registration.reason
+    if registration.accepted:
+        agreed = (
+            f"{registration.inliers} details matched by {registration.matcher} agree on {_AGREED[registration.model]}."
+        )
+        told = solved if isinstance(solved, str) else solved.sentence
+        levelled = ""
+        if tried is not None:
+            levelled = f"Its file tells no tilt; it fits after it was levelled by {90 + tried:.0f} degrees."
+        sentence = " ".join(part for part in (agreed, levelled, registration.turn_sentence, told, by_tilt) if part)
+    return StageRecord(
+        "accepted" if registration.accepted else "refused",
+        sentence + how,
+        float(place[0]),
+        float(place[1]),
+        camera,
+        radius,
+        heading,
+        registration.turn,
+        registration.width,
+        registration.inliers,
+        [float(value) for value in registration.homography.ravel()],
+        pose=solution,
+        middle_radius=registration.radius if camera else None,
+        details=details,
+    )
+
+
+def _plain(frame: Frame) -> dict[str, Any]:
+    return {key: value for key, value in asdict(frame).items() if key != "file"}
+
+
+def _digest(value: Any) -> str:
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:24]

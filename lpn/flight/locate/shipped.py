@@ -1,0 +1,159 @@
+"""Answers that ship with a flight over its map, as those of the demo do: descriptors and registrations of one model.
+
+    located.json   model, files of map and flight, and what sequence and registration answer for each frame
+    windows/       store of the map's windows
+    frames/        store of the flight's frames at the headings that are tried
+
+They count only if model, map, and photos are those that they were made with, and descriptors only if windows and headings are,
+too. Otherwise they are computed anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.errors import StoreError
+from lpn.descriptors.store import Row, open_store
+from lpn.flight.files import Flight
+from lpn.flight.locate.located import StageRecord
+from lpn.flight.maps import Map, Window
+from lpn.models.base import Model
+
+NAME, WINDOWS, FRAMES = "located.json", "windows", "frames"
+FORMAT = "lpn-located/1"
+# Metres, degrees, and shares that may differ from one processor to the next.
+_TOLERANCE = 2e-3
+
+# A file's name and size.
+Files = list[tuple[str, int]]
+
+
+class ShippedRecord(msgspec.Struct, frozen=True):
+    """The contents of located.json.
+
+    Attributes:
+        registered_by: the format of the registration that made the answers.
+        fingerprint: of the model.
+        map, photos: their files.
+        registration, sequence: answers by the frame's name; those of the registration without the map's own error.
+        notes: sentences about the sequence.
+    """
+
+    format: str
+    registered_by: str
+    fingerprint: str
+    map: Files
+    photos: Files
+    registration: dict[str, StageRecord] = {}
+    sequence: dict[str, StageRecord] = {}
+    notes: list[str] = []
+
+
+@dataclass(frozen=True, eq=False)
+class ShippedAnswers:
+    """Answers that fit a model, a map, and a flight.
+
+    Attributes:
+        folder: of the stores.
+        fingerprint: of the model.
+        registration, sequence: answers by the frame's name; none where they do not ship.
+        notes: sentences about the sequence.
+    """
+
+    folder: Path
+    fingerprint: str
+    registration: Mapping[str, StageRecord]
+    sequence: Mapping[str, StageRecord]
+    notes: Sequence[str]
+
+    @classmethod
+    def open(
+        cls, folder: Path, registered_by: str, model: Model, basemap: Map, flight: Flight
+    ) -> ShippedAnswers | None:
+        """Open the answers in a folder; None if there are none, or they are of another model, map, or flight.
+
+        Args:
+            registered_by: the format of the registration.
+        """
+        try:
+            record = msgspec.json.decode((folder / NAME).read_bytes(), type=ShippedRecord)
+        except (OSError, msgspec.MsgspecError, ValueError):
+            return None
+        wanted = (FORMAT, registered_by, model.fingerprint, map_files(basemap), photo_files(flight))
+        stored = (record.format, record.registered_by, record.fingerprint, record.map, record.photos)
+        if stored != wanted:
+            return None
+        return cls(folder, record.fingerprint, record.registration, record.sequence, record.notes)
+
+    def windows(self, windows: Sequence[Window], side: int) -> Float32Array | None:
+        """Return descriptors (N, n, D) of windows, see `window_rows`; None if those that ship are of others, or damaged."""
+        return self._descriptors(WINDOWS, window_rows(windows, side))
+
+    def frames(
+        self, flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array
+    ) -> Float32Array | None:
+        """Return descriptors (N, n, D) of frames, see `frame_rows`; None if those that ship are of others, or damaged."""
+        return self._descriptors(FRAMES, frame_rows(flight, headings, cut_shares))
+
+    def _descriptors(self, name: str, rows: Sequence[Row]) -> Float32Array | None:
+        try:
+            store = open_store(self.folder / name)
+        except StoreError:
+            return None
+        fits = store.manifest.fingerprint == self.fingerprint and not store.damaged().any()
+        return np.array(store.float32) if fits and _alike(store.manifest.rows, rows) else None
+
+
+def window_rows(windows: Sequence[Window], side: int) -> list[Row]:
+    """Return the rows of windows in shipped answers; `side` is that of their pictures in pixels."""
+    return [_row((window.x, window.y, window.size, window.heading), size=side) for window in windows]
+
+
+def frame_rows(flight: Flight, headings: Sequence[Sequence[float]], cut_shares: Float64Array) -> list[Row]:
+    """Return the rows of frames at their headings in shipped answers, which know their photos by name and size."""
+    return [
+        _row((heading, share), frame.name, frame.file.stat().st_size)
+        for frame, tried, share in zip(flight.frames, headings, cut_shares.tolist(), strict=True)
+        for heading in tried
+    ]
+
+
+def _row(numbers: Sequence[float], name: str = "", size: int = 0) -> Row:
+    """Return the row of a picture that numbers tell from others of the same file, such as metres and degrees."""
+    return Row(" ".join([*(f"{number:.6f}" for number in numbers), name]), size, 0)
+
+
+def map_files(basemap: Map) -> Files:
+    files = [file for sheet in basemap.sheets for file in sheet.raster.files()]
+    return [(file.name, file.stat().st_size) for file in files]
+
+
+def photo_files(flight: Flight) -> Files:
+    return [(frame.name, frame.file.stat().st_size) for frame in flight.frames]
+
+
+def _alike(stored: Sequence[Row], wanted: Sequence[Row]) -> bool:
+    """Return whether rows are of the same pictures, up to the rounding of their numbers."""
+    if len(stored) != len(wanted):
+        return False
+    for one, other in zip(stored, wanted, strict=True):
+        words, others = one.file.split(" "), other.file.split(" ")
+        if len(words) != len(others) or one.size != other.size:
+            return False
+        for word, same in zip(words, others, strict=True):
+            if word != same and not _near(word, same):
+                return False
+    return True
+
+
+def _near(one: str, other: str) -> bool:
+    try:
+        return abs(float(one) - float(other)) < _TOLERANCE
+    except ValueError:
+        return False

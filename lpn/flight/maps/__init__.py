@@ -1,0 +1,18 @@
+"""Maps: georeferenced rasters of any size, read by windows in true metres.
+
+    basemap = open_map("ortho.tif")                        # or a folder of lpn map, a tile folder, an .mbtiles, several sheets
+    picture, valid = basemap.read(Window(120.0, -35.0, 100.0), 224)
+    windows = basemap.pyramid([70.0, 100.0, 140.0], overlap=0.5)
+
+It imports `core` only, and needs the extra `maps`; `training`, `locate`, and the packages above them import it.
+"""
+
+from lpn.flight.maps.frame import LocalFrame
+from lpn.flight.maps.map import Map
+from lpn.flight.maps.named_window import NamedWindow
+from lpn.flight.maps.opening import open_map
+from lpn.flight.maps.place import MapPlace
+from lpn.flight.maps.sources import MapOptions
+from lpn.flight.maps.window import Window
+
+__all__ = ["LocalFrame", "Map", "MapOptions", "MapPlace", "NamedWindow", "Window", "open_map"]

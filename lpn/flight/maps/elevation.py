@@ -1,0 +1,364 @@
+"""The elevation model beside a map: a raster of heights, kept in metres at its own resolution, and sampled bilinearly."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from lpn.core.arrays import Float32Array, Float64Array
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.core.files import printable
+from lpn.core.numbers import wrap_degrees
+from lpn.flight.maps import _gdal
+from lpn.flight.maps.frame import LocalFrame
+from lpn.flight.maps.sheet import Bounds
+
+HeightUnit = Literal["metre", "foot", "us-foot"]
+# Metres of each unit.
+UNITS: dict[HeightUnit, float] = {"metre": 1.0, "foot": 0.3048, "us-foot": 1200 / 3937}
+# Spellings of units in files, in lower case without blanks, hyphens, and underscores.
+_SPELLINGS: dict[str, HeightUnit] = {
+    **dict.fromkeys(("m", "metre", "metres", "meter", "meters"), "metre"),
+    **dict.fromkeys(("ft", "foot", "feet", "internationalfoot", "internationalfeet"), "foot"),
+    **dict.fromkeys(("usft", "ftus", "ussurveyfoot", "ussurveyfeet", "footus", "surveyfoot", "surveyfeet"), "us-foot"),
+}
+# Heights in metres that the earth's surface has, with what stands on it.
+_LOWEST, _HIGHEST = -500.0, 9000.0
+# Heights of exactly 0 m are holes where no other height is nearer to 0 than this: a shore would have some.
+_NO_SHORE = 20.0
+# Median slope above which heights have another unit than they say: 63 degrees.
+_STEEPEST = 2.0
+# Least share of a map that its elevation must cover, and the share below which a note says what is missing.
+_LEAST, _WHOLE = 0.5, 0.98
+# Points along a side at which the cover is judged, and pixels along a side that are looked at to judge heights.
+_PROBES, _LOOK = 64, 512
+# Pixels that are read at once: 64 MB.
+_MOST_PIXELS = 1 << 24
+_BLOCK = 1024
+
+
+@dataclass(frozen=True)
+class ElevationFile:
+    """A file of heights that `lpn map` is given.
+
+    Attributes:
+        path: a raster of one band that GDAL reads, with its coordinate reference system.
+        unit: of its heights; None takes the one that the file says.
+    """
+
+    path: Path
+    unit: HeightUnit | None = None
+
+
+class Elevation:
+    """Heights in metres in the folder of a map.
+
+    Args:
+        path: the file that `write_elevation` wrote.
+        name: of the file that was given.
+        notes: sentences about how it is read.
+
+    Raises:
+        DataError: if it cannot be read.
+    """
+
+    def __init__(self, path: Path, name: str, notes: list[str]) -> None:
+        self.path, self.name, self.notes = path, name, notes
+        with _gdal.opened(path) as file:
+            self._crs, self._matrix = file.crs, _matrix(file.transform)
+            self._size = int(file.width), int(file.height)
+
+    def heights(self, frame: LocalFrame, xy: Float64Array) -> Float64Array:
+        """Return heights in metres above the model's datum, (N,), at metres east and north in a frame, (N, 2).
+
+        They are interpolated between the four nearest pixels, and NaN where one of these is unknown.
+
+        Raises:
+            DataError: if the file is damaged.
+        """
+        return _sampled(self.path, self._cells(frame, xy), self._size)
+
+    def digest(self) -> list[str | int]:
+        """Return what changes with the heights: the file's name, size, and time of change."""
+        stat = self.path.stat()
+        return [self.path.name, stat.st_size, stat.st_mtime_ns]
+
+    def _cells(self, frame: LocalFrame, xy: Float64Array) -> Float64Array:
+        return _cells(self._crs, self._matrix, self._size[0], frame, xy)
+
+
+class ElevationSource:
+    """A given file of heights, checked as far as that is possible without the map.
+
+    Raises:
+        DataError: if it cannot be read, holds no heights, has no CRS, or its unit is unknown or implausible.
+        InputError: if the unit is none of `UNITS`.
+    """
+
+    def __init__(self, given: ElevationFile) -> None:
+        self.path, self.name = given.path, printable(str(given.path))
+        self.notes: list[str] = []
+        if given.unit is not None and given.unit not in UNITS:
+            raise InputError(f"The unit of heights is {printable(given.unit)!r}; expected {', '.join(UNITS)}.")
+        with _gdal.opened(given.path) as file:
+            self._check(file)
+            _gdal.check_work(file, given.path)
+            self.crs, self.matrix = file.crs, _matrix(file.transform)
+            self.width, self.height = int(file.width), int(file.height)
+            self.metres = UNITS[self._unit(file, given.unit)]
+            self._scale = float(file.scales[0]), float(file.offsets[0])
+            self._zero_is_unknown = False
+            self._check_heights(file)
+
+    def cut(self, file: Any, box: tuple[int, int, int, int], size: tuple[int, int] | None = None) -> Float32Array:
+        """Read a rectangle (first column and row, columns and rows) as metres, NaN where there are none."""
+        columns, rows = size or box[2:]
+        window = _gdal.rasterio().windows.Window(*box)
+        values = file.read(1, window=window, out_shape=(rows, columns), masked=True).astype(np.float64)
+        metres = (values * self._scale[0] + self._scale[1]) * self.metres
+        heights = np.asarray(metres.filled(np.nan), np.float32)
+        if self._zero_is_unknown:
+            heights[heights == 0] = np.nan
+        return heights
+
+    def box(self, frame: LocalFrame, bounds: Bounds) -> tuple[int, int, int, int]:
+        """Return the rectangle of pixels that holds a map's bounds.
+
+        Raises:
+            DataError: if there is none.
+        """
+        west, south, east, north = bounds
+        at = np.linspace(0, 1, 9)
+        points = np.stack(np.meshgrid(west + at * (east - west), south + at * (north - south)), axis=-1).reshape(-1, 2)
+        cells = _cells(self.crs, self.matrix, self.width, frame, points)
+        known = cells[np.isfinite(cells).all(axis=1)]
+        if len(known):
+            low, high = np.floor(known.min(0)) - 2, np.ceil(known.max(0)) + 2
+            left, top = (max(0, int(value)) for value in low)
+            right, bottom = min(self.width, int(high[0])), min(self.height, int(high[1]))
+            if left < right and top < bottom:
+                return left, top, right - left, bottom - top
+        raise DataError(
+            f"The elevation {self.name} covers none of the map, which lies about {frame.latitude:.5f}, "
+            f"{frame.longitude:.5f}; give the elevation of this place."
+        )
+
+    def _check(self, file: Any) -> None:
+        if file.count != 1 or file.dtypes[0] == "uint8" or np.dtype(file.dtypes[0]).kind == "c":
+            bands = f"{file.count} band{'s' * (file.count > 1)} of the type {file.dtypes[0]}"
+            raise DataError(
+                f"The elevation {self.name} has {bands}, as a picture has; expected one band of heights, such as a surface or "
+                "terrain model as GeoTIFF."
+            )
+        if file.crs is None:
+            raise DataError(
+                f"The elevation {self.name} has no coordinate reference system; assign it, such as with gdal_edit -a_srs."
+            )
+        if file.transform.is_identity or not file.transform.determinant:
+            raise DataError(f"The elevation {self.name} has no georeference; expected a GeoTIFF with one.")
+
+    def _unit(self, file: Any, given: HeightUnit | None) -> HeightUnit:
+        stated = _spelled(file.units[0]) or _vertical_unit(file.crs)
+        if given is not None:
+            if stated is not None and stated != given:
+                self.notes.append(
+                    f"{self.path.name} says that its heights are in units of a {stated}; --elevation-unit {given} is used."
+                )
+            return given
+        if stated is not None:
+            return stated
+        if file.units[0]:
+            raise DataError(
+                f"The elevation {self.name} has heights in {printable(file.units[0])[:40]!r}, which is no known unit; give "
+                "--elevation-unit."
+            )
+        if file.crs.is_projected and abs(file.crs.linear_units_factor[1] - 1) > 1e-6:
+            raise DataError(
+                f"The elevation {self.name} has coordinates in {printable(file.crs.linear_units_factor[0])}, and nothing says "
+                f"whether its heights are, too; give --elevation-unit as {', '.join(UNITS)}."
+            )
+        self.notes.append(f"{self.path.name} does not say its unit of heights; metres are assumed (--elevation-unit).")
+        return "metre"
+
+    def _check_heights(self, file: Any) -> None:
+        columns, rows = (max(1, min(_LOOK, side)) for side in (self.width, self.height))
+        heights = self.cut(file, (0, 0, self.width, self.height), (columns, rows)).astype(np.float64)
+        known = heights[np.isfinite(heights)]
+        if not len(known):
+            raise DataError(f"The elevation {self.name} has no valid height; expected heights of the map's ground.")
+        low, high = known.min(), known.max()
+        others = np.abs(known[known != 0])
+        if 0 < len(others) < len(known) and others.min() > _NO_SHORE:
+            self._zero_is_unknown = True
+            heights[heights == 0] = np.nan
+            self.notes.append(
+                f"{1 - len(others) / len(known):.1%} of the heights of {self.path.name} are exactly 0, and all others lie more "
+                f"than {_NO_SHORE:.0f} m from it; 0 counts as unknown."
+            )
+        hint = "check the unit of its heights (--elevation-unit), and its value for unknown ones"
+        if low < _LOWEST or high > _HIGHEST:
+            raise DataError(
+                f"The elevation {self.name} has heights from {low:.0f} to {high:.0f} m, and the earth's surface has "
+                f"{_LOWEST:.0f} to {_HIGHEST:.0f}; {hint}."
+            )
+        step = self._metres_of_pixel() * math.sqrt(self.width / columns * self.height / rows)
+        slopes = np.concatenate([np.abs(np.diff(heights, axis=axis)).ravel() for axis in (0, 1)]) / step
+        slopes = slopes[np.isfinite(slopes)]
+        if len(slopes) and np.median(slopes) > _STEEPEST:
+            raise DataError(
+                f"The elevation {self.name} has a median slope of {math.degrees(math.atan(np.median(slopes))):.0f} degrees, "
+                f"which no land has; {hint}."
+            )
+
+    def _metres_of_pixel(self) -> float:
+        side = math.sqrt(abs(float(np.linalg.det(self.matrix[:, :2]))))
+        if self.crs.is_geographic:
+            latitude = float(self.matrix[1] @ (self.width / 2, self.height / 2, 1))
+            return side * 111_195.0 * math.sqrt(max(math.cos(math.radians(latitude)), 1e-3))
+        return side * float(self.crs.linear_units_factor[1])
+
+
+def write_elevation(
+    source: ElevationSource, out: Path, frame: LocalFrame, bounds: Bounds, places: Float64Array
+) -> Elevation:
+    """Write the heights of a map's ground in metres, at the source's resolution and in its CRS, and return them.
+
+    Args:
+        out: the file, a tiled GeoTIFF; it appears when all is written.
+        bounds: of the map in metres of the frame.
+        places: where the map shows ground, (N, 2) metres.
+
+    Raises:
+        DataError: if less than half of these places has a height.
+        OutputError: if the file cannot be written.
+    """
+    box = source.box(frame, bounds)
+    part = out.with_suffix(".part.tif")
+    library = _gdal.rasterio()
+    corner = source.matrix @ (*box[:2], 1)
+    transform = library.Affine(*np.column_stack([source.matrix[:, :2], corner]).ravel())
+    out.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        with (
+            _gdal.opened(source.path) as file,
+            library.open(
+                part, "w", driver="GTiff", width=box[2], height=box[3], count=1, dtype="float32", nodata=math.nan,
+                crs=source.crs, transform=transform, tiled=True, compress="deflate", predictor=3, BIGTIFF="IF_SAFER",
+            ) as written,
+        ):  # fmt: skip
+            undeclared = 0
+            for left, top, columns, rows in _blocks(box[2], box[3]):
+                heights = source.cut(file, (box[0] + left, box[1] + top, columns, rows))
+                # A value for unknown heights that the file does not declare, on so few pixels that the check above saw none.
+                impossible = (heights < _LOWEST) | (heights > _HIGHEST)
+                undeclared += int(np.count_nonzero(impossible))
+                heights[impossible] = np.nan
+                written.write(heights, 1, window=library.windows.Window(left, top, columns, rows))
+            written.units = ("metre",)
+    except _gdal.failures(OSError) as error:
+        part.unlink(missing_ok=True)
+        raise OutputError(
+            f"{printable(str(out))} cannot be written ({printable(str(error))[:200]}); free space, or check "
+            f"{printable(source.path.name)}."
+        ) from error
+    share = float(np.isfinite(Elevation(part, source.name, []).heights(frame, places)).mean())
+    if share < _LEAST:
+        part.unlink(missing_ok=True)
+        raise DataError(
+            f"The elevation {source.name} covers {share:.0%} of the map; expected {_LEAST:.0%} at least, so give the elevation "
+            "of this place."
+        )
+    part.replace(out)
+    notes = list(source.notes)
+    if undeclared:
+        where = "1 pixel" if undeclared == 1 else f"{undeclared} pixels"
+        notes.append(
+            f"{source.path.name} has no height of the earth's surface ({_LOWEST:.0f} to {_HIGHEST:.0f} m) at {where}; heights "
+            "there count as unknown."
+        )
+    if share < _WHOLE:
+        notes.append(f"{source.path.name} covers {share:.0%} of the map; matches on the rest have no height.")
+    return Elevation(out, source.path.name, notes)
+
+
+def _blocks(width: int, height: int) -> Iterator[tuple[int, int, int, int]]:
+    """Yield rectangles that cover a raster: first column and row, columns and rows."""
+    for top in range(0, height, _BLOCK):
+        for left in range(0, width, _BLOCK):
+            yield left, top, min(_BLOCK, width - left), min(_BLOCK, height - top)
+
+
+def _spelled(text: str | None) -> HeightUnit | None:
+    return _SPELLINGS.get(re.sub(r"[\s_\-.]", "", (text or "").lower()))
+
+
+def _vertical_unit(crs: Any) -> HeightUnit | None:
+    """Return the unit of a compound CRS's heights; None if it has none, or one that is not known."""
+    _, found, vertical = crs.to_wkt().partition("VERT_CS[")
+    unit = re.search(r'UNIT\["[^"]*",([0-9.eE+-]+)', vertical) if found else None
+    if unit is None:
+        return None
+    metres = float(unit[1])
+    return next((name for name, size in UNITS.items() if abs(size - metres) < 1e-8), None)
+
+
+def _matrix(transform: Any) -> Float64Array:
+    """Return the matrix, (2, 3), from column, row, and 1 to coordinates."""
+    return np.array([getattr(transform, name) for name in "abcdef"], np.float64).reshape(2, 3)
+
+
+def _cells(crs: Any, matrix: Float64Array, width: int, frame: LocalFrame, xy: Float64Array) -> Float64Array:
+    """Return column and row, (N, 2), of points of a frame, (N, 2); whole numbers are the middles of pixels."""
+    x, y = _gdal.transform(frame.crs, crs, xy[:, 0], xy[:, 1])
+    if crs.is_geographic:
+        middle = float(matrix[0] @ (width / 2, 0, 1))
+        x = middle + wrap_degrees(x - middle)  # longitudes of a raster may pass 180 degrees
+    inverse = np.linalg.inv(np.vstack([matrix, [0, 0, 1]]))[:2]
+    return np.asarray(np.stack([x, y, np.ones(len(x))], axis=1) @ inverse.T - 0.5)
+
+
+def _sampled(path: Path, cells: Float64Array, size: tuple[int, int]) -> Float64Array:
+    """Return the values, (N,), of a raster of this size at columns and rows, (N, 2)."""
+    values = np.full(len(cells), np.nan)
+    with np.errstate(invalid="ignore"):
+        inside = np.asarray(((cells >= 0) & (cells <= np.array(size) - 1)).all(axis=1))
+    if not inside.any():
+        return values
+    low = np.floor(cells[inside].min(0)).astype(int)
+    high = np.minimum(np.floor(cells[inside].max(0)).astype(int) + 2, size)
+    columns, rows = high - low
+    # A spread of points that would need too many pixels is read reduced.
+    by = max(1.0, math.sqrt(columns * rows / _MOST_PIXELS))
+    shape = max(1, round(rows / by)), max(1, round(columns / by))
+    with _gdal.opened(path) as file:
+        window = _gdal.rasterio().windows.Window(int(low[0]), int(low[1]), int(columns), int(rows))
+        heights = file.read(1, window=window, out_shape=shape).astype(np.float64)
+    scale = np.array([shape[1] / columns, shape[0] / rows])
+    c, r = ((cells[inside] - low + 0.5) * scale - 0.5).T
+    c, r = np.clip(c, 0, shape[1] - 1), np.clip(r, 0, shape[0] - 1)
+    c0, r0 = np.minimum(c.astype(int), max(shape[1] - 2, 0)), np.minimum(r.astype(int), max(shape[0] - 2, 0))
+    c1, r1 = np.minimum(c0 + 1, shape[1] - 1), np.minimum(r0 + 1, shape[0] - 1)
+    across, down = c - c0, r - r0
+    # An unknown neighbour of weight 0 must not make the value unknown.
+    terms = [
+        (heights[r0, c0], (1 - across) * (1 - down)),
+        (heights[r0, c1], across * (1 - down)),
+        (heights[r1, c0], (1 - across) * down),
+        (heights[r1, c1], across * down),
+    ]
+    values[inside] = sum(np.where(weight > 0, value * weight, 0.0) for value, weight in terms)
+    return values
+
+
+def probes(bounds: Bounds) -> Float64Array:
+    """Return points on a grid over bounds, (N, 2) metres, at which the cover of an elevation is judged."""
+    west, south, east, north = bounds
+    at = (np.arange(_PROBES) + 0.5) / _PROBES
+    grid = np.meshgrid(west + at * (east - west), south + at * (north - south))
+    return np.stack(grid, axis=-1).reshape(-1, 2)

@@ -1,0 +1,400 @@
+"""A map: sheets in one local metric frame, cut into pictures of windows."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator, Sequence
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from lpn.core.arrays import BoolArray, Float32Array, Float64Array, FloatingArray, UInt8Array
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.core.homography import corner_pixels
+from lpn.flight.maps import window as windows
+from lpn.flight.maps.datums import datum_notes
+from lpn.flight.maps.elevation import Elevation
+from lpn.flight.maps.frame import LocalFrame
+from lpn.flight.maps.place import MapPlace
+from lpn.flight.maps.sheet import Bounds, Sheet
+from lpn.flight.maps.trials import SinglePhotoTrials
+from lpn.flight.maps.window import Window
+
+# Side of the blocks in which a picture is cut, which bounds the memory.
+_BLOCK = 512
+# Most cells of the coverage along the longer side.
+_COVERAGE = 1024
+# Pixels along the longer side of the overview that a map keeps in memory, some 16 MB.
+OVERVIEW = 2 * _COVERAGE
+# Least share of a window's ground that the map shows.
+_MIN_VALID = 0.5
+# Windows of a block.
+_WINDOWS = 1 << 16
+# Widest map in metres: grid north and scale of one frame would be too far off.
+_MAX_WIDTH = 400_000.0
+_MAX_PIXELS = 16_384
+# Fewest pixels of a map along its shorter side: fewer show no place.
+_MIN_SIDE = 16
+# Pixels, and the least metres, of the error of a map's places, as tags without ground control leave a map.
+_PIXELS, _METRES = 3.0, 1.0
+
+
+class Map:
+    """A georeferenced map of one or several sheets; thread safe.
+
+    Where sheets overlap, the finest valid one is shown.
+
+    Args:
+        name: of the map.
+        sheets: at least one.
+        frame: a recorded frame; None takes the middle of the sheets as its origin.
+        coverage: a recorded coverage; None computes it at first use.
+        elevation: heights of its ground; None if nothing is known of them.
+        place: what is known about its place; None if nothing is.
+        trials: of single photos on it; None without.
+        error, surveyed_error: see the attributes.
+
+    Attributes:
+        name: of the map.
+        sheets: the finest first.
+        frame: the local metric frame of all windows.
+        bounds: west, south, east, north in metres of the frame.
+        resolution: metres per pixel of the finest sheet.
+        elevation: as given.
+        place: as given; empty for None.
+        trials: as given.
+        error: 1-sigma error of its places in metres along each axis, as far as the map itself tells it; None if it does not.
+        surveyed_error: that error as a person measured it against known positions, above 0; None without. It stands in place of
+            all others.
+
+    Raises:
+        DataError: if the sheets lie more than 400 km apart, or have fewer than 16 pixels along a side.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        sheets: Sequence[Sheet],
+        frame: LocalFrame | None = None,
+        coverage: Float32Array | None = None,
+        elevation: Elevation | None = None,
+        place: MapPlace | None = None,
+        trials: SinglePhotoTrials | None = None,
+        error: float | None = None,
+        surveyed_error: float | None = None,
+    ) -> None:
+        self.name, self.elevation, self.place = name, elevation, place or MapPlace()
+        self.trials, self.error, self.surveyed_error = trials, error, surveyed_error
+        self.frame = frame or _frame_of(sheets)
+        for sheet in sheets:
+            sheet.locate(self.frame)
+        self.sheets = sorted(sheets, key=lambda sheet: sheet.resolution)
+        boxes = np.array([sheet.bounds for sheet in self.sheets])
+        (west, south), (east, north) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
+        self.bounds: Bounds = (west, south, east, north)
+        if max(east - west, north - south) > _MAX_WIDTH:
+            raise DataError(
+                f"The map {name} is {(east - west) / 1000:.0f} km by {(north - south) / 1000:.0f} km; expected at most "
+                f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over."
+            )
+        self.resolution = self.sheets[0].resolution
+        self._check_pixels()
+        self._boxes = boxes
+        self._coverage = coverage
+        self._datum_notes = datum_notes((sheet.name, sheet.crs) for sheet in self.sheets)
+        self._sums: Float64Array | None = None
+        self._lock, self._overview_lock = Lock(), Lock()
+        self._overview: tuple[UInt8Array, BoolArray] | None = None
+
+    def metres_off(self, point: FloatingArray) -> float:
+        """Return how many metres a point of the frame, (2,), lies from the nearest point of the bounds; 0 inside."""
+        return metres_off(self.bounds, point)
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """Metres of its sides, the upper one and one beside it: of its one sheet, which may be turned, or of its bounds."""
+        if len(self.sheets) > 1:
+            west, south, east, north = self.bounds
+            return east - west, north - south
+        sheet = self.sheets[0]
+        return sheet.pixel[0] * sheet.raster.width, sheet.pixel[1] * sheet.raster.height
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences about how the sheets and the elevation are read."""
+        notes = [note for sheet in self.sheets for note in sheet.raster.notes]
+        notes += self._datum_notes
+        return notes + ([] if self.elevation is None else self.elevation.notes)
+
+    @property
+    def default_error(self) -> float:
+        """The 1-sigma error in metres along each axis that its places count with, unless another one is given.
+
+        It is the surveyed error. Without one it is 3 pixels, and at least 1 m, and the error that the map tells of itself is
+        added in quadrature.
+        """
+        if self.surveyed_error is not None:
+            return self.surveyed_error
+        return math.hypot(max(_METRES, _PIXELS * self.resolution), self.error or 0.0)
+
+    def total_error(self, given: float | None) -> float:
+        """Return the error that its places count with: `default_error`, unless a person gave one in metres, 1 sigma."""
+        return self.default_error if given is None else given
+
+    def place_error(self, given: float | None) -> float:
+        """Return the part of `total_error` that is the error of its place on earth; 0 if the map does not tell it.
+
+        An error that a person gave for one run tells nothing of the map's place, whatever its value.
+        """
+        return 0.0 if given is not None else self.surveyed_error or self.error or 0.0
+
+    def heights(self, xy: Float64Array) -> Float64Array:
+        """Return the heights of the ground in metres above the elevation's datum, (N,), at metres east and north, (N, 2).
+
+        They are NaN where the elevation knows none, and everywhere if the map has no elevation.
+
+        Raises:
+            DataError: if the elevation's file is damaged.
+        """
+        if self.elevation is None:
+            return np.full(len(xy), np.nan)
+        return self.elevation.heights(self.frame, xy)
+
+    def read(self, window: Window, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        """Cut the picture of a window.
+
+        Args:
+            window: in metres of the map's frame; it may reach beyond the map.
+            pixels: side of the picture, 1 to 16384.
+
+        Returns:
+            RGB, (pixels, pixels, 3), 0 where nothing is known, and which pixels are valid, (pixels, pixels).
+
+        Raises:
+            InputError: if `pixels` is out of range.
+            DataError: if a sheet's file is damaged.
+        """
+        if not 1 <= pixels <= _MAX_PIXELS:
+            raise InputError(f"A picture of {pixels} pixels a side cannot be cut; expected 1 to {_MAX_PIXELS}.")
+        return self._read(window, pixels, (0, 0, pixels, pixels))
+
+    def windows(self, size: float, step: float, min_valid: float = _MIN_VALID) -> list[Window]:
+        """Return windows, north up, on a grid that covers the map.
+
+        Args:
+            size: side in metres.
+            step: metres from one centre to the next.
+            min_valid: least share of a window's ground that the map shows, 0 to 1. Shares are computed on the coverage, which
+                has up to 1024 cells along the map's longer side.
+
+        Raises:
+            InputError: if a number is out of range.
+        """
+        return [window for block in self._blocks(size, step, min_valid) for window in block]
+
+    def _blocks(self, size: float, step: float, min_valid: float) -> Iterator[list[Window]]:
+        """Yield the windows of `windows` in blocks."""
+        for centres in self._centres(size, step, min_valid):
+            yield [Window(x, y, size) for x, y in centres.tolist()]
+
+    def _centres(self, size: float, step: float, min_valid: float) -> Iterator[Float64Array]:
+        """Yield the centres of the windows of `windows` in blocks, (B, 2)."""
+        if not 0 <= min_valid <= 1:
+            raise InputError(f"The least valid share {min_valid:g} is out of range; expected 0 to 1.")
+        centres = windows.grid(self.bounds, size, step)
+        for start in range(0, len(centres), _WINDOWS):
+            some = centres[start : start + _WINDOWS]
+            # A share of exactly the least one must not fail by rounding.
+            yield some[self.valid_shares(some, size) >= min_valid - 1e-6]
+
+    def pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> list[Window]:
+        """Return the windows of several sizes, in the order of `sizes`.
+
+        Sizes with a factor of sqrt(2) or 2 between them cover a range of flying heights.
+
+        Args:
+            sizes: sides in metres.
+            overlap: share of a window's side that its neighbour covers too, 0 to below 1.
+
+        Raises:
+            InputError: if a number is out of range, or there is no size.
+        """
+        return [window for block in self.pyramid_blocks(sizes, overlap) for window in block]
+
+    def count_pyramid(self, sizes: Sequence[float], overlap: float = 0.5) -> int:
+        """Return the number of windows of `pyramid`, without making them."""
+        return sum(len(block) for size in sizes for block in self._centres(size, size * (1 - overlap), _MIN_VALID))
+
+    def pyramid_blocks(self, sizes: Sequence[float], overlap: float = 0.5) -> Iterator[list[Window]]:
+        """Yield the windows of `pyramid` in blocks of at most 65,536, so that those of a county need not be in memory."""
+        if not 0 <= overlap < 1:
+            raise InputError(f"The overlap {overlap:g} is out of range; expected 0 to below 1.")
+        if not len(sizes):
+            raise InputError("A pyramid needs at least one size of windows; found none.")
+        for size in sizes:
+            yield from self._blocks(size, size * (1 - overlap), _MIN_VALID)
+
+    def valid_shares(self, centres: Float64Array, size: float) -> Float64Array:
+        """Return the share of ground that the map shows in windows, north up, of a size about centres, (N, 2): (N,)."""
+        coverage = self.coverage()
+        cell = self._side / max(coverage.shape)
+        # sums[r, c] is the sum of all cells above row r and left of column c. Two threads may both make it.
+        if self._sums is None:
+            self._sums = np.pad(coverage.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+        sums = self._sums
+        low, high = centres - size / 2, centres + size / 2
+        left, right = ((x - self.bounds[0]) / cell for x in (low[:, 0], high[:, 0]))
+        top, bottom = ((self.bounds[3] - y) / cell for y in (high[:, 1], low[:, 1]))
+        total = _at(sums, bottom, right) - _at(sums, top, right) - _at(sums, bottom, left) + _at(sums, top, left)
+        # Rounded, as differences of sums are not exactly 0 over ground that the map does not show.
+        shares: Float64Array = np.clip(np.round(total / (size / cell) ** 2, 6), 0, 1)
+        return shares
+
+    def coverage(self) -> Float32Array:
+        """Return the share of each cell of the map's bounds that is valid, (rows, columns), from 0 to 1, north up."""
+        with self._lock:
+            if self._coverage is None:
+                cells = max(1, min(_COVERAGE, math.ceil(self._side / self.resolution)))
+                valid = self.overview(2 * cells)[1]
+                rows, columns = valid.shape
+                even = np.zeros((rows + rows % 2, columns + columns % 2), np.float32)
+                even[:rows, :columns] = valid
+                self._coverage = even.reshape(len(even) // 2, 2, -1, 2).mean((1, 3), dtype=np.float32)
+            return self._coverage
+
+    def overview(self, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        """Return a picture of the whole map, north up, `pixels` along its longer side.
+
+        It reads all pixels of sheets without overviews of their own, so the one of `OVERVIEW` pixels is kept.
+
+        Returns:
+            RGB (rows, columns, 3) from the north-west corner of `bounds` on, and which pixels are valid (rows, columns); the
+            kept ones are read-only.
+        """
+        if pixels != OVERVIEW:
+            return self.picture(self.bounds, pixels)
+        with self._overview_lock:
+            if self._overview is None:
+                self._overview = self.picture(self.bounds, pixels)
+                for array in self._overview:
+                    array.setflags(write=False)
+            return self._overview
+
+    def picture(self, bounds: Bounds, pixels: int) -> tuple[UInt8Array, BoolArray]:
+        """Return a picture of some bounds in metres of the frame, north up, `pixels` along its longer side: as `overview`."""
+        west, south, east, north = bounds
+        side = max(east - west, north - south)
+        columns, rows = (max(1, math.ceil(pixels * length / side - 1e-9)) for length in (east - west, north - south))
+        return self._read(Window(west + side / 2, north - side / 2, side), pixels, (0, 0, columns, rows))
+
+    def digest(self) -> str:
+        """Return a digest that changes with the pixels or their places: of names, sizes, and times of change of all files.
+
+        The folder is not part of it, so that a map may be moved.
+        """
+        facts: list[Any] = [self.frame.latitude, self.frame.longitude]
+        for sheet in self.sheets:
+            treatment = sheet.raster.treatment
+            facts.append([sheet.bounds, sheet.matrix.tolist(), None if treatment is None else repr(treatment)])
+            for file in sheet.raster.files():
+                try:
+                    stat = file.stat()
+                except OSError:  # a file within an archive
+                    facts.append(str(file))
+                else:
+                    facts.append([file.name, stat.st_size, stat.st_mtime_ns])
+        return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
+
+    def close(self) -> None:
+        """Close the files of all sheets."""
+        for sheet in self.sheets:
+            sheet.raster.close()
+
+    def _check_pixels(self) -> None:
+        """Raise DataError if there are too few pixels for a map; narrow strips may be sheets of one."""
+        rasters = [sheet.raster for sheet in self.sheets]
+        columns, rows = max(((raster.width, raster.height) for raster in rasters), key=min)
+        if len(rasters) > 1 and min(columns, rows) < _MIN_SIDE:
+            west, south, east, north = self.bounds
+            columns, rows = (round(length / self.resolution) for length in (east - west, north - south))
+        if min(columns, rows) < _MIN_SIDE:
+            raise DataError(
+                f"The map {printable(self.name)} has {columns} x {rows} pixels; expected at least {_MIN_SIDE} on each side, so "
+                "give the map itself, not a preview or a strip of it."
+            )
+
+    @property
+    def _side(self) -> float:
+        """The longer side in metres."""
+        return max(self.bounds[2] - self.bounds[0], self.bounds[3] - self.bounds[1])
+
+    def _read(self, window: Window, pixels: int, part: tuple[int, int, int, int]) -> tuple[UInt8Array, BoolArray]:
+        picture = np.zeros((part[3], part[2], 3), np.uint8)
+        valid = np.zeros((part[3], part[2]), bool)
+        for top in range(0, part[3], _BLOCK):
+            for left in range(0, part[2], _BLOCK):
+                columns, rows = min(_BLOCK, part[2] - left), min(_BLOCK, part[3] - top)
+                block = (part[0] + left, part[1] + top, columns, rows)
+                place = np.s_[top : top + rows, left : left + columns]
+                self._fill(window, pixels, block, picture[place], valid[place])
+        return picture, valid
+
+    def _fill(
+        self, window: Window, pixels: int, block: tuple[int, int, int, int], picture: UInt8Array, valid: BoolArray
+    ) -> None:
+        """Write a block of a window's picture, (rows, columns, 3), and of its mask, from the finest sheet to the coarsest."""
+        corners = window.to_ground(corner_pixels(*block[2:]) + block[:2], pixels)
+        low, high = corners.min(0), corners.max(0)
+        near = (self._boxes[:, :2] <= high).all(1) & (self._boxes[:, 2:] >= low).all(1)
+        for number in np.flatnonzero(near).tolist():
+            cut = self.sheets[number].read(window, pixels, block)
+            if cut is None:
+                continue
+            new = cut[1] & ~valid
+            picture[new] = cut[0][new]
+            valid |= new
+            if valid.all():
+                return
+
+
+def metres_off(bounds: Bounds, point: FloatingArray) -> float:
+    """Return how many metres a point, (2,), lies from the nearest point of a box; 0 inside."""
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    return float(np.hypot(*np.maximum(np.maximum(low - point, point - high), 0.0)))
+
+
+def _frame_of(sheets: Sequence[Sheet]) -> LocalFrame:
+    """Return the frame about the middle of sheets."""
+    degrees = np.radians(np.concatenate([sheet.outline for sheet in sheets]))
+    latitude, longitude = degrees.T
+    middle = np.stack(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    ).mean(axis=1)
+    rough = LocalFrame(
+        float(np.degrees(np.arctan2(middle[2], np.hypot(*middle[:2])))),
+        float(np.degrees(np.arctan2(middle[1], middle[0]))),
+    )
+    xy = rough.xy(*np.degrees(degrees).T)
+    if not np.isfinite(xy).all() or np.ptp(xy, axis=0).max() > _MAX_WIDTH:
+        wide = np.degrees(np.ptp(degrees, axis=0))
+        raise DataError(
+            f"The map spans {wide[0]:.3g} degrees of latitude and {wide[1]:.3g} of longitude; expected at most "
+            f"{_MAX_WIDTH / 1000:.0f} km, so cut out the part that is flown over, or open the sheets one by one."
+        )
+    latitude, longitude = rough.degrees([(xy.min(0) + xy.max(0)) / 2])[0].round(6).tolist()
+    return LocalFrame(latitude, longitude)
+
+
+def _at(sums: Float64Array, rows: Float64Array, columns: Float64Array) -> Float64Array:
+    """Interpolate a summed-area table, (R, C), at fractional rows and columns, (N,) each, clamped to it."""
+    r, c = np.clip(rows, 0, len(sums) - 1), np.clip(columns, 0, sums.shape[1] - 1)
+    r0, c0 = np.minimum(r.astype(int), len(sums) - 2), np.minimum(c.astype(int), sums.shape[1] - 2)
+    dr, dc = r - r0, c - c0
+    upper = sums[r0, c0] * (1 - dc) + sums[r0, c0 + 1] * dc
+    lower = sums[r0 + 1, c0] * (1 - dc) + sums[r0 + 1, c0 + 1] * dc
+    interpolated: Float64Array = upper * (1 - dr) + lower * dr
+    return interpolated

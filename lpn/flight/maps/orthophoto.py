@@ -1,0 +1,287 @@
+"""A map from a flight's own photos: an orthophoto by pyOrthomosaic (the extra `maps`), in the folder of a map.
+
+Photos are laid side by side as if the ground were a plane. Place, turn, and scale are fitted to the GPS tags, so the map is as
+good as these are together, and no better: an error that all tags share is one of the map. `place_error` is the part that they do
+not share.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, OutputError
+from lpn.core.files import check_writable, printable
+from lpn.core.numbers import SIGMA
+from lpn.core.requirements import missing_package
+from lpn.flight.maps import _gdal
+from lpn.flight.maps.elevation import ElevationFile, ElevationSource
+from lpn.flight.maps.folder import open_folder, write_own_map
+from lpn.flight.maps.frame import LocalFrame
+from lpn.flight.maps.map import Map
+from lpn.flight.maps.place import MapPlace, checked_place
+from lpn.flight.maps.tag_placed import describe_placing
+
+# Photos that a map needs at least, and the names that a sentence lists.
+_LEAST, _NAMED = 3, 5
+# Groups of consecutive photos that are left out by turns, and residuals of tags that count: up to so many metres, or multiples of
+# the median, as the library has it.
+_BLOCKS, _FAR, _OUTLIER = 5, 9.0, 4.45
+# A flight turns beyond this angle. Tags of one leg may share this error in metres, which their scatter does not show; the share
+# of the photos above which one leg is nearly all of the flight.
+_TURN, _SHARED, _MOST_OF_ONE_LEG = np.pi / 4, 5.0, 2 / 3
+# Lines of the library's log that tell how far it is, by their beginnings, and the sentence for each.
+_STEPS = {
+    "Extracting features": "Step 1 of 3: looking for points to match in {photos} photos.",
+    "Matching": "Step 2 of 3: {line}.",
+    "Aligned": "Step 3 of 3: laying {photos} photos over one another.",
+    "rendered": "Step 3 of 3: {line} of the map.",
+}
+
+
+def build_from_photos(
+    photos: Sequence[Path],
+    tags: Float64Array,
+    out: Path,
+    on_progress: Callable[[str], None] = lambda _: None,
+    elevation: ElevationFile | None = None,
+    place: MapPlace | None = None,
+) -> Map:
+    """Make an orthophoto of photos that look straight down, write it as the folder of a map, and return the map.
+
+    Args:
+        photos: files with GPS tags in their EXIF, in the order of the flight.
+        tags: latitude and longitude of each in degrees, (N, 2); NaN without one.
+        out: the folder, which must not be there; it appears when all is written.
+        on_progress: called with a sentence at each step, which has its number.
+        elevation: heights of the ground, copied into the folder in metres. The photos are laid as on a plane all the same.
+        place: what is known about the place; it is checked before any work.
+
+    Raises:
+        DataError: if fewer than three photos have GPS tags, or overlap, or the elevation is unusable or of another place.
+        InputError: if the elevation's unit is unknown, or the place is malformed.
+        OutputError: if `out` is there already, or cannot be written.
+        MissingPackageError: without the library.
+    """
+    if out.exists():
+        raise OutputError(
+            f"{printable(str(out))} is there already; choose another folder for the map, or delete that one."
+        )
+    _library()
+    _gdal.rasterio()
+    place = None if place is None else checked_place(place)
+    _check_photos(photos, tags)
+    heights = None if elevation is None else _heights(elevation, tags)
+    name = out.resolve().name
+    check_writable(out.with_name(f".{name}"))
+    with TemporaryDirectory(prefix=f".{name}-", dir=out.parent) as folder:
+        part = Path(folder) / name
+        part.mkdir()
+        file = part / f"{name}.tif"
+        with _steps(len(photos), on_progress):
+            report = lay_photos(photos, file)
+        file.with_name(f"{name}_report.json").unlink()
+        on_progress(f"Making overviews of {printable(file.name)}.")
+        _gdal.build_overviews(file)
+        middles, known = middles_and_tags(report, photos, tags)
+        own = place_error(middles, known)
+        notes = [*_left_out(report), _limits(report["images_used"], middles, known, own)]
+        write_own_map(file, part, notes, on_progress, heights, place, own).close()
+        try:
+            os.replace(part, out)
+        except OSError as error:
+            raise OutputError(
+                f"{printable(str(out))} cannot be written ({error.strerror}); choose another folder for the map."
+            ) from error
+    return open_folder(out)
+
+
+def _check_photos(photos: Sequence[Path], tags: Float64Array) -> None:
+    if len(photos) < _LEAST:
+        raise DataError(
+            f"There {'is' if len(photos) == 1 else 'are'} {len(photos)} photo{'s' * (len(photos) != 1)} for a map; expected "
+            f"{_LEAST} at least, which overlap."
+        )
+    twice = [name for name, count in Counter(photo.name for photo in photos).items() if count > 1]
+    if twice:
+        raise DataError(f"{printable(twice[0])} is the name of several photos; give each its own name.")
+    without = [photo.name for photo, tag in zip(photos, tags, strict=True) if np.isnan(tag).any()]
+    if len(photos) - len(without) < _LEAST:
+        raise DataError(
+            f"{len(without)} of {len(photos)} photos have no GPS tag, such as {printable(without[0])}; a map needs {_LEAST} with "
+            "one, as place and scale come from the tags."
+        )
+
+
+def _heights(given: ElevationFile, tags: Float64Array) -> ElevationSource:
+    """Open the heights, and refuse those of another place before the long work."""
+    source = ElevationSource(given)
+    known = tags[~np.isnan(tags).any(axis=1)]
+    frame = LocalFrame(*known.mean(axis=0).tolist())
+    east, north = frame.xy(*known.T).T
+    source.box(frame, (east.min(), north.min(), east.max(), north.max()))
+    return source
+
+
+def _library() -> Any:
+    try:
+        import orthomosaic
+    except ModuleNotFoundError as error:
+        raise missing_package(error) from error
+    return orthomosaic
+
+
+def lay_photos(photos: Sequence[Path], file: Path) -> dict[str, Any]:
+    """Write an orthophoto, and return the library's report on it.
+
+    Raises:
+        DataError: if too few of the photos overlap, or have GPS tags that fit them.
+        MissingPackageError: without the library.
+    """
+    library = _library()
+    few = (
+        f"Too few of the {len(photos)} photos overlap for a map; expected {_LEAST} or more that look straight down, each sharing "
+        "half of its ground with the next."
+    )
+    try:
+        report: dict[str, Any] = library.build_orthomosaic(
+            [str(photo) for photo in photos],
+            str(file),
+            library.Options(preview=False, thermal="off", exposure_compensation=False),
+        )
+    except (RuntimeError, ValueError, np.linalg.LinAlgError) as error:
+        raise DataError(f"{few} The library says: {printable(str(error))[:200]}.") from error
+    except (OSError, Image.DecompressionBombError) as error:
+        raise DataError(f"The photos cannot be made into a map ({printable(str(error))[:200]}); check them.") from error
+    if report["images_used"] < _LEAST:
+        raise DataError(few)
+    if not report["georeferenced"]:
+        raise DataError(
+            "The GPS tags do not fit the photos, so the map has no place; expected photos of one flight, with their own tags."
+        )
+    return report
+
+
+@contextmanager
+def _steps(photos: int, on_progress: Callable[[str], None]) -> Iterator[None]:
+    """Turn the library's log into sentences of progress while it works."""
+
+    class Teller(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            line = record.getMessage().strip()
+            for begin, sentence in _STEPS.items():
+                if line.startswith(begin):
+                    plain = line.partition(" (")[0].replace("/", " of ")
+                    on_progress(sentence.format(photos=photos, line=plain[:1].lower() + plain[1:]))
+
+    log, teller = logging.getLogger("orthomosaic"), Teller()
+    level, log.propagate = log.level, False
+    log.setLevel(logging.INFO)
+    log.addHandler(teller)
+    try:
+        yield
+    finally:
+        log.removeHandler(teller)
+        log.setLevel(level)
+        log.propagate = True
+
+
+def _left_out(report: dict[str, Any]) -> list[str]:
+    names: list[str] = report["images_dropped"]
+    if not names:
+        return []
+    return [
+        f"{len(names)} of {report['images_total']} photos overlap too little with the others, and are not in the map: "
+        f"{', '.join(map(printable, names[:_NAMED]))}{', ...' if len(names) > _NAMED else ''}."
+    ]
+
+
+def middles_and_tags(
+    report: dict[str, Any], photos: Sequence[Path], tags: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return the middles of the map's photos and their tags, (N, 2) each, in metres of its coordinate reference system."""
+    middles, places = [], []
+    library = _gdal.rasterio()
+    for photo, tag in zip(photos, tags, strict=True):
+        camera = report["cameras"].get(photo.name)
+        if camera is None or np.isnan(tag).any():
+            continue
+        with Image.open(photo) as picture:
+            width, height = picture.size
+            if picture.getexif().get(274, 1) in (5, 6, 7, 8):
+                width, height = height, width
+        middles.append(np.array(camera["affine"]) @ [(width - 1) / 2, (height - 1) / 2, 1.0])
+        places.append(tag)
+    latitudes, longitudes = np.array(places).T
+    metres = library.warp.transform("EPSG:4326", f"EPSG:{report['epsg']}", longitudes.tolist(), latitudes.tolist())
+    return np.array(middles), np.stack(metres, axis=1)
+
+
+def place_error(middles: Float64Array, tags: Float64Array) -> float | None:
+    """Return how far the tags leave the places of a map open: the 1-sigma error in metres along each axis.
+
+    A similarity takes the middles to the tags. It is fitted again without each of five groups of consecutive photos, and the
+    places that it gives then scatter (jackknife of blocks; Kuensch, 1989). Blocks keep the errors together that tags next to
+    each other share, such as those of a receiver that lags along a leg.
+
+    The map may bend besides. Then residuals of photos that lie next to each other are alike although they are of two groups, and
+    the mean of their products is the square of that error. An error that all tags share is not seen. So where more than two
+    thirds of the photos are of one leg, an error under 5 m, which the tags of a leg may share, is not told.
+
+    Args:
+        middles: of the photos on the map in the order of the flight, metres, (N, 2).
+        tags: of the same photos, metres, (N, 2). One far off the others' residuals does not count.
+
+    Returns:
+        The root mean square over the middles; None with fewer than five tags, where all are of one place, and for one leg
+        as above.
+    """
+    residuals = np.hypot(*(tags - middles).T)
+    kept = residuals <= max(_FAR, _OUTLIER * float(np.median(residuals)))
+    z, w = ((places[kept] @ (1, 1j)) for places in (middles, tags))
+    if len(z) < _BLOCKS:
+        return None
+    placed, blocks = [], np.array_split(np.arange(len(z)), _BLOCKS)
+    for block in blocks:
+        p, q = np.delete(z, block), np.delete(w, block)
+        spread = (np.abs(p - p.mean()) ** 2).sum()
+        if spread == 0:
+            return None
+        turn = (np.conj(p - p.mean()) * (q - q.mean())).sum() / spread
+        placed.append(q.mean() + turn * (z - p.mean()))
+    off = np.array(placed) - np.mean(placed, axis=0)
+    moved = (_BLOCKS - 1) / _BLOCKS * (np.abs(off) ** 2).sum(axis=0).mean() / 2
+    apart = np.abs(z[:, None] - z)
+    for block in blocks:
+        apart[np.ix_(block, block)] = np.inf
+    residual = w - z
+    bent = (residual * residual[apart.argmin(axis=1)].conj()).real.mean() / 2
+    error = float(np.sqrt(moved + max(bent, 0.0)))
+    steps = np.diff(w)
+    turns = np.cumsum(np.abs(np.angle(steps[1:] * steps[:-1].conj())) > _TURN)
+    of_one_leg = np.bincount(np.concatenate([[0], turns, turns[-1:]])).max() / len(w)
+    return None if of_one_leg > _MOST_OF_ONE_LEG and error < _SHARED else error
+
+
+def _limits(used: int, middles: Float64Array, tags: Float64Array, error: float | None) -> str:
+    """Say how far the map can be relied on: the metres from each photo's tag to its middle on the map, and its error."""
+    off = np.hypot(*(middles - tags).T)
+    open_places = (
+        "They are too few, or too nearly of one leg, to tell its error."
+        if error is None
+        else f"By their scatter its places have an error of ± {error:.1f} m ({SIGMA})."
+    )
+    return (
+        f"The map is made of {used} photos as if the ground were flat, so what stands on it leans. "
+        f"{describe_placing(float(np.median(off)), float(off.max()))} {open_places}"
+    )

@@ -1,0 +1,302 @@
+"""Files that are a map: how each is recognised, and where its georeference comes from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError, InputError
+from lpn.core.files import printable
+from lpn.flight.maps import _gdal
+from lpn.flight.maps.corners import LISTS, corners_of, read_list
+from lpn.flight.maps.raster import GdalRaster, Treatment
+from lpn.flight.maps.sheet import Sheet
+from lpn.flight.maps.tile_sets import is_tile_set, tiles_near
+from lpn.flight.maps.tiles import TileRaster
+
+# Largest error, in pixels, of the affine transform that stands for ground control points.
+_CONTROL_ERROR = 2.0
+# Files and folders of a tile cache.
+_ARCGIS = ("_alllayers", "conf.xml", "conf.cdi")
+# Files of a folder that are taken as sheets.
+_SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".webp", ".jp2", ".mbtiles", ".img")
+
+
+@dataclass(frozen=True)
+class MapOptions:
+    """Facts about a map's files that the files do not say.
+
+    Attributes:
+        crs: coordinate reference system, such as EPSG:32632; it takes precedence over that of the files.
+        corners: latitude and longitude of the top-left, then of the bottom-right corner of a picture.
+        bands: numbers, from 1, of the bands shown as red, green, and blue, or of one shown as grey.
+        keep_borders: white and black borders belong to the picture.
+    """
+
+    crs: str | None = None
+    corners: tuple[float, float, float, float] | None = None
+    bands: tuple[int, ...] | None = None
+    keep_borders: bool = False
+
+
+def files_of(paths: Sequence[Path], options: MapOptions) -> list[Path]:
+    """Return the rasters and tile folders that files and folders stand for.
+
+    A list of corners stands for the pictures that it names, another folder for the rasters in it.
+
+    Raises:
+        DataError: if a file or folder is missing, or holds no map.
+        InputError: if there is none, or an option does not apply to what was found.
+    """
+    if not paths:
+        raise InputError("A map needs at least one file; found none.")
+    files: list[Path] = []
+    for path in paths:
+        if path.is_dir() and not is_tile_set(path):
+            files += _files_in(path)
+        elif path.suffix.lower() == ".csv":
+            files += _listed(path)
+        elif path.exists():
+            files.append(path)
+        else:
+            raise DataError(f"There is no file {printable(str(path))}; check the path.")
+    if options.corners is not None and len(files) > 1:
+        raise InputError(f"Corners belong to one picture, and {len(files)} files are given; give one.")
+    return list(dict.fromkeys(files))
+
+
+def open_sheet(path: Path, options: MapOptions) -> Sheet:
+    """Open a raster file with its georeference, or a folder of tiles.
+
+    Raises:
+        DataError: if it cannot be read, or has no georeference, or an impossible one.
+        InputError: if an option is malformed, or does not apply.
+    """
+    if is_tile_set(path):
+        if options != MapOptions(keep_borders=options.keep_borders):
+            raise InputError(f"{printable(str(path))} holds tiles in Web Mercator; leave CRS, corners, and bands out.")
+        tiles = TileRaster(path, keep_borders=options.keep_borders)
+        return Sheet(path.name, tiles, tiles.crs, tiles.matrix)
+    crs, matrix = georeference(path, options)
+    return raster_sheet(path, path, crs, matrix, options)
+
+
+def raster_sheet(
+    source: Path,
+    path: Path,
+    crs: Any,
+    matrix: Float64Array,
+    options: MapOptions,
+    treatment: Treatment | None = None,
+    overviews: Path | None = None,
+) -> Sheet:
+    """Open a sheet whose georeference is known; `path` is the source itself, or a copy of it."""
+    raster = GdalRaster(path, treatment, options.bands, options.keep_borders, source.name, overviews)
+    return Sheet(source.name, raster, crs, matrix)
+
+
+def georeference(path: Path, options: MapOptions) -> tuple[Any, Float64Array]:
+    """Return the CRS of a raster file and the (2, 3) matrix from its columns and rows to coordinates.
+
+    Raises:
+        DataError: if the file has none, or cannot be read.
+        InputError: if an option is malformed.
+    """
+    with _gdal.opened(path) as file:
+        return _georeference(path, file, options)
+
+
+def _files_in(folder: Path) -> list[Path]:
+    """Return the rasters of a folder: those of its list of corners, else those that look like rasters."""
+    for name in LISTS:
+        if (folder / name).is_file():
+            return _listed(folder / name)
+    files = sorted(path for path in folder.iterdir() if path.suffix.lower() in _SUFFIXES and path.is_file())
+    if not files:
+        if any((folder / name).exists() for name in _ARCGIS):
+            raise DataError(
+                f"{printable(str(folder))} is a tile cache of ArcGIS, whose levels are its own; export the map as GeoTIFF."
+            )
+        if tiles := tiles_near(folder):
+            raise DataError(
+                f"{printable(str(folder))} is not the folder of tiles itself; give {printable(str(tiles))}."
+            )
+        inside = ", ".join(sorted(printable(path.name) for path in folder.iterdir())[:5]) or "nothing"
+        raise DataError(
+            f"{printable(str(folder))} holds {inside}; expected GeoTIFF files, pictures with world files, tiles "
+            "{z}/{x}/{y}.png, or map.csv."
+        )
+    return files
+
+
+def _listed(path: Path) -> list[Path]:
+    """Return the pictures that a list of corners names, which lie beside it."""
+    files = [path.parent / name for name in read_list(path)]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        raise DataError(
+            f"{len(missing)} of {len(files)} pictures of {printable(str(path))} are not beside it, the first being "
+            f"{printable(missing[0])}; add them, or give the pictures themselves, which find their line."
+        )
+    return files
+
+
+# A code, its URN, a datum, or PROJ parameters.
+_SAFE = re.compile(
+    r"\w+:[\w+]+$|urn:ogc:def:crs:\w+:[\w.]*:\w+$|(WGS(84|72)|NAD(27|83))$|\+init=epsg:\d+$|(\+\w+=\S+\s+)*\+proj=",
+    re.ASCII | re.IGNORECASE,
+)
+
+
+def parse_crs(text: str) -> Any:
+    """Return the rasterio CRS of a text such as EPSG:32632, PROJ parameters, or WKT.
+
+    Raises:
+        InputError: if it is none.
+        DataError: if it names a file by its path.
+    """
+    text = re.sub(
+        r"^(?:EPSG:\s+|https?://www\.opengis\.net/def/crs/EPSG/[\w.]+/)?(\d+)$", r"EPSG:\1", text.strip(), flags=re.I
+    )
+    try:
+        return _crs(text)
+    except _gdal.failures(ValueError) as error:
+        raise InputError(f"There is no CRS {printable(text)[:100]!r}; expected one such as EPSG:32632.") from error
+
+
+def _crs(text: str, **options: bool) -> Any:
+    """Return the rasterio CRS of a text; `from_user_input` alone would open a text that is a path or an address."""
+    if _gdal.names_a_path(text):
+        raise DataError(f"The CRS {printable(text)[:100]!r} names a file by its path; expected one such as EPSG:32632.")
+    library = _gdal.rasterio()
+    with library.Env():
+        if _SAFE.match(text):
+            return library.crs.CRS.from_user_input(text)
+        return library.crs.CRS.from_wkt(text, **options)
+
+
+def _georeference(path: Path, file: Any, options: MapOptions) -> tuple[Any, Float64Array]:
+    """Return the CRS of a raster and the (2, 3) matrix from its columns and rows to coordinates."""
+    if options.corners is not None and options.crs is not None:
+        raise InputError("Corners are latitudes and longitudes; give --corners or --crs, not both.")
+    matrix = None if options.corners is not None else _matrix(path, file)
+    known = (options.corners, "--corners") if options.corners is not None else None
+    if matrix is None and (known := known or corners_of(path)) is not None:
+        if (turn := file.tags().get("EXIF_Orientation", "1")) != "1":
+            raise DataError(
+                f"{printable(str(path))} is shown turned or mirrored (EXIF orientation {printable(turn)}), so that its corners "
+                "are not certain; save it upright first."
+            )
+        return _from_corners(known[0], file.width, file.height, known[1])
+    if matrix is None and file.rpcs is not None:
+        raise DataError(
+            f"{printable(str(path))} has its position as RPCs only; orthorectify it first, such as with gdalwarp -rpc."
+        )
+    if matrix is None:
+        flown = (
+            f" It has a GPS tag; lpn map --from-flight {printable(str(path.parent))} makes a map of a flight's photos."
+        )
+        raise DataError(
+            f"{printable(str(path))} has no georeference: it is no GeoTIFF, and no world file lies beside it; add one, or give "
+            "--corners with the latitude and longitude of its top-left and bottom-right corner."
+            f"{flown if 'EXIF_GPSLatitude' in file.tags() else ''}"
+        )
+    if options.crs is not None:
+        return parse_crs(options.crs), matrix
+    crs = file.crs or file.gcps[1] or _projection_file(path)
+    if not crs:
+        raise DataError(
+            f"{printable(str(path))} has coordinates but no coordinate reference system; add {path.stem}.prj, or give --crs, "
+            "such as EPSG:32632 (UTM) or EPSG:4326 (degrees)."
+        )
+    if local := re.match(r'LOCAL_CS\[.*AUTHORITY\["EPSG","([0-9]+)"\]\]$', crs.to_wkt()):
+        # Some programs write the name and the code of a CRS, and nothing else of it.
+        return parse_crs(local[1]), matrix
+    return crs, matrix
+
+
+def _matrix(path: Path, file: Any) -> Float64Array | None:
+    """Return the transform of a raster from its tags, its world file, or its control points; None without any."""
+    if not file.transform.is_identity:
+        return np.array(file.transform[:6], np.float64).reshape(2, 3)
+    points = file.gcps[0]
+    if len(points) >= 3:
+        cells = np.array([(point.col, point.row, 1.0) for point in points])
+        matrix = np.linalg.lstsq(cells, np.array([(point.x, point.y) for point in points]), rcond=None)[0].T
+        inverse = np.linalg.pinv(matrix[:, :2])
+        off = (np.array([(point.x, point.y) for point in points]) - cells @ matrix.T) @ inverse.T
+        if np.abs(off).max() > _CONTROL_ERROR:
+            raise DataError(
+                f"The control points of {printable(str(path))} lie up to {np.abs(off).max():.0f} pixels off a plane; warp the "
+                "file first, such as with gdalwarp."
+            )
+        return np.asarray(matrix, np.float64)
+    suffixes = [f".{path.suffix[1:2]}{path.suffix[-1:]}w", f"{path.suffix}w", ".wld"]
+    world = _beside(path, suffixes)
+    if world is None and (rough := _beside(path, [f"{suffix}x" for suffix in suffixes])):
+        raise DataError(
+            f"{printable(str(rough))} stands for a transform that no world file can hold; rectify the raster, such as in ArcGIS, "
+            "or warp it with gdalwarp."
+        )
+    return None if world is None else _world_file(world)
+
+
+def _world_file(path: Path) -> Float64Array:
+    """Read a world file: the steps of x and y for a column, those for a row, and the centre of the first pixel."""
+    try:
+        numbers = [float(text.replace(",", ".")) for text in _text(path).split()]
+        if len(numbers) != 6 or not np.isfinite(numbers).all():
+            raise ValueError
+    except (OSError, ValueError) as error:
+        raise DataError(f"{printable(str(path))} is no world file; expected six numbers, one a line.") from error
+    a, d, b, e, x, y = numbers
+    return np.array([[a, b, x - (a + b) / 2], [d, e, y - (d + e) / 2]])
+
+
+def _projection_file(path: Path) -> Any:
+    """Return the CRS in the .prj file beside a raster; None without one."""
+    file = _beside(path, [".prj"])
+    if file is None:
+        return None
+    try:
+        return _crs(_text(file).strip(), morph_from_esri_dialect=True)
+    except _gdal.failures(OSError, ValueError) as error:
+        raise DataError(
+            f"{printable(str(file))} holds no coordinate reference system that can be read; give --crs."
+        ) from error
+
+
+def _text(path: Path) -> str:
+    """Return the text of a small file in UTF-8 or, with a byte order mark, in UTF-16."""
+    data = path.read_bytes()
+    return data.decode("utf-16" if data.startswith((b"\xff\xfe", b"\xfe\xff")) else "utf-8-sig")
+
+
+def _beside(path: Path, suffixes: Sequence[str]) -> Path | None:
+    """Return the file beside another one with its stem and one of these suffixes, case ignored."""
+    return next(iter(_gdal.named(path.parent, [(path.stem + suffix).lower() for suffix in suffixes])), None)
+
+
+def _from_corners(corners: Sequence[float], width: int, height: int, what: str) -> tuple[Any, Float64Array]:
+    """Return CRS and matrix of a picture by latitude and longitude of its top-left and bottom-right corner."""
+    top, left, bottom, right = corners
+    if not all(map(np.isfinite, corners)) or max(abs(top), abs(bottom)) > 90 or max(abs(left), abs(right)) > 180:
+        raise DataError(
+            f"The corners {top:g}, {left:g} and {bottom:g}, {right:g} of {what} lie outside the world; expected latitude, then "
+            "longitude, of the top-left and of the bottom-right corner."
+        )
+    if left > right + 180:  # across the antimeridian
+        right += 360
+    if not (top > bottom and left < right):
+        raise DataError(
+            f"The corners {top:g}, {left:g} and {bottom:g}, {right:g} of {what} are not top left and bottom right; expected the "
+            "first one north and west of the second."
+        )
+    matrix = np.array([[(right - left) / width, 0, left], [0, (bottom - top) / height, top]])
+    return _gdal.rasterio().crs.CRS.from_epsg(4326), matrix

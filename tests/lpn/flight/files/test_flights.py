@@ -1,0 +1,220 @@
+"""Checks across the frames of a flight, the command `lpn flight`, and the three real flights."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+
+from lpn.cli import main
+from lpn.core.errors import DataError, InputError
+from lpn.core.images import load_picture
+from lpn.flight.files import FlightOptions, Frame, ground_width, make_flight, open_flight
+from lpn.flight.files.base import degrees, local_metres
+from lpn.flight.files.quality import flight_notes, with_courses
+from lpn.flight.locate.tracks import TrackPoint, write_track
+from tools.fixtures.photos import dji_xmp, exif, write_photo
+from tools.fixtures.videos import srt, write_video
+
+
+def line(metres: list[tuple[float, float]], seconds: float = 2.0) -> list[Frame]:
+    """Frames at metres east and north of 47°N 8°E, some seconds apart."""
+    made = []
+    for i, (east, north) in enumerate(metres):
+        made.append(Frame(f"{i}.jpg", Path(f"{i}.jpg"), 4, 3, i * seconds, 47 + north / 111_170, 8 + east / 76_060))
+    return made
+
+
+def test_the_course_is_the_heading_where_nothing_else_is() -> None:
+    frames = line([(0, 0), (0, 20), (0, 40), (20, 40), (40, 40), (40.5, 40.2), (41, 40)])
+    made, notes = with_courses(frames)
+    courses = [None if frame.heading is None else round(frame.heading) for frame in made]
+    # The third frame is a turn; at the end the drone hovers, and its last step came from the west.
+    assert courses[:5] == [0, 0, None, 90, 90]
+    assert {frame.heading_source for frame in made if frame.heading is not None} == {"course"}
+    assert "got the course over ground" in notes[0]
+    known = [replace(frame, heading=7.0, heading_source="gimbal") for frame in frames]
+    assert with_courses(known) == (known, [])
+    assert with_courses(line([(0, 0), (1, 0), (0, 1)]))[0][1].heading is None
+    assert with_courses(line([(0, 0), (0, 20), (0, 40)], seconds=60.0))[0][1].heading is None
+
+
+def test_metres_are_measured_across_the_date_line() -> None:
+    frames = [
+        replace(frame, latitude=0.0, longitude=lon)
+        for frame, lon in zip(line([(0, 0)] * 2), (179.999, -179.999), strict=True)
+    ]
+    assert np.ptp(local_metres(degrees(frames))[:, 0]) == pytest.approx(222.6, abs=0.1)
+
+
+def test_jumps_pauses_and_stale_positions_are_noted() -> None:
+    steady = [(0.0, 10.0 * i) for i in range(12)]
+    assert not flight_notes(line(steady))
+    far = [*steady[:6], (5000.0, 60.0), *steady[7:]]
+    assert any(
+        note.startswith("The GPS tags jump 2 times, first by 5000 m after 5.jpg") for note in flight_notes(line(far))
+    )
+    stale = [*steady[:4], steady[3], steady[3], *steady[6:]]
+    assert "2 photos of a moving flight repeat the GPS tag before theirs: 4.jpg, 5.jpg; the tag lags there." in (
+        flight_notes(line(stale))
+    )
+    frames = line(steady)
+    paused = [replace(frame, time=(frame.time or 0) + (300 if i > 4 else 0)) for i, frame in enumerate(frames)]
+    assert "The flight pauses once, for up to 302 s after 4.jpg." in flight_notes(paused)
+    lost = [replace(frame, latitude=None, longitude=None) if i % 2 else frame for i, frame in enumerate(frames)]
+    assert "6 of 12 photos have no GPS tag: 1.jpg, 3.jpg, 5.jpg, and 3 more." in flight_notes(lost)
+    nowhere = [replace(frame, latitude=None, longitude=None) for frame in frames]
+    assert any(
+        note.startswith("None of the 12 photos has a GPS tag. They can be placed without one")
+        for note in flight_notes(nowhere)
+    )
+
+
+def test_the_command_prints_what_is_known(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for i in range(3):
+        packet = dji_xmp(RelativeAltitude=40 + i, GimbalYawDegree=45, GimbalPitchDegree=-90, GimbalRollDegree=0)
+        write_photo(tmp_path / "DJI" / f"{i}.JPG", exif(47 + i / 1000, 8.0), packet)
+    (tmp_path / "DJI" / "notes.txt").write_text("x")
+    files = [str(file) for file in sorted((tmp_path / "DJI").iterdir())]
+    assert main.main(["flight", *files, "--out", str(tmp_path / "monday"), "--fov", "70"]) == 0
+    printed = capsys.readouterr().out
+    assert "monday: 3 photos" in printed
+    assert "height above take-off      3 of 3  40.0 to 42.0 m, median 41.0 m" in printed
+    assert "heading                    3 of 3  3 gimbal" in printed
+    assert "field of view              3 of 3  70.0°" in printed
+    assert "height above ground        0 of 3\n" in printed
+    assert "- Left out, because their kind is not supported: notes.txt." in printed
+    assert len(open_flight(tmp_path / "monday").frames) == 3
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".geojson", ".gpx"])
+@pytest.mark.parametrize("stage", ["registration", "by hand"])
+def test_a_track_that_lpn_locate_wrote_is_no_log(tmp_path: Path, suffix: str, stage: str) -> None:
+    write_photo(tmp_path / "photos" / "a.jpg", exif(47.0, 8.0))
+    track = tmp_path / f"track{suffix}"
+    write_track(track, "monday", [TrackPoint("a.jpg", stage, "accepted", "", 1.4e9, 47.0, 8.0)])
+    with pytest.raises(DataError, match=rf"^track\{suffix} is a track of lpn locate: .* give the photos, with the"):
+        make_flight([tmp_path / "photos", track], tmp_path / "monday")
+    assert not (tmp_path / "monday").exists()
+
+
+def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    turned = exif(47.0, 8.0, main={ExifTags.Base.Orientation: 6})
+    write_photo(folder / "1.jpg", exif(47.0, 8.0))
+    for name in ("2.tif", "3.TIFF"):
+        with Image.open(folder / "1.jpg") as picture:
+            picture.save(folder / name, "TIFF", exif=turned.tobytes())
+    (folder / "1.DNG").write_bytes(b"x")
+    (folder / "2.heic").write_bytes(b"x")
+    for flight in (open_flight(folder), make_flight([folder], tmp_path / "flight")):
+        assert [frame.name for frame in flight.frames] == ["1.jpg", "2.tif", "3.TIFF"]
+        assert {(round(frame.latitude or 0, 6), frame.longitude) for frame in flight.frames} == {(47.0, 8.0)}
+        assert "Left out, because their kind is not supported: 1.DNG, 2.heic." in flight.notes
+        for frame in flight.frames:
+            assert load_picture(frame.file).shape == (frame.height, frame.width, 3)
+        assert [frame.width for frame in flight.frames] == [40, 30, 30]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "There are no files; give photos"),
+        (["nowhere.jpg"], "There is no nowhere.jpg"),
+        (["photo.jpg", "--every", "0"], "--every is 0; expected a number from 0.04"),
+        (["photo.jpg", "--fov", "200"], "--fov is 200"),
+        (["a.SRT"], "There is no video for 1 .SRT file"),
+        (["a.txt"], "There is no photo and no video (a.txt is neither)"),
+        (["photo.jpg", "a.mp4"], "Photos (1) and videos (1) have different clocks"),
+        (["photo.jpg", "photo.jpg"], "photo.jpg is given twice"),
+    ],
+)
+def test_wrong_files_are_refused_in_one_sentence(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_photo(tmp_path / "photo.jpg")
+    for name in ("a.SRT", "a.txt", "a.mp4"):
+        (tmp_path / name).write_text("x")
+    try:
+        status = main.main(["flight", *arguments, "--out", "out"])
+    except SystemExit as stop:
+        status = int(stop.code or 0)
+    assert status == 2
+    assert message in " ".join("".join(capsys.readouterr()).split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_two_videos_of_one_name_and_bad_options_are_refused(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        write_video(tmp_path / folder / "DJI_1.mp4", 0.2)
+    with pytest.raises(DataError, match="Two videos are named dji_1"):
+        make_flight([tmp_path / "a", tmp_path / "b"], tmp_path / "out")
+    with pytest.raises(InputError, match="--pitch is 100; expected a number from -180 to 90"):
+        FlightOptions(pitch=100.0)
+
+
+def test_options_of_videos_are_refused_beside_photos(tmp_path: Path) -> None:
+    photo = write_photo(tmp_path / "a.jpg")
+    for options, name in ((FlightOptions(every=2.0), "--every"), (FlightOptions(every_metres=5.0), "--every-metres")):
+        with pytest.raises(InputError, match=f"so {name} would not be used"):
+            make_flight([photo], tmp_path / "out", options)
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_the_extra_video_the_note_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.flight.files import sources
+
+    video = write_video(tmp_path / "a.mp4", 0.5)
+    monkeypatch.setattr(sources, "find_spec", lambda _: None)
+    flight = make_flight([video], tmp_path / "flight")
+    assert any("pip install 'lpn-explorer[maps]'" in note for note in flight.notes)
+    (tmp_path / "a.SRT").write_text(srt(["[latitude: 1.0] [longitude: 2.0] [rel_alt: 3.0 abs_alt: 4.0]"]))
+    assert make_flight([video], tmp_path / "flight").frames[0].latitude == 1.0
+
+
+REAL = Path(os.environ["LPN_FLIGHTS"]) if "LPN_FLIGHTS" in os.environ else None
+
+
+@pytest.mark.skipif(REAL is None, reason="LPN_FLIGHTS does not name a folder of real flights")
+@pytest.mark.parametrize(
+    ("name", "frames", "heights", "extent", "source", "width"),
+    [
+        # Heights are those of the flights' README, and so are the widths, which were measured on the map: 65 to 73 m in brighton,
+        # and 78 to 103 m in seneca, whose photos are cropped to nine tenths without a tag that says so.
+        ("brighton", 18, (39.8, 40.2), (84, 84), "gimbal", (65, 73)),
+        ("caliterra", 60, None, (103, 141), "course", None),
+        ("seneca", 60, (63, 77), (379, 397), "aircraft", (78 / 0.9, 103 / 0.9)),
+    ],
+)
+def test_real_flights_are_read(
+    name: str,
+    frames: int,
+    heights: tuple[float, float] | None,
+    extent: tuple[float, float],
+    source: str,
+    width: tuple[float, float] | None,
+) -> None:
+    assert REAL is not None
+    flight = open_flight(REAL / name / "photos")
+    assert len(flight.frames) == frames
+    known = [frame.flying_height for frame in flight.frames if frame.flying_height is not None]
+    assert (min(known) >= heights[0] - 0.05 and max(known) <= heights[1] + 0.05) if heights else not known
+    assert np.ptp(local_metres(flight.degrees), axis=0) == pytest.approx(extent, rel=0.02)
+    assert Counter(frame.heading_source for frame in flight.frames).most_common(1)[0][0] == source
+    widths = [found for frame in flight.frames if (found := ground_width(frame)) is not None]
+    if width is None:
+        assert not widths
+    else:
+        assert width[0] < min(widths)
+        assert max(widths) < width[1]
+    assert any("its field of view is right if it was reduced" in note for note in flight.notes)

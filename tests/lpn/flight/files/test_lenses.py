@@ -1,0 +1,172 @@
+"""Lenses: DJI's table, files of cameras, and pictures without distortion."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import ExifTags
+
+from lpn.cli.main import main
+from lpn.core.errors import DataError
+from lpn.flight.files import make_flight, open_flight
+from lpn.flight.files.folder import TABLE
+from lpn.flight.files.lenses import Lens, lens_of_dewarp_data, read_camera
+from lpn.flight.files.photos import read_photo
+from tools.fixtures.photos import dji_xmp, exif, write_photo
+
+# A Mavic 3E's table, of pictures of 5280 x 3956 pixels.
+TABLE_TEXT = "2022-05-20;3713.29,3713.29,7.02,-8.72,-0.112575,0.01488,-0.00008,0.00001,-0.0273"
+ORIGINAL = {ExifTags.Base.ExifImageWidth.value: 5280, ExifTags.Base.ExifImageHeight.value: 3956}
+LENS = Lens(0.7, 0.71, 0.01, -0.005, -0.12, 0.02, 0.001, -0.002, -0.01)
+OPENCV = """%YAML:1.0
+---
+image_width: 1000
+image_height: 750
+camera_matrix: !!opencv-matrix
+   rows: 3
+   cols: 3
+   dt: d
+   data: [ 700., 0., 509.5, 0., 710., 369.5, 0., 0., 1. ]
+distortion_coefficients: !!opencv-matrix
+   rows: 5
+   cols: 1
+   dt: d
+   data: [ -0.12, 0.02, 0.001, -0.002, -0.01 ]
+"""
+ROS = OPENCV.replace("%YAML:1.0\n---\n", "distortion_model: plumb_bob\n").replace("!!opencv-matrix", "")
+KALIBR = """cam0:
+  camera_model: pinhole
+  distortion_model: radtan
+  distortion_coeffs: [-0.12, 0.02, 0.001, -0.002, -0.01]
+  intrinsics: [700.0, 710.0, 509.5, 369.5]
+  resolution: [1000, 750]
+"""
+ODM = json.dumps(
+    {
+        "v2 dji": {
+            "projection_type": "brown", "width": 1000, "height": 750, "focal_x": 0.7, "focal_y": 0.71, "c_x": 0.01,
+            "c_y": -0.005, "k1": -0.12, "k2": 0.02, "p1": 0.001, "p2": -0.002, "k3": -0.01,
+        }
+    }
+)  # fmt: skip
+
+
+def test_a_picture_without_distortion_shows_a_ray_where_a_pinhole_does() -> None:
+    ray, size = np.array([0.35, -0.22, 1.0]), (400, 300)
+    focal = np.array([LENS.focal_x, LENS.focal_y]) * size[0]
+    centre = np.array([199.5 + LENS.centre_x * size[0], 149.5 + LENS.centre_y * size[0]])
+    camera = np.array([[focal[0], 0, centre[0]], [0, focal[1], centre[1]], [0, 0, 1]])
+    seen = cv2.projectPoints(ray[None], np.zeros(3), np.zeros(3), camera, LENS.coefficients)[0].ravel()
+    row, column = np.mgrid[: size[1], : size[0]]
+    spot = 255 * np.exp(-((column - seen[0]) ** 2 + (row - seen[1]) ** 2) / 8)
+    picture = LENS.undistorted(np.repeat(spot.astype(np.uint8)[..., None], 3, axis=2))[..., 0].astype(float)
+    found = np.array([(picture * column).sum(), (picture * row).sum()]) / picture.sum()
+    pinhole = np.array([199.5, 149.5]) + LENS.focal_x * size[0] * ray[:2]
+    assert np.abs(found - pinhole).max() < 0.2
+    assert np.abs(seen - pinhole).max() > 1
+
+
+def test_the_table_of_dji_is_read_for_pictures_of_any_size(tmp_path: Path) -> None:
+    photo = write_photo(
+        tmp_path / "a.jpg", exif(48.0, 9.0, camera=ORIGINAL), dji_xmp(DewarpData=TABLE_TEXT), (160, 120)
+    )
+    lens = read_photo(photo).frame.lens
+    assert lens is not None
+    assert lens == lens_of_dewarp_data(TABLE_TEXT, 5280)
+    assert (lens.focal_x, lens.centre_y, lens.k3) == pytest.approx((3713.29 / 5280, -8.72 / 5280, -0.0273))
+    assert read_photo(photo).frame.fov == pytest.approx(70.8, abs=0.1)
+
+
+def test_a_log_does_not_change_the_field_of_view_of_a_known_lens(tmp_path: Path) -> None:
+    xmp = dji_xmp(DewarpData=TABLE_TEXT)
+    photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0, camera=ORIGINAL), xmp, (160, 120))
+    (tmp_path / "log.csv").write_text("name,lat,lon,fov\na.jpg,48.1,9.0,84\n")
+    flight = make_flight([photo, tmp_path / "log.csv"], tmp_path / "flight")
+    (frame,) = flight.frames
+    assert frame.lens is not None
+    assert (frame.latitude, frame.fov) == (48.1, frame.lens.fov)
+    assert any("keeps the field of view of its lens, and not that in the log" in note for note in flight.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "flag", "oddity"),
+    [
+        (TABLE_TEXT, "1", ""),
+        ("2022-05-20;1,2,3", "0", "it has 3 numbers where 9 are expected"),
+        (TABLE_TEXT.replace("3713.29", "3.7"), "0", "focal lengths of 0.000701 and 0.000701 widths of the picture"),
+        (TABLE_TEXT.replace("-0.112575", "-3"), "0", "a distortion that folds the picture"),
+        (TABLE_TEXT.replace("0.01488", "nan"), "0", "impossible coefficients"),
+        (TABLE_TEXT.replace("0.01488", "a"), "0", "could not convert"),
+    ],
+)
+def test_a_table_that_does_not_count_is_not_used(tmp_path: Path, text: str, flag: str, oddity: str) -> None:
+    xmp = dji_xmp(DewarpData=text, DewarpFlag=flag)
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(48.0, 9.0, camera=ORIGINAL), xmp, (160, 120)))
+    assert photo.frame.lens is None
+    about_lens = [found for found in photo.oddities if "DewarpData" in found]
+    assert len(about_lens) == bool(oddity)
+    assert oddity in "".join(about_lens)
+
+
+@pytest.mark.parametrize("text", [OPENCV, ROS, KALIBR, ODM], ids=["opencv", "ros", "kalibr", "odm"])
+def test_a_camera_s_file_gives_its_lens_to_the_flight(
+    tmp_path: Path, text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "camera.yaml").write_text(text)
+    lens, proportions = read_camera(tmp_path / "camera.yaml")
+    np.testing.assert_allclose([float(word) for word in lens.text().split()], [float(w) for w in LENS.text().split()])
+    assert proportions == 0.75
+    photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0))
+    out = tmp_path / "flight"
+    assert main(["flight", str(photo), "--camera", str(tmp_path / "camera.yaml"), "--out", str(out)]) == 0
+    assert "1 of 1 photos is the one given with --camera" in capsys.readouterr().out
+    frame = open_flight(out).frames[0]
+    assert frame.lens == lens
+    assert frame.fov == pytest.approx(lens.fov)
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("", "lacks what a camera needs"),
+        ("{", "neither YAML nor JSON"),
+        ("a: [", "neither YAML nor JSON"),
+        (KALIBR.replace("radtan", "equidistant"), "has the model equidistant"),
+        (KALIBR.replace("700.0, 710.0", "7.0, 7.1"), "has focal lengths of 0.007 and 0.0071 widths of the picture"),
+        (OPENCV.replace("image_width: 1000\n", ""), "lacks what a camera needs ('image_width')"),
+        (KALIBR.replace("1000, 750", "0, 750"), "lacks what a camera needs"),
+        (
+            json.dumps(json.loads(ODM) | {"zoom": json.loads(ODM)["v2 dji"]}),
+            "has 2 cameras (v2 dji, zoom), of which only",
+        ),
+    ],
+)
+def test_a_file_that_is_no_camera_s_gets_one_sentence(tmp_path: Path, text: str, sentence: str) -> None:
+    (tmp_path / "camera.yaml").write_text(text)
+    with pytest.raises(DataError) as raised:
+        read_camera(tmp_path / "camera.yaml")
+    assert sentence in str(raised.value)
+
+
+def test_a_camera_of_other_proportions_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "camera.yaml").write_text(KALIBR)
+    photo = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0), size=(40, 22))
+    assert main(["flight", str(photo), "--camera", str(tmp_path / "camera.yaml"), "--out", str(tmp_path / "f")]) == 2
+    assert "pictures are 0.750 times as high as wide" in capsys.readouterr().err
+    assert not (tmp_path / "f").exists()
+
+
+def test_a_flight_without_its_lenses_or_with_a_damaged_one_is_refused(tmp_path: Path) -> None:
+    photo, out = write_photo(tmp_path / "a.jpg", exif(48.0, 9.0)), tmp_path / "flight"
+    assert main(["flight", str(photo), "--out", str(out)]) == 0
+    table = (out / TABLE).read_text()
+    (out / TABLE).write_text(table.replace(",lens\n", "\n").replace(",\n", "\n"))
+    with pytest.raises(DataError, match=r"The first line of .* is not name,"):
+        open_flight(out)
+    (out / TABLE).write_text(table.replace(",\n", ",1 2\n"))
+    with pytest.raises(DataError, match=r"has the lens '1 2' \(2 numbers\)"):
+        open_flight(out)

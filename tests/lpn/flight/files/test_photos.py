@@ -1,0 +1,467 @@
+"""Photos as cameras of drones write them, and what must not be believed in them."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+
+from lpn.cli import main
+from lpn.core.errors import DataError, PictureError
+from lpn.core.images import load_picture
+from lpn.flight.files import open_flight
+from lpn.flight.files.base import Frame
+from lpn.flight.files.photos import natural, photo_of, read_photo
+from lpn.flight.files.xmp import read_xmp
+from tools.fixtures.field_photos import FIELD, PARROT, elements
+from tools.fixtures.photos import (
+    dji_xmp,
+    exif,
+    photo_bytes,
+    sensefly_xmp,
+    tiff_exif,
+    with_segment,
+    write_photo,
+    xmp_packet,
+)
+
+BASE, GPS = ExifTags.Base, ExifTags.GPS
+NOON = {BASE.DateTimeOriginal: "2024:05:01 14:00:00"}
+
+
+def test_xmp_is_believed_before_exif(tmp_path: Path) -> None:
+    packet = dji_xmp(
+        GpsLatitude="+46.8426075", GpsLongitude="-91.9945602", AbsoluteAltitude="+198.31", RelativeAltitude="+39.80",
+        GimbalRollDegree="+0.00", GimbalYawDegree="-45.00", GimbalPitchDegree="-89.90", FlightYawDegree="+46.00",
+    )  # fmt: skip
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(46.84, -91.99, gps={GPS.GPSAltitude: 5.0}), packet))
+    frame = photo.frame
+    assert (frame.name, frame.width, frame.height) == ("a.jpg", 40, 30)
+    assert (frame.latitude, frame.longitude) == (46.8426075, -91.9945602)
+    assert (frame.altitude, frame.height_above_takeoff, frame.height_above_ground) == (198.31, 39.8, None)
+    assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (315.0, "gimbal", -89.9, 0.0)
+    assert frame.flying_height == 39.8
+    assert not photo.oddities
+
+
+def test_exif_is_used_where_xmp_says_nothing(tmp_path: Path) -> None:
+    told = exif(-33.85, 151.2, gps={GPS.GPSAltitude: 12.5, GPS.GPSAltitudeRef: b"\x01"})
+    frame = read_photo(write_photo(tmp_path / "a.jpg", told, dji_xmp(GpsLatitude="+0.0", GpsLongitude="-0.0"))).frame
+    assert (frame.latitude, frame.longitude) == (pytest.approx(-33.85), pytest.approx(151.2))
+    assert frame.altitude == -12.5
+    assert (frame.heading, frame.heading_source, frame.pitch, frame.fov, frame.time) == (None,) * 5
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.0), (91.0, 10.0), (10.0, 181.0), (None, None)])
+def test_a_position_that_cannot_be_one_is_unknown(tmp_path: Path, place: tuple[float | None, float | None]) -> None:
+    frame = read_photo(write_photo(tmp_path / "a.jpg", exif(*place))).frame
+    assert (frame.latitude, frame.longitude) == (None, None)
+
+
+def test_a_position_without_its_hemisphere_is_unknown(tmp_path: Path) -> None:
+    told = exif(10.0, 20.0, gps={GPS.GPSLatitudeRef: ""})
+    assert read_photo(write_photo(tmp_path / "a.jpg", told)).frame.latitude is None
+
+
+def test_a_frame_of_aerialvl_tells_its_position_by_its_name(tmp_path: Path) -> None:
+    photo = read_photo(write_photo(tmp_path / "@1620000000.25@119.93081@30.1234@.jpg"))
+    frame = photo.frame
+    assert (frame.latitude, frame.longitude, frame.heading, photo.utc) == (30.1234, 119.93081, 90.0, 1620000000.25)
+    assert "in its name, as in AerialVL" in photo.oddities[0]
+    query = read_photo(write_photo(tmp_path / "@119.93081@-30.1234@.jpg"))
+    assert (query.frame.latitude, query.frame.longitude, query.frame.heading) == (-30.1234, 119.93081, 90.0)
+    assert query.utc is None
+    assert read_photo(write_photo(tmp_path / "@999999999999@119.9@30.1@.jpg")).utc is None, "no year has so many digits"
+    for name in ("@1.2.3@119.9@30.1@.jpg", "@1@119.9@95@.jpg", "@119.9@95@.jpg"):
+        assert read_photo(write_photo(tmp_path / name)).frame.latitude is None
+
+
+def test_gimbal_angles_that_are_all_zero_are_unknown(tmp_path: Path) -> None:
+    zero = {"GimbalYawDegree": "+0.00", "GimbalPitchDegree": "0.00", "GimbalRollDegree": "0"}
+    photo = read_photo(write_photo(tmp_path / "a.jpg", xmp=dji_xmp(**zero, FlightYawDegree="-90.0")))
+    assert (photo.frame.heading, photo.frame.heading_source, photo.frame.pitch) == (270.0, "aircraft", None)
+    assert "all 0" in photo.oddities[0]
+    assert read_photo(write_photo(tmp_path / "b.jpg", xmp=dji_xmp(**zero))).frame.heading is None
+    north = read_photo(write_photo(tmp_path / "c.jpg", xmp=dji_xmp(**zero | {"GimbalPitchDegree": "-90.0"}))).frame
+    assert (north.heading, north.heading_source, north.pitch) == (0.0, "gimbal", -90.0)
+
+
+def test_the_angles_of_an_aircraft_are_those_of_its_camera(tmp_path: Path) -> None:
+    told = {
+        "Heading": 70.0625,
+        "Height": 66.11,
+        "RollAngle": -2.9,
+        "PitchAngle": 2.5,
+        "AltitudeAMSL": 314,
+        "UTCTime": "2013-06-04T17:38:03",
+    }
+    packet = sensefly_xmp(**told, Latitude=41.03, Longitude=-83.3)
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(camera=NOON), packet))
+    frame = photo.frame
+    assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (70.0625, "aircraft", -87.5, -2.9)
+    assert (frame.height_above_ground, frame.height_above_takeoff, frame.altitude) == (66.11, None, 314)
+    assert (frame.latitude, frame.longitude) == (41.03, -83.3)
+    assert photo.utc == 1370367483.0
+
+
+def test_a_direction_in_exif_is_the_camera_s(tmp_path: Path) -> None:
+    told = exif(1.0, 2.0, gps={GPS.GPSImgDirection: 123.5, GPS.GPSImgDirectionRef: "M"})
+    photo = read_photo(write_photo(tmp_path / "a.jpg", told))
+    assert (photo.frame.heading, photo.frame.heading_source) == (123.5, "camera")
+    assert "magnetic" in photo.oddities[0]
+
+
+@pytest.mark.parametrize(("orientation", "heading"), [(1, 45.0), (3, 225.0), (6, 315.0), (8, 135.0)])
+def test_orientation_turns_size_heading_and_field_of_view(tmp_path: Path, orientation: int, heading: float) -> None:
+    told = exif(main={BASE.Orientation: orientation}, camera={BASE.FocalLengthIn35mmFilm: 24})
+    packet = dji_xmp(GimbalYawDegree=45, GimbalPitchDegree=-90, GimbalRollDegree=0)
+    frame = read_photo(write_photo(tmp_path / "a.jpg", told, packet)).frame
+    level = read_photo(write_photo(tmp_path / "b.jpg", exif(camera={BASE.FocalLengthIn35mmFilm: 24}), packet)).frame
+    assert frame.heading == pytest.approx(heading)
+    assert frame.pitch == pytest.approx(-90.0)
+    assert level.fov is not None
+    assert frame.fov is not None
+    if orientation in (6, 8):
+        assert (frame.width, frame.height) == (30, 40)
+        ratio = math.tan(math.radians(frame.fov / 2)) / math.tan(math.radians(level.fov / 2))
+        assert ratio == pytest.approx(30 / 40)
+    else:
+        assert (frame.width, frame.height, frame.fov) == (40, 30, level.fov)
+
+
+def test_a_picture_that_was_saved_upright_has_the_longer_side_upright() -> None:
+    camera = {BASE.FocalLengthIn35mmFilm: 24}
+    wide = photo_of(photo_bytes(exif(camera=camera)), Path("a.jpg")).frame
+    assert wide.fov is not None
+    sizes = {BASE.ExifImageWidth: 40, BASE.ExifImageHeight: 30}
+    for told in (camera, camera | sizes):  # a program may leave the sizes as they were
+        upright = photo_of(photo_bytes(exif(camera=told), size=(30, 40)), Path("b.jpg"))
+        assert (upright.frame.width, upright.frame.height, upright.oddities) == (30, 40, ())
+        assert upright.frame.fov is not None
+        ratio = math.tan(math.radians(upright.frame.fov / 2)) / math.tan(math.radians(wide.fov / 2))
+        assert ratio == pytest.approx(30 / 40)
+
+
+def test_the_sensor_s_width_is_that_of_the_picture_as_taken(tmp_path: Path) -> None:
+    camera = {
+        BASE.FocalLength: 4.5, BASE.FocalPlaneXResolution: 16393.44262, BASE.FocalPlaneResolutionUnit: 2,
+        BASE.ExifImageWidth: 4000, BASE.ExifImageHeight: 3000, BASE.FocalLengthIn35mmFilm: 99,
+    }  # fmt: skip
+    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(camera=camera)))
+    assert photo.frame.fov == pytest.approx(2 * math.degrees(math.atan(4000 * 25.4 / 16393.44262 / 2 / 4.5)))
+    assert "40 x 30 pixels where its EXIF says 4000 x 3000" in photo.oddities[0]
+    cut = read_photo(write_photo(tmp_path / "b.jpg", exif(camera=camera), size=(40, 22)))
+    assert "it was cropped" in cut.oddities[0]
+    whole = read_photo(
+        write_photo(tmp_path / "c.jpg", exif(camera=camera | {BASE.ExifImageWidth: 40, BASE.ExifImageHeight: 30}))
+    )
+    assert whole.frame.fov is not None  # a sensor of 0.06 mm is impossible, so the equivalent length counts
+    assert whole.frame.fov == pytest.approx(2 * math.degrees(math.atan(math.hypot(36, 24) * 0.8 / 2 / 99)), rel=1e-6)
+    assert not whole.oddities
+
+
+def test_a_calibrated_focal_length_is_in_pixels_of_the_original(tmp_path: Path) -> None:
+    camera = {BASE.ExifImageWidth: 5472, BASE.ExifImageHeight: 4104}
+    frame = read_photo(
+        write_photo(tmp_path / "a.jpg", exif(camera=camera), dji_xmp(CalibratedFocalLength=3666.666))
+    ).frame
+    assert frame.fov == pytest.approx(73.46, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [
+        b"<x",
+        b"\xff\xfe",
+        b'<!DOCTYPE x [<!ENTITY a "b"><!ENTITY c "&a;&a;">]><x>&c;</x>',
+        b"<x>" + b" " * 2_000_000 + b"</x>",
+    ],
+    ids=["cut", "no UTF-8", "entities", "large"],
+)
+def test_bad_xmp_is_refused_and_the_photo_kept(tmp_path: Path, packet: bytes) -> None:
+    with pytest.raises(ValueError, match=r"^(it|'utf-8')"):
+        read_xmp(packet)
+    if len(packet) < 60_000:
+        photo = read_photo(write_photo(tmp_path / "a.jpg", exif(1.0, 2.0), packet))
+        assert photo.frame.latitude == 1.0
+        assert "XMP that was not used" in photo.oddities[0]
+
+
+def test_times_are_utc_where_a_photo_tells_it(tmp_path: Path) -> None:
+    gps = {GPS.GPSDateStamp: "2024:05:01", GPS.GPSTimeStamp: (12.0, 0.0, 5.0)}
+    write_photo(tmp_path / "1.jpg", exif(1.0, 2.0, camera=NOON, gps=gps))
+    later = {BASE.DateTimeOriginal: "2024:05:01 14:00:10", BASE.SubsecTimeOriginal: "25"}
+    write_photo(tmp_path / "2.jpg", exif(1.0, 2.0, camera=later))
+    flight = open_flight(tmp_path)
+    assert flight.utc
+    assert flight.times.tolist() == [1714564805.0, 1714564815.25]
+    assert "The camera's clock is 5 s behind UTC+2." in flight.notes
+    zoned = later | {BASE.OffsetTimeOriginal: "+02:00"}
+    assert read_photo(write_photo(tmp_path / "3.jpg", exif(camera=zoned))).utc == 1714564810.25
+    assert read_photo(
+        write_photo(tmp_path / "4.jpg", xmp=dji_xmp(UTCAtExposure="2024-05-01T12:00:00.1234567"))
+    ).utc == (pytest.approx(1714564800.123456))
+
+
+def test_times_without_a_zone_are_from_the_first_photo_and_order_the_flight(tmp_path: Path) -> None:
+    for name, second in (("9.jpg", 30), ("10.jpg", 0), ("8.jpg", 12)):
+        write_photo(tmp_path / name, exif(1.0, 2.0, camera={BASE.DateTimeOriginal: f"2024:05:01 14:00:{second:02d}"}))
+    flight = open_flight(tmp_path)
+    assert [(frame.name, frame.time) for frame in flight.frames] == [("10.jpg", 0), ("8.jpg", 12), ("9.jpg", 30)]
+    assert not flight.utc
+    assert any("seconds since the first photo" in note for note in flight.notes)
+    write_photo(tmp_path / "11.jpg")
+    flight = open_flight(tmp_path)
+    assert [frame.name for frame in flight.frames] == ["8.jpg", "9.jpg", "10.jpg", "11.jpg"]
+    assert any("1 of 4 photos have no time" in note for note in flight.notes)
+
+
+@pytest.mark.parametrize(
+    ("stamp", "local", "utc"),
+    [
+        ("2024:05:01 14:00:00", 1714572000.0, None), ("2024-05-01 14:00:00", 1714572000.0, None),
+        ("2024-05-01T14:00:00Z", 1714572000.0, 1714572000.0), ("2024:05:01 14:00:00 +0200", 1714572000.0, 1714564800.0),
+        ("2024/05/01 4:00:00 +0200", 1714536000.0, 1714528800.0), ("2024:05:01 14:00: 7", 1714572007.0, None),
+        ("2024:05:01 14:00:00-0300", 1714572000.0, 1714582800.0),
+        ("2024:05:01 14:00:00.25", 1714572000.25, None), ("2024:05:01 14:00:00\x00\x00", 1714572000.0, None),
+        ("0000:00:00 00:00:00", None, None), ("    :  :     :  :  ", None, None),
+    ],
+)  # fmt: skip
+def test_times_as_programs_write_them(stamp: str, local: float | None, utc: float | None) -> None:
+    photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: stamp})), Path("a.jpg"))
+    assert (photo.local, photo.utc, photo.oddities) == (local, utc, ())
+
+
+@pytest.mark.parametrize(
+    ("offset", "utc", "oddities"),
+    [
+        ("-05:00", 1714590000.0, ()), ("-5:00", 1714590000.0, ()), ("-0500", 1714590000.0, ()), ("   :  ", None, ()),
+        ("EST", None, ("has an OffsetTimeOriginal that cannot be read",)),
+        ("+25:00", None, ("has an OffsetTimeOriginal that cannot be read",)),
+    ],
+)  # fmt: skip
+def test_zones_as_cameras_write_them(offset: str, utc: float | None, oddities: tuple[str, ...]) -> None:
+    photo = photo_of(photo_bytes(exif(camera=NOON | {BASE.OffsetTimeOriginal: offset})), Path("a.jpg"))
+    assert (photo.local, photo.utc, photo.oddities) == (1714572000.0, utc, oddities)
+
+
+def test_the_hour_24_is_the_hour_0_of_the_same_day() -> None:
+    photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: "2015:08:22 24:08:19"})), Path("a.jpg"))
+    assert photo.local == 1440202099.0
+    assert photo.oddities == ("has a time with the hour 24, which was taken for the hour 0 of the same day",)
+
+
+def test_the_time_of_an_edit_is_no_time_of_a_photo() -> None:
+    edited = {BASE.DateTime: "2024:06:09 09:09:09"}
+    digitized = exif(main=edited, camera={BASE.DateTimeDigitized: "2024:05:01 14:00:00"})
+    assert photo_of(photo_bytes(digitized), Path("a.jpg")).local == 1714572000.0
+    # A program that made a JPEG of a DNG kept XMP alone.
+    packet = xmp_packet(
+        "", {"xmp": "http://ns.adobe.com/xap/1.0/"},
+        'xmp:ModifyDate="2024-06-09T09:09:09+03:00" xmp:CreateDate="2024-05-01T14:00:00+03:00"',
+    )  # fmt: skip
+    photo = photo_of(photo_bytes(exif(main=edited), packet), Path("a.jpg"))
+    assert (photo.local, photo.utc, photo.oddities) == (1714572000.0, 1714561200.0, ())
+
+
+def test_a_time_that_cannot_be_read_is_named() -> None:
+    photo = photo_of(photo_bytes(exif(camera={BASE.DateTimeOriginal: "1999:99:99 99:99:99"})), Path("a.jpg"))
+    assert (photo.local, photo.oddities) == (None, ("has a DateTimeOriginal that cannot be read",))
+
+
+def test_names_are_ordered_by_their_numbers() -> None:
+    assert sorted(["DJI_0010.jpg", "DJI_0009.JPG", "a2", "²"], key=natural) == [
+        "a2",
+        "DJI_0009.JPG",
+        "DJI_0010.jpg",
+        "²",
+    ]
+
+
+def test_broken_photos_are_left_out_and_named(tmp_path: Path) -> None:
+    whole = photo_bytes(exif(1.0, 2.0))
+    (tmp_path / "a.jpg").write_bytes(whole)
+    (tmp_path / "b.jpg").write_bytes(whole[:-200])
+    (tmp_path / "c.jpg").write_bytes(b"no picture")
+    flight = open_flight(tmp_path)
+    assert [frame.name for frame in flight.frames] == ["a.jpg"]
+    note = next(note for note in flight.notes if "left out" in note)
+    assert note.startswith("2 of 3 photos are left out: b.jpg is cut short")
+    assert "c.jpg is not a picture" in note
+    (tmp_path / "a.jpg").unlink()
+    with pytest.raises(DataError, match=r"No photo of 2 can be read\. b\.jpg"):
+        open_flight(tmp_path)
+    with pytest.raises(PictureError, match=r"nowhere\.jpg cannot be read"):
+        read_photo(tmp_path / "nowhere.jpg")
+
+
+def test_a_photo_without_position_stays(tmp_path: Path) -> None:
+    for i in range(5):
+        camera = {BASE.DateTimeOriginal: f"2024:05:01 14:00:{i:02d}"}
+        write_photo(tmp_path / f"{i}.jpg", exif(*(None, None) if i % 2 else (1.0, 2.0), camera=camera))
+    flight = open_flight(tmp_path)
+    assert len(flight.frames) == 5
+    assert flight.degrees[[1, 3]].tolist() == [[pytest.approx(math.nan, nan_ok=True)] * 2] * 2
+    assert "2 of 5 photos have no GPS tag: 1.jpg, 3.jpg." in flight.notes
+
+
+def test_equal_names_get_their_folders(tmp_path: Path) -> None:
+    for folder in ("100MEDIA", "101MEDIA"):
+        write_photo(tmp_path / folder / "DJI_0001.JPG", exif(1.0, 2.0))
+    assert [f.name for f in open_flight(tmp_path).frames] == ["100MEDIA/DJI_0001.JPG", "101MEDIA/DJI_0001.JPG"]
+
+
+@pytest.mark.parametrize("name", FIELD)
+def test_photos_as_people_have_them(name: str) -> None:
+    data, expected, note = FIELD[name]
+    photo = photo_of(data, Path("a.jpg"))
+    found = {field: getattr(photo.frame, field) for field in expected}
+    assert found == {
+        field: pytest.approx(value, abs=1e-6) if isinstance(value, float) else value
+        for field, value in expected.items()
+    }
+    assert photo.oddities == () if note is None else any(note in oddity for oddity in photo.oddities)
+
+
+def written(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[list[dict[str, str]], str]:
+    """The rows of flight.csv that `lpn flight` writes for a folder of photos, and what it prints."""
+    main.main(["flight", str(folder), "--out", str(folder / "out")])
+    with (folder / "out" / "flight.csv").open(newline="") as table:
+        return list(csv.DictReader(table)), capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "notes"),
+    [
+        ("Parrot Anafi", {"heading": "15.0", "heading_source": "gimbal", "pitch": "-90.0", "roll": "0.0"}, []),
+        ("Pix4D's Camera", {"heading": "319.0", "pitch": "-90.0", "height_above_ground": "61.25"}, []),
+        ("a letter of Latin-1", {"heading": "319.0", "pitch": "-90.0", "height_above_takeoff": "61.2"},
+         ["3 of 3 photos: each has damaged XMP (a byte is not UTF-8, and was read as Latin-1), of which the readable "]),
+        ("seconds of 0/0 behind decimal minutes", {"latitude": "47.301234", "heading": ""},
+         ["3 of 3 photos: each has seconds of GPSLatitude that cannot be read; its decimal minutes were used.",
+          "3 of 3 photos: each has seconds of GPSLongitude that cannot be read; its decimal minutes were used."]),
+        ("a maker that nobody knows", {"heading": "", "pitch": ""},
+         ["3 of 3 photos: each has values that look like a position, height, or angle and were not read: drone-new:TiltDegree, "
+          "drone-new:HeadingDegree."]),
+    ],
+)  # fmt: skip
+def test_lpn_flight_writes_what_the_photos_say(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, row: dict[str, str], notes: list[str]
+) -> None:
+    for i in range(3):
+        (tmp_path / f"{i}.jpg").write_bytes(FIELD[name][0])
+    rows, printed = written(tmp_path, capsys)
+    assert [{column: line[column] for column in row} for line in rows] == [row] * 3
+    assert not [note for note in notes if note not in printed]
+    assert "course over ground" not in printed
+    assert "codec" not in printed
+
+
+def test_the_course_is_never_taken_where_a_photo_tells_a_heading(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    packet = xmp_packet(
+        elements("drone-parrot", CameraRollDegree=0.0, CameraPitchDegree=-90.0, CameraYawDegree=15.0), PARROT
+    )
+    for i in range(3):
+        camera = {BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"}
+        write_photo(tmp_path / f"{i}.jpg", exif(47.301234, 8.501234 + 0.0002 * i, camera=camera), packet)
+    rows, printed = written(tmp_path, capsys)
+    assert [(row["heading"], row["heading_source"]) for row in rows] == [("15.0", "gimbal")] * 3
+    assert "course over ground" not in printed
+
+
+def test_the_course_does_not_stand_in_for_a_heading_that_was_not_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for i, name in enumerate(("TiltDegree", "CameraHeading", "CameraHeading")):
+        packet = xmp_packet(f"<n:{name}>41.0</n:{name}>", {"n": "http://example.com/new/"})
+        camera = {BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"}
+        write_photo(tmp_path / f"{i}.jpg", exif(47.301234, 8.501234 + 0.0002 * i, camera=camera), packet)
+    rows, printed = written(tmp_path, capsys)
+    assert [(row["heading"], row["heading_source"]) for row in rows] == [("90.0", "course"), ("", ""), ("", "")]
+    assert "2 of 3 photos have no heading, and did not get the course over ground" in " ".join(printed.split())
+
+
+@pytest.mark.parametrize("name", ["the comment of a telephone", "a heading in the description of a phone's program"])
+def test_the_course_does_not_stand_in_for_a_heading_in_a_text(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    for i in range(3):
+        told = exif(47.301234, 8.501234 + 0.0002 * i, camera={BASE.DateTimeOriginal: f"2024:05:01 10:00:{2 * i:02d}"})
+        for tag in (BASE.UserComment, BASE.ImageDescription):
+            with Image.open(io.BytesIO(FIELD[name][0])) as picture:
+                found = picture.getexif()
+            if (text := found.get_ifd(ExifTags.IFD.Exif).get(tag) or found.get(tag)) is not None:
+                told[tag] = text
+        write_photo(tmp_path / f"{i}.jpg", told)
+    rows, _ = written(tmp_path, capsys)
+    assert [(row["heading"], row["heading_source"]) for row in rows] == [("", "")] * 3
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG", "WEBP", "TIFF"])
+def test_sizes_are_those_of_the_picture_as_it_is_loaded(tmp_path: Path, kind: str) -> None:
+    camera = {BASE.FocalLength: 4.0, BASE.FocalLengthIn35mmFilm: 23}
+    for orientation in range(1, 9):
+        told = exif(main={BASE.Orientation: orientation}, camera=camera)
+        file = tmp_path / f"{orientation}.x"
+        Image.new("RGB", (320, 240)).save(file, kind, exif=told.tobytes() if kind != "TIFF" else told)
+        height, width = load_picture(file).shape[:2]
+        frame = read_photo(file).frame
+        assert (frame.width, frame.height) == (width, height), orientation
+        if kind != "TIFF":  # Pillow writes no camera's tags into a TIFF
+            expected = 58.876173 if orientation >= 5 else 73.920206
+            assert frame.fov == pytest.approx(expected, abs=1e-6), orientation
+
+
+def test_the_heading_of_a_mirrored_picture_is_that_of_its_top_as_it_is_loaded(tmp_path: Path) -> None:
+    # A picture with its top to the north-east, whose corner there is white; a program stored it in every orientation.
+    upright = np.zeros((240, 320, 3), np.uint8)
+    upright[:60, -80:] = 255
+    stored = {
+        1: upright, 2: upright[:, ::-1], 3: upright[::-1, ::-1], 4: upright[::-1], 5: upright.swapaxes(0, 1),
+        6: np.rot90(upright, 1), 7: np.rot90(upright, 2).swapaxes(0, 1), 8: np.rot90(upright, -1),
+    }  # fmt: skip
+    # The gimbal's yaw is the direction of the stored picture's top, where that is mirrored to the side first.
+    yaws = {1: 45, 2: 45, 3: 225, 4: 225, 5: 315, 6: 135, 7: 135, 8: 315}
+    for orientation, pixels in stored.items():
+        told = exif(main={BASE.Orientation: orientation})
+        data = io.BytesIO()
+        Image.fromarray(np.ascontiguousarray(pixels)).save(data, "JPEG", exif=told.tobytes())
+        packet = dji_xmp(GimbalYawDegree=yaws[orientation], GimbalPitchDegree=-90, GimbalRollDegree=0)
+        file = tmp_path / f"{orientation}.jpg"
+        file.write_bytes(with_segment(data.getvalue(), b"http://ns.adobe.com/xap/1.0/\x00" + packet))
+        assert load_picture(file)[20, -20].min() > 200, orientation
+        photo = read_photo(file)
+        assert photo.frame.heading == pytest.approx(45.0), orientation
+        mirrored = [oddity for oddity in photo.oddities if "is mirrored by its EXIF orientation" in oddity]
+        assert len(mirrored) == (orientation in (2, 4, 5, 7))
+
+
+def test_one_damaged_directory_of_exif_leaves_the_others() -> None:
+    told = tiff_exif(main={BASE.Orientation.value: (3, b"\x06\x00")}, gps={1: (2, b"N\x00")})
+    pointer = told.index(b"\x25\x88\x04\x00") + 8
+    damaged = told[:pointer] + b"\xff\xff\xff\x0f" + told[pointer + 4 :]
+    frame = photo_of(photo_bytes(damaged), Path("a.jpg")).frame
+    assert (frame.width, frame.height, frame.latitude) == (30, 40, None)
+
+
+def test_an_unknown_frame_has_every_field_of_the_table() -> None:
+    empty = photo_of(photo_bytes(), Path("a.jpg"))
+    assert empty.frame == Frame("a.jpg", Path("a.jpg"), 40, 30)
+    assert empty.oddities == ()
+
+
+def test_a_stitched_panorama_is_named_and_has_no_field_of_view(tmp_path: Path) -> None:
+    uris = {"GPano": "http://ns.google.com/photos/1.0/panorama/"}
+    packet = xmp_packet("<GPano:ProjectionType>equirectangular</GPano:ProjectionType>", uris)
+    photo = read_photo(
+        write_photo(tmp_path / "a.jpg", exif(camera={ExifTags.Base.FocalLengthIn35mmFilm: 24}), packet, (60, 30))
+    )
+    assert photo.frame.fov is None
+    assert any(oddity.startswith("is a panorama (equirectangular)") for oddity in photo.oddities)

@@ -1,0 +1,246 @@
+"""Tracks as GPX beside photos and videos, and files that are damaged or harmful."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from PIL import ExifTags
+
+from lpn.core.errors import DataError
+from lpn.flight.files import make_flight
+from lpn.flight.files.sources import read_any_log
+from lpn.flight.files.track_files import parse_track, read_track
+from tools.fixtures.photos import exif, write_photo
+from tools.fixtures.videos import write_video
+
+HEAD = '<?xml version="1.0" encoding="UTF-8"?>\n'
+
+
+def time(second: int, zone: str = "Z") -> str:
+    return f"2024-05-01T12:00:{second:02d}{zone}"
+
+
+def gpx(points: int = 20, zone: str = "Z", decimal: str = ".") -> str:
+    """A track of one point a second to the north."""
+    inside = "".join(
+        f'<trkpt lat="47{decimal}3{i:02d}" lon="8{decimal}5"><ele>{500 + i}</ele><time>{time(i, zone)}</time></trkpt>\n'
+        for i in range(points)
+    )
+    return (
+        HEAD
+        + '<gpx version="1.1" creator="a &amp; b" xmlns="http://www.topografix.com/GPX/1/1"><trk><name>x</name><trkseg>\n'
+        f"{inside}</trkseg></trk></gpx>"
+    )
+
+
+WITHOUT_TIMES = "{1} has {0} points without a time, so it fits no picture; export a track with times."
+
+
+@pytest.mark.parametrize("zone", ["Z", "+00:00", ".000Z", ""])
+def test_a_gpx_track_is_a_log_of_moments_in_utc(zone: str) -> None:
+    log = parse_track(gpx(3, zone).encode(), "a.gpx")
+    assert [(r.entry.clock, r.entry.latitude, r.entry.longitude, r.entry.altitude) for r in log.rows] == [
+        (1714564800.0 + i, pytest.approx(47.3 + i / 1000), 8.5, 500.0 + i) for i in range(3)
+    ]
+    assert log.utc == (zone != "")
+    assert log.notes == ()
+
+
+@pytest.mark.parametrize(
+    ("spelling", "clock"),
+    [
+        ("2024-05-01T12:00:00.3700Z", 1714564800.37),
+        ("2024-05-01T14:00:00.504+02:00[Europe/Brussels]", 1714564800.504),
+        ("2024-05-01T11:00:00-01:00", 1714564800.0),
+    ],
+)
+def test_times_of_other_spellings_are_read(spelling: str, clock: float) -> None:
+    log = parse_track(gpx(1).replace(time(0), spelling).encode(), "a.gpx")
+    assert (log.rows[0].entry.clock, log.utc) == (clock, True)
+
+
+def test_numbers_that_are_none_are_no_position_and_no_altitude() -> None:
+    point = '<trkpt lat="{}" lon="8.5"><ele>{}</ele><time>2024-05-01T12:00:0{}Z</time></trkpt>'
+    text = gpx(0).replace("</trkseg>", point.format("nan", 5, 1) + point.format(47.3, "nan", 2) + "</trkseg>")
+    log = parse_track(text.encode(), "a.gpx")
+    assert [(row.entry.latitude, row.entry.altitude) for row in log.rows] == [(47.3, None)]
+    assert log.notes == ("1 points of a.gpx are outside of the Earth's degrees, and were left out.",)
+    with pytest.raises(DataError, match="Its 1 positions are outside of the Earth's degrees"):
+        parse_track(gpx(0).replace("</trkseg>", point.format(147.3, 5, 1) + "</trkseg>").encode(), "a.gpx")
+
+
+def test_gpx_of_other_writers_is_read(tmp_path: Path) -> None:
+    rows = parse_track(gpx(3).encode(), "a.gpx").rows
+    prefixed = (
+        gpx(3)
+        .replace('xmlns="http://www.topografix.com/GPX/1/1"', 'xmlns="http://www.garmin.com/x" xmlns:ns2="http://www.topografix.com/GPX/1/1"')
+        .replace("</", "</ns2:").replace("<trk", "<ns2:trk").replace("<gpx", "<ns2:gpx").replace("<ele", "<ns2:ele")
+        .replace("<time", "<ns2:time").replace("<name", "<ns2:name")
+    )  # fmt: skip
+    assert parse_track(prefixed.encode(), "a.gpx").rows == rows
+    # A mark of UTF-8 that was taken for letters, and extensions in the namespace of GPX.
+    assert parse_track(f"\u00ef\u00bb\u00bf{gpx(3)}".encode(), "a.gpx").rows == rows
+    extended = gpx(3).replace("</ele>", "</ele><extensions><speed>3</speed></extensions>")
+    assert parse_track(extended.encode(), "a.gpx").rows == rows
+    # Coordinates in the wrong order, which the photo's own position proves.
+    flipped = re.sub(r'lat="([^"]*)" lon="([^"]*)"', r'lat="\2" lon="\1"', gpx(3))
+    (tmp_path / "track.gpx").write_text(flipped, "utf-8")
+    clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 1.0)}
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5, gps=clock))
+    flight = make_flight([photo, tmp_path / "track.gpx"], tmp_path / "flight")
+    assert (flight.frames[0].latitude, flight.frames[0].longitude) == pytest.approx((47.301, 8.5))
+    assert "Latitude and longitude of track.gpx are swapped, as the photos' own positions say." in flight.notes
+
+
+def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path: Path) -> None:
+    text = gpx(20)
+    for i in range(20):
+        text = text.replace(time(i), "2024-05-01T00:00:00+02:00")
+    (tmp_path / "track.gpx").write_text(text, "utf-8")
+    clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 5.0)}
+    write_photo(tmp_path / "a.jpg", exif(gps=clock))
+    flight = make_flight([tmp_path / "a.jpg", tmp_path / "track.gpx"], tmp_path / "flight")
+    assert flight.frames[0].latitude is None
+    assert any(
+        "1 of 1 moments of track.gpx are listed more than once with different positions" in n for n in flight.notes
+    )
+    assert any(n.startswith("track.gpx fits none of the 1 photos by UTC, and was not used") for n in flight.notes)
+
+
+def test_waypoints_named_as_pictures_are_their_positions(tmp_path: Path) -> None:
+    place = '<wpt lat="47.3" lon="8.5"><ele>512</ele><name>DJI_0001.JPG</name></wpt>'
+    (tmp_path / "places.gpx").write_text(f'<gpx version="1.1">{place}</gpx>', "utf-8")
+    write_photo(tmp_path / "DJI_0001.JPG")
+    frame = make_flight([tmp_path / "places.gpx"], tmp_path / "flight").frames[0]
+    assert (frame.latitude, frame.longitude, frame.altitude) == (47.3, 8.5, 512.0)
+
+
+@pytest.mark.parametrize(("hour", "offset"), [(12, ""), (14, ", with a constant offset: the photos' clock is UTC+2")])
+def test_photos_take_their_positions_from_a_track(tmp_path: Path, hour: int, offset: str) -> None:
+    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
+    for second in (3, 7, 12):
+        clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, float(second))}
+        taken = {ExifTags.Base.DateTimeOriginal: f"2024:05:01 {hour}:00:{second:02d}"}
+        write_photo(tmp_path / "photos" / f"{second:02d}.jpg", exif(camera=taken, gps=clock if hour == 12 else None))
+    flight = make_flight([tmp_path / "photos", tmp_path / "track.gpx"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx([47.303, 47.307, 47.312])
+    assert [frame.altitude for frame in flight.frames] == pytest.approx([503.0, 507.0, 512.0])
+    how = "UTC" if hour == 12 else "their clock"
+    said = f"track.gpx gives the values of 3 of 3 photos, by {how}{offset}; they replace those in the files."
+    assert said in flight.notes
+
+
+def test_a_video_takes_its_positions_from_a_track(tmp_path: Path) -> None:
+    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
+    video = write_video(tmp_path / "a.mp4", 3)
+    flight = make_flight([video, tmp_path / "track.gpx"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx(
+        [47.3 + (frame.time or 0) / 1000 for frame in flight.frames]
+    )
+    assert any(
+        "track.gpx does not say when the video began; its first row counts as the beginning" in n for n in flight.notes
+    )
+
+
+def test_a_video_that_says_when_it_began_starts_there_in_the_track(tmp_path: Path) -> None:
+    av = pytest.importorskip("av")
+    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
+    with (
+        av.open(str(write_video(tmp_path / "plain.mp4", 3))) as source,
+        av.open(str(tmp_path / "a.mp4"), "w") as target,
+    ):
+        target.metadata["creation_time"] = time(10)
+        pictures = target.add_stream_from_template(source.streams.video[0])
+        for packet in source.demux(source.streams.video[0]):
+            if packet.dts is not None:
+                packet.stream = pictures
+                target.mux(packet)
+    flight = make_flight([tmp_path / "a.mp4", tmp_path / "track.gpx"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == pytest.approx(
+        [47.31 + (frame.time or 0) / 1000 for frame in flight.frames]
+    )
+    assert any("The time in the video's file says where in track.gpx it began" in note for note in flight.notes)
+
+
+def test_a_track_that_is_cut_off_or_damaged_is_read_up_to_there() -> None:
+    whole = gpx(20)
+    cut = parse_track(whole[: whole.index("<time>2024-05-01T12:00:12")].encode(), "a.gpx")
+    assert (len(cut.rows), cut.rows[-1].entry.latitude) == (12, 47.311)
+    assert cut.notes == ("a.gpx is cut off or damaged; only its points before the damage were used.",)
+    # A bare & is no damage, and commas within numbers are said.
+    assert len(parse_track(whole.replace("<name>x", "<name>a & b").encode(), "a.gpx").rows) == 20
+    commas = parse_track(gpx(3, decimal=",").encode(), "a.gpx")
+    assert commas.rows[1].entry.latitude == 47.301
+    assert "count as decimal commas" in commas.notes[0]
+    untimed = whole.replace(f"<time>{time(4)}</time>", "")
+    assert parse_track(untimed.encode(), "a.gpx").notes == ("1 points of a.gpx have no time, and were left out.",)
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"", "is no GPX"),
+        (b"PK\x03\x04damaged", "is no GPX"),
+        (b"<gpx>", "is damaged, and no point of it can be read"),
+        (b'<gpx version="1.1"></gpx>', "has no point with a position"),
+        (b'<!DOCTYPE x [<!ENTITY a "b">]><gpx>&a;</gpx>', "has a DTD or entities"),
+        (b"<!DOCTYPE x SYSTEM 'file:///etc/passwd'><gpx></gpx>", "has a DTD or entities"),
+    ],
+)
+def test_files_that_are_no_tracks_are_refused_in_one_sentence(data: bytes, message: str) -> None:
+    with pytest.raises(DataError) as error:
+        parse_track(data, "a.gpx")
+    assert message in str(error.value)
+
+
+def test_a_track_without_times_fits_nothing_and_the_run_goes_on(tmp_path: Path) -> None:
+    (tmp_path / "track.gpx").write_text(gpx(2).replace("time>", "tame>"), "utf-8")
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    flight = make_flight([photo, tmp_path / "track.gpx"], tmp_path / "flight")
+    assert flight.frames[0].latitude == 47.3
+    assert WITHOUT_TIMES.format(2, "track.gpx") in flight.notes
+    assert any(note.startswith("track.gpx fits none of the 1 photos by") for note in flight.notes)
+
+
+def test_a_missing_track_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"b\.gpx cannot be read"):
+        read_track(tmp_path / "b.gpx")
+
+
+def test_decimal_commas_are_read() -> None:
+    gpx = (
+        '<gpx version="1.1" creator="a"><trk><trkseg><trkpt lat="47,3" lon="8,5"><ele>450,5</ele>'
+        '<time>2024-05-01T10:00:00Z</time></trkpt><trkpt lat="47,3" lon="8,5"><ele>450,5</ele>'
+        '<time>2024-05-01T10:00:01Z</time></trkpt><trkpt lat="103.8" lon="1"/></trkseg></trk></gpx>'
+    )
+    track = parse_track(gpx.encode(), "a.gpx")
+    assert [(row.entry.latitude, row.entry.longitude, row.entry.altitude) for row in track.rows] == [
+        (47.3, 8.5, 450.5)
+    ] * 2
+    assert "1 points of a.gpx are outside of the Earth's degrees, and were left out." in track.notes
+
+
+@pytest.mark.parametrize(
+    ("name", "instead"),
+    [
+        ("track.kml", "GPX or CSV"),
+        ("flight.bag", "CSV, .ulg, .tlog, or .bin"),
+        ("clip.vtt", "SRT"),
+        ("CLIP.ASS", "SRT"),
+    ],
+)
+def test_a_file_of_a_kind_that_is_not_read_is_refused_wherever_it_is_named(
+    tmp_path: Path, name: str, instead: str
+) -> None:
+    (file := tmp_path / name).write_text('<kml xmlns="http://www.opengis.net/kml/2.2"/>', "utf-8")
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    told = rf"{re.escape(name)} is {file.suffix.upper()}, which is not read; give the flight as {re.escape(instead)}\.$"
+    for given in ([photo, file], [file]):
+        with pytest.raises(DataError, match=told):
+            make_flight(given, tmp_path / "flight")
+    with pytest.raises(DataError, match=told):
+        read_any_log(file)
+    with pytest.raises(DataError, match=r"is no GPX; expected a track with <gpx> in it"):
+        parse_track(file.read_bytes(), name)

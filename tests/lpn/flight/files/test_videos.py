@@ -1,0 +1,170 @@
+"""Frames of a small video: which are chosen, and what the subtitles beside or inside it tell about them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import DataError
+from lpn.core.images import load_picture
+from lpn.flight.files import FlightOptions, make_flight, open_flight
+from tools.fixtures.videos import embed, srt, turn, write_video
+
+# 11.13 m to the north each second.
+TELEMETRY = [
+    f"[latitude: {47 + i / 10_000:.6f}] [longitude: 8.000000] [rel_alt: {50 + i}.0 abs_alt: 450.0]" for i in range(6)
+]
+
+
+def second(file: Path) -> int:
+    """The second of the video that a frame shows, by its brightness."""
+    return round((float(np.mean(load_picture(file))) - 60) / 20)
+
+
+def test_the_sharpest_picture_of_each_second_is_taken(tmp_path: Path) -> None:
+    write_video(tmp_path / "DJI_1.mp4", 5, frozenset({3, 17, 21, 38}))
+    (tmp_path / "DJI_1.SRT").write_text(srt(TELEMETRY))
+    flight = make_flight([tmp_path / "DJI_1.mp4"], tmp_path / "flight")
+    # In the last second no picture is sharp.
+    assert [frame.time for frame in flight.frames][:4] == pytest.approx([0.3, 1.7, 2.1, 3.8])
+    assert [second(frame.file) for frame in flight.frames] == [0, 1, 2, 3, 4]
+    first = flight.frames[1]
+    assert first.latitude == pytest.approx(47 + (first.time or 0) / 10_000)
+    assert first.height_above_takeoff == pytest.approx(50 + (first.time or 0))
+    assert (first.width, first.height, first.heading_source) == (64, 48, "course")
+    assert first.heading == pytest.approx(0.0, abs=1e-6)
+    assert open_flight(tmp_path / "flight") == flight
+
+
+def test_frames_are_chosen_by_seconds_or_by_metres(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "a.mp4", 6)
+    (tmp_path / "a.srt").write_text(srt(TELEMETRY))
+    slow = make_flight([video], tmp_path / "slow", FlightOptions(every=2.5))
+    assert [2 * (frame.time or 0) // 5 for frame in slow.frames] == [0, 1, 2]
+    assert all((frame.time or 0) % 2.5 < 1 for frame in slow.frames)
+    quick = make_flight([video], tmp_path / "quick", FlightOptions(every=0.2))
+    assert [frame.time for frame in quick.frames] == pytest.approx(np.arange(0, 6, 0.2), abs=0.11)
+    far = make_flight([video], tmp_path / "far", FlightOptions(every_metres=22.3))
+    marks = [(frame.time or 0) - i * 22.3 / 11.12 for i, frame in enumerate(far.frames)]
+    assert len(marks) == 3
+    assert all(-0.01 <= mark <= 1.01 for mark in marks)
+
+
+@pytest.mark.parametrize(("turns", "heading", "fov"), [(0, 40.0, 71.59), (1, 310.0, 56.81), (2, 220.0, 71.59)])
+def test_a_video_that_its_file_turns_has_its_heading_and_field_of_view_turned(
+    tmp_path: Path, turns: int, heading: float, fov: float
+) -> None:
+    video = turn(write_video(tmp_path / "a.mp4", 2), turns)
+    (tmp_path / "a.srt").write_text(srt([f"{TELEMETRY[0]} [gb_yaw: 40.0 gb_pitch: -90.0] [focal_len: 24.00]"] * 2))
+    flight = make_flight([video], tmp_path / "flight")
+    frame = flight.frames[0]
+    assert (frame.width, frame.height) == ((48, 64) if turns % 2 else (64, 48))
+    assert (frame.heading, frame.fov) == (pytest.approx(heading), pytest.approx(fov, abs=0.01))
+    assert any(f"a.mp4 is turned by {90 * turns}° by its file" in note for note in flight.notes) == bool(turns)
+
+
+@pytest.mark.parametrize(
+    ("turns", "upright", "fov"), [(0, False, 45.0), (0, True, 45.0), (1, False, 34.51), (1, True, 57.82)]
+)
+def test_a_log_s_field_of_view_is_that_across_the_picture_as_it_was_taken(
+    tmp_path: Path, turns: int, upright: bool, fov: float
+) -> None:
+    video = turn(write_video(tmp_path / "a.mp4", 2, size=(48, 64) if upright else (64, 48)), turns)
+    (tmp_path / "log.csv").write_text("time,lat,lon,hfov\n0,47,8,45\n2,47,8,45\n")
+    frame = make_flight([video, tmp_path / "log.csv"], tmp_path / "flight").frames[0]
+    assert (frame.width, frame.height) == ((48, 64) if upright != bool(turns % 2) else (64, 48))
+    assert frame.fov == pytest.approx(fov, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("angles", "told"),
+    [
+        ("", "a.mp4 is turned by 90° by its file."),
+        ("[gb_yaw: 40.0 gb_pitch: -90.0]", "a.mp4 is turned by 90° by its file, and its heading with it."),
+        (
+            "[heading: 40.0]",
+            "a.mp4 is turned by 90° by its file, and its heading with it. If the gimbal itself turned the camera, the heading, "
+            "which is that of the aircraft, is off by as much.",
+        ),
+    ],
+)
+def test_a_turned_video_says_what_was_turned(tmp_path: Path, angles: str, told: str) -> None:
+    video = turn(write_video(tmp_path / "a.mp4", 2), 1)
+    (tmp_path / "a.srt").write_text(srt([f"{TELEMETRY[0]} {angles}"] * 2))
+    assert [note for note in make_flight([video], tmp_path / "flight").notes if "turned" in note] == [told]
+
+
+def test_subtitles_inside_the_video_are_read(tmp_path: Path) -> None:
+    video = embed(write_video(tmp_path / "plain.mp4", 3), TELEMETRY[:3], tmp_path / "inside.mp4")
+    flight = make_flight([video], tmp_path / "flight")
+    assert [frame.height_above_takeoff for frame in flight.frames] == pytest.approx(
+        [50 + (frame.time or 0) for frame in flight.frames], abs=1e-6
+    )
+    assert not any("recordings" in note for note in flight.notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "latitude", "note"),
+    [
+        ("HOME(E: 8.5, N: 47.3)\\NGPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
+        ("GPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
+        ("Bat 15.1 V", None, "the subtitle stream of inside.mp4 holds no telemetry"),
+    ],
+)
+def test_subtitles_inside_are_read_in_every_dialect_or_named(
+    tmp_path: Path, text: str, latitude: float | None, note: str | None
+) -> None:
+    video = embed(write_video(tmp_path / "plain.mp4", 2), [text] * 2, tmp_path / "inside.mp4")
+    flight = make_flight([video], tmp_path / "flight")
+    assert flight.frames[0].latitude == latitude
+    assert note is None or any(one.startswith(note) and f"one of its lines is {text!r}" in one for one in flight.notes)
+
+
+def test_without_telemetry_frames_have_times_only(tmp_path: Path) -> None:
+    flight = make_flight(
+        [write_video(tmp_path / "a.mp4", 2)], tmp_path / "flight", FlightOptions(fov=70.0, pitch=-90.0)
+    )
+    assert [(frame.latitude, frame.heading, frame.fov, frame.pitch) for frame in flight.frames] == [
+        (None, None, 70.0, -90.0)
+    ] * 2
+    assert "a.mp4 has no subtitles with telemetry." in flight.notes
+    assert any("The field of view of 2 of 2 photos is the 70° given with --fov" in note for note in flight.notes)
+    with pytest.raises(DataError, match=r"a\.mp4 has no positions, so frames cannot be chosen by metres"):
+        make_flight([tmp_path / "a.mp4"], tmp_path / "other", FlightOptions(every_metres=5.0))
+    assert not (tmp_path / "other").exists()
+
+
+def test_subtitles_of_another_video_are_told(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", 2)
+    (tmp_path / "other.SRT").write_text(srt(TELEMETRY * 3))
+    flight = make_flight([tmp_path / "a.mp4", tmp_path / "other.SRT"], tmp_path / "flight")
+    note = next(note for note in flight.notes if "recordings" in note)
+    assert note.startswith("other.SRT ends at 18 s and a.mp4 at 2 s")
+    (tmp_path / "a.SRT").write_text("1\n00:00:00,000 --> 00:00:01,000\nHello\n")
+    flight = make_flight([tmp_path / "a.mp4"], tmp_path / "flight")
+    assert any(note.startswith("a.SRT holds no telemetry of DJI") for note in flight.notes)
+    assert len(flight.frames) == 2
+
+
+def test_several_videos_are_on_one_clock(tmp_path: Path) -> None:
+    for name, start in (("b", "14:00:00"), ("a", "14:01:00")):
+        write_video(tmp_path / f"{name}.mp4", 1)
+        (tmp_path / f"{name}.SRT").write_text(srt([f"2024-05-01 {start}.000\n{TELEMETRY[0]}"]))
+    flight = make_flight([tmp_path], tmp_path / "flight")
+    assert [(frame.name[0], (frame.time or 0) >= 60) for frame in flight.frames] == [("b", False), ("a", True)]
+    (tmp_path / "a.SRT").unlink()
+    flight = make_flight([tmp_path / "a.mp4", tmp_path / "b.mp4"], tmp_path / "flight")
+    assert [(frame.name[0], 1 <= (frame.time or 0) < 2) for frame in flight.frames] == [("a", False), ("b", True)]
+    assert any("Not all of the 2 videos have a start time" in note for note in flight.notes)
+
+
+def test_broken_videos_are_left_out_and_named(tmp_path: Path) -> None:
+    write_video(tmp_path / "a.mp4", 1)
+    (tmp_path / "b.mp4").write_bytes((tmp_path / "a.mp4").read_bytes()[:400])
+    flight = make_flight([tmp_path / "a.mp4", tmp_path / "b.mp4"], tmp_path / "flight")
+    assert len(flight.frames) == 1
+    assert any(note.startswith("1 of 2 videos are left out: b.mp4 is not a video") for note in flight.notes)
+    with pytest.raises(DataError, match=r"No video of 1 can be read\. b\.mp4 is not a video that can be read"):
+        make_flight([tmp_path / "b.mp4"], tmp_path / "none")

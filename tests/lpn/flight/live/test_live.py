@@ -1,0 +1,678 @@
+"""A drawn flight that goes on over a drawn map, and a simulated vehicle over loopback MAVLink."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from msgspec.structs import replace as replace_record
+from PIL import ExifTags
+
+import lpn.flight.live.frames
+import lpn.flight.live.locator
+import lpn.flight.live.run
+import lpn.flight.locate.registered_stage
+from lpn.cli.main import main
+from lpn.core.errors import DataError, InputError
+from lpn.flight.files import Flight, Frame
+from lpn.flight.live.frames import (
+    ArrivedPicture,
+    FolderPictures,
+    LiveSource,
+    NewestPicture,
+    Say,
+    StreamPictures,
+    open_source,
+    shown_name,
+)
+from lpn.flight.live.locator import LiveLocator, LiveOptions
+from lpn.flight.live.outputs import LineOutput
+from lpn.flight.live.run import LiveRun, live_answer
+from lpn.flight.live.telemetry import LiveTelemetry, LogTelemetry, MavlinkLink, open_telemetry
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.belief import best_track
+from lpn.flight.locate.camera_place import below_camera
+from lpn.flight.locate.located import LocatedFlight, StageRecord
+from lpn.flight.locate.registered_stage import PhotoSearch
+from lpn.flight.locate.tracks import track_bytes
+from lpn.flight.maps import Map
+from tests.lpn.flight.locate.scenery import GridModel, ground_to_photo, land, photo_of, write_map
+from tools.fixtures.photos import exif, write_photo
+from tools.fixtures.simulated_vehicle import SimulatedVehicle
+from tools.fixtures.videos import srt, turn, write_video
+from tools.fixtures.waiting import TIMEOUT, wait_until
+
+SIZE, HEIGHT, FOV = (360, 270), 60.0, 60.0
+WIDTH = 2 * HEIGHT * math.tan(math.radians(FOV / 2))
+# To the east through the map's middle.
+PLACES = [(x, 5.0) for x in (-50.0, -35.0, -20.0, -5.0, 10.0, 25.0)]
+OPTIONS = LiveOptions(matcher="sift")
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
+    basemap = write_map(tmp_path_factory.mktemp("map") / "town.tif", land())
+    yield basemap
+    basemap.close()
+
+
+@pytest.fixture(scope="module")
+def flight(town: Map, tmp_path_factory: pytest.TempPathFactory) -> Flight:
+    folder, degrees = tmp_path_factory.mktemp("photos"), town.frame.degrees(PLACES)
+    frames = []
+    for i, place in enumerate(PLACES):
+        file = folder / f"{i}.png"
+        cv2.imwrite(str(file), photo_of(land(), ground_to_photo(place, 90.0, WIDTH, SIZE), SIZE, i)[..., ::-1])
+        known = {"heading": 90.0, "heading_source": "gimbal", "pitch": -90.0, "roll": 0.0, "fov": FOV}
+        latitude, longitude = degrees[i].tolist()
+        frames.append(Frame(file.name, file, *SIZE, 1.5 * i, latitude, longitude, HEIGHT, **known))  # type: ignore[arg-type]
+    return Flight("friday", tuple(frames))
+
+
+def free_port(kind: int = socket.SOCK_DGRAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
+
+
+class StepByStep(LiveSource):
+    """Gives each frame once the one before was taken."""
+
+    def __init__(self, frames: list[Frame], say: Say) -> None:
+        super().__init__(say)
+        self._frames = frames
+
+    def _read(self) -> None:
+        for frame in self._frames:
+            wait_until(lambda: self._stop.is_set() or not self.newest.waiting)
+            self.newest.put(ArrivedPicture(frame, time.monotonic()))
+
+
+def lines_of(town: Map, frames: list[Frame], options: LiveOptions = OPTIONS) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the properties of the lines of a run, and its sentences."""
+    said: list[str] = []
+    stream = io.StringIO()
+    locator = LiveLocator(town, GridModel(), options)  # type: ignore[arg-type]
+    locator.prepare([44.0])
+    run = LiveRun(StepByStep(frames, said.append), LiveTelemetry(), locator, [LineOutput(stream)], said.append)
+    count = run.run()
+    features = [json.loads(line) for line in stream.getvalue().splitlines()]
+    assert len(features) == count
+    return [feature["properties"] | {"geometry": feature["geometry"]} for feature in features], said
+
+
+def test_a_newer_picture_replaces_the_one_that_waits() -> None:
+    queue = NewestPicture()
+    for i in range(3):
+        queue.put(ArrivedPicture(Frame(str(i), Path(), 1, 1), 0.0))
+    taken = queue.take(0)
+    assert taken is not None
+    assert (taken.frame.name, queue.dropped) == ("2", 2)
+    assert not queue.replaced()
+    queue.put(taken)
+    assert queue.replaced()
+    assert queue.dropped == 3
+    assert queue.take(0) is taken
+    assert queue.take(0) is None
+    queue.end()
+    assert queue.ended
+
+
+@pytest.fixture
+def laid(monkeypatch: pytest.MonkeyPatch) -> dict[str, tuple[float, ...] | None]:
+    """Registrations of frames by name, in place of matched features: place and turn, None where they are refused."""
+    places: dict[str, tuple[float, ...] | None] = {f"{i}.png": (*place, 0.0) for i, place in enumerate(PLACES)}
+
+    width = 50.0  # neighbours are 0.3 of it apart, and so are views of their own
+
+    def register(search: PhotoSearch) -> StageRecord:
+        if (place := places.get(search.located.frame.name)) is None:
+            return StageRecord("refused", "It fits nowhere.")
+        x, y, turn = place
+        matrix = np.linalg.inv(ground_to_photo((x, y), 90.0 + turn, width, SIZE)).ravel().tolist()
+        return StageRecord("accepted", "It fits.", x, y, True, 1.0, 90.0 + turn, turn, width, 50, matrix)
+
+    monkeypatch.setattr(lpn.flight.live.locator, "register_photo", register)
+    # The photos show other ground than these places.
+    monkeypatch.setattr(lpn.flight.live.locator, "compared", lambda _, answer, __: answer)
+    return places
+
+
+def test_frames_are_registered_near_the_prediction_while_the_flight_goes_on(town: Map, flight: Flight) -> None:
+    lines, said = lines_of(town, list(flight.frames[:2]))
+    assert [(line["stage"], line["state"]) for line in lines] == [("registration", "accepted")] * 2
+    assert max(line["error"] for line in lines) < 0.5
+    assert all(line["geometry"]["type"] == "Point" and line["age"] >= 0 and line["dropped"] == 0 for line in lines)
+    assert said == []
+
+
+@pytest.mark.parametrize(
+    ("metres", "state", "doubt"), [(0.0, "accepted", ""), (40.0, "contradicted", "tag"), (None, "accepted", "")]
+)
+def test_a_line_doubts_a_place_as_the_track_of_a_whole_flight_does(
+    town: Map, flight: Flight, metres: float | None, state: str, doubt: str
+) -> None:
+    tag = [None, None] if metres is None else town.frame.degrees([(PLACES[0][0], PLACES[0][1] + metres)])[0].tolist()
+    frame = replace(flight.frames[0], latitude=tag[0], longitude=tag[1])
+    (line,), said = lines_of(town, [frame])
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    locator.prepare([44.0])
+    located = locator.locate(frame, ArrivedPicture(frame, 0).pixels())
+    track = best_track(LocatedFlight(Flight("friday", (frame,)), town, [located], None, [], None))
+    (point,) = (one["properties"] for one in json.loads(track_bytes(".geojson", "friday", track))["features"])
+    names = ("frame", "stage", "state", "doubt", "checked_beside_middle", "reason", "note")
+    assert {name: line[name] for name in names} == {name: point.get(name, "") for name in names}
+    assert (line["stage"], line["state"], line["doubt"]) == ("registration", state, doubt)
+    assert line["checked_beside_middle"] == "yes", "places away from the middle were looked for"
+    assert line["reason"] == f"Placed by its details{', but its GPS tag disagrees' if doubt else ''}."
+    assert said == []
+
+
+def test_places_away_from_the_middle_that_do_not_fit_the_map_are_a_doubt(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+    monkeypatch.setattr(lpn.flight.locate.registered_stage, "map_agreement", lambda *_: off)
+    (line,), _ = lines_of(town, [flight.frames[0]])
+    assert (line["state"], line["doubt"], line["checked_beside_middle"]) == ("contradicted", "map", "contradicted")
+
+
+def contradict(monkeypatch: pytest.MonkeyPatch, *places: tuple[float, float]) -> None:
+    """Let the map contradict the registrations at these places, or all."""
+    off = MapAgreement.of(np.full((4, 2), 0.5), np.full((4, 2), 9.0), 20.0)
+
+    def compared(_: Map, answer: StageRecord, __: Any) -> StageRecord:
+        is_off = answer.accepted and (not places or (answer.x, answer.y) in places)
+        return replace_record(answer, agreement=off) if is_off else answer
+
+    monkeypatch.setattr(lpn.flight.live.locator, "compared", compared)
+
+
+def test_places_that_the_map_contradicts_prove_nothing_and_lead_no_later_frame(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    contradict(monkeypatch)
+    unseen = [replace(flight.frames[-1], name=f"unseen {i}", time=9.0 + i) for i in range(2)]
+    frames = [replace(frame, latitude=None, longitude=None) for frame in (*flight.frames, *unseen)]
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    located = [locator.locate(frame, ArrivedPicture(frame, 0).pixels()) for frame in frames]
+    answers = [live_answer(one) for one in located]
+    assert [one.state for one in answers] == ["contradicted"] * 6 + ["refused"] * 2
+    assert all(one.doubt == ("map",) for one in answers[:6])
+    # They lie elsewhere, and are turned otherwise, than any that counts: the next one is not judged by them.
+    monkeypatch.setattr(lpn.flight.live.locator, "compared", lambda _, answer, __: answer)
+    laid["there"] = (80.0, -80.0, 40.0)
+    there = replace(frames[-1], name="there", time=10.5)
+    assert live_answer(locator.locate(there, ArrivedPicture(there, 0).pixels())).state == "accepted"
+
+
+@pytest.mark.parametrize(
+    ("metres", "off", "refused", "sentence"),
+    [
+        (
+            60.0,
+            False,
+            0,
+            "10 frames in a row are placed, and their GPS tags alone disagree. Tags may have drifted, so that holds none of "
+            "these places back.",
+        ),
+        (
+            0.0,
+            True,
+            0,
+            "10 frames in a row were contradicted; the last one is placed, but away from its middle it does not fit the map.",
+        ),
+        (
+            60.0,
+            True,
+            9,
+            "10 frames in a row were refused or contradicted; the last one is placed, but its GPS tag disagrees and away from "
+            "its middle it does not fit the map.",
+        ),
+    ],
+)
+def test_ten_contradicted_frames_in_a_row_are_said(
+    town: Map,
+    flight: Flight,
+    laid: dict[str, tuple[float, ...] | None],
+    monkeypatch: pytest.MonkeyPatch,
+    metres: float,
+    off: bool,
+    refused: int,
+    sentence: str,
+) -> None:
+    if off:
+        contradict(monkeypatch)
+    longitude = float(town.frame.degrees([(PLACES[0][0] + metres, PLACES[0][1])])[0, 1])
+    frames = [replace(flight.frames[0], name=f"at {i}", time=1.0 + i, longitude=longitude) for i in range(10)]
+    laid |= {frame.name: (*PLACES[0], 0.0) for frame in frames[refused:]}
+    lines, said = lines_of(town, frames)
+    assert [line["state"] for line in lines] == ["refused"] * refused + ["contradicted"] * (10 - refused)
+    assert said == [sentence]
+
+
+@pytest.mark.usefixtures("laid")
+def test_registrations_prove_the_map(town: Map, flight: Flight) -> None:
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    states = [
+        locator.locate(frame, ArrivedPicture(frame, 0).pixels()).stages["sequence"].state for frame in flight.frames
+    ]
+    assert states == ["refused"] * 5 + ["accepted"]
+    unseen = replace(flight.frames[-1], name="unregistered.png", time=9.0)
+    answer = live_answer(locator.locate(unseen, ArrivedPicture(unseen, 0).pixels()))
+    assert (answer.stage, answer.state) == ("sequence", "accepted")
+    assert math.dist((answer.answer.x or 0.0, answer.answer.y or 0.0), PLACES[-1]) < 10
+    (line,), _ = lines_of(town, [unseen])
+    assert line["state"] == "refused"
+
+
+def test_a_drone_that_hovers_proves_no_map(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    laid |= dict.fromkeys(laid, (*PLACES[0], 0.0))
+    locator = LiveLocator(town, GridModel(), OPTIONS)  # type: ignore[arg-type]
+    photo = ArrivedPicture(flight.frames[0], 0).pixels()
+    frames = [replace(flight.frames[0], time=float(i)) for i in range(10)]
+    assert not any(locator.locate(frame, photo).stages["sequence"].accepted for frame in frames)
+
+
+def test_a_registration_that_cannot_be_reached_is_refused_until_three_agree(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    jumps = {"2.png": (80.0, 80.0), "4.png": (20.0, -80.0), "5.png": (25.0, -80.0), "6.png": (30.0, -80.0)}
+    laid |= {name: (*place, 0.0) for name, place in jumps.items()}
+    frames = [replace(frame, time=float(i) / 2) for i, frame in enumerate(flight.frames)]
+    lines, said = lines_of(town, [*frames, replace(frames[-1], name="6.png", time=3.0)])
+    assert [line["stage"] == "registration" for line in lines] == [True, True, False, True, False, False, True]
+    assert said == ["3 registrations in a row lie elsewhere than those before, which count no longer."]
+
+
+def test_a_registration_that_is_turned_unlike_those_before_is_refused_until_ten_are(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(10)]
+    turns = (179.0, -179.0, 0.0, 180.0, -1.0, 1.0)
+    laid |= {f"{i}.png": (*place, turn) for i, (place, turn) in enumerate(zip(PLACES, turns, strict=True))}
+    laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned}
+    lines, said = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 9 + [True]
+    assert (
+        said[-1] == "10 registrations in a row are turned otherwise than those before; the headings count as changed."
+    )
+    unsure = [replace(frame, heading_source="aircraft") for frame in (*flight.frames, *turned)]
+    lines, _ = lines_of(town, unsure)
+    assert [line["stage"] == "registration" for line in lines] == [True] * 16
+
+
+CONTRADICTED = (20.0, 0.0)
+
+
+@pytest.mark.parametrize("between", [None, (*PLACES[-1], 40.0), (*CONTRADICTED, -171.0)])
+def test_photos_that_fit_nowhere_or_badly_and_one_of_yet_another_turn_begin_the_ten_anew(
+    town: Map,
+    flight: Flight,
+    laid: dict[str, tuple[float, ...] | None],
+    between: tuple[float, ...] | None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    contradict(monkeypatch, CONTRADICTED)
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(16)]
+    laid |= {frame.name: (*PLACES[-1], -171.0) for frame in turned} | {"turned 5": between}
+    lines, said = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 15 + [True]
+    assert sum("turned otherwise" in sentence for sentence in said) == 1
+
+
+def test_turns_that_drift_make_no_new_heading(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    turns = (10.0, 14.9, 21.9, 38.4, 74.9, 88.9, 88.9, 88.9, 88.9, 88.9)
+    turned = [replace(flight.frames[-1], name=f"turned {i}", time=9.0 + i) for i in range(10)]
+    laid |= {frame.name: (*PLACES[-1], turn) for frame, turn in zip(turned, turns, strict=True)}
+    lines, _ = lines_of(town, [*flight.frames, *turned])
+    assert [line["stage"] == "registration" for line in lines] == [True] * 6 + [False] * 10
+
+
+def test_the_sequence_alone_proves_no_map_and_says_so(town: Map, flight: Flight) -> None:
+    lines, _ = lines_of(town, list(flight.frames), options=replace(OPTIONS, register=False))
+    assert {line["state"] for line in lines} == {"refused"}
+    assert lines[-1]["error"] < 10
+    assert "Nothing shows yet that the map is of this place" in lines[-1]["note"]
+
+
+def test_frames_that_cannot_be_read_and_clocks_that_jump_are_said_and_the_flight_goes_on(
+    town: Map, flight: Flight, tmp_path: Path
+) -> None:
+    (tmp_path / "bad.png").write_bytes(b"no picture")
+    first, second = flight.frames[:2]
+    frames = [first, replace(first, name="bad.png", file=tmp_path / "bad.png"), replace(second, time=-500.0)]
+    lines, said = lines_of(town, frames, options=replace(OPTIONS, register=False))
+    assert [line["frame"] for line in lines] == ["0.png", "1.png"]
+    assert said[0].endswith("The flight goes on without it.")
+    assert said[1].startswith("The clock of the pictures has jumped by -500.0 s at 1.png;")
+
+
+def test_a_flight_that_leaves_the_map_is_said(
+    town: Map, flight: Flight, laid: dict[str, tuple[float, ...] | None]
+) -> None:
+    laid["0.png"] = (-70.0, 5.0, 0.0)
+    beyond = [replace(flight.frames[0], name=f"sea {i}", time=1.0 + i) for i in range(10)]
+    first = replace(flight.frames[0], latitude=None, longitude=None)
+    lines, said = lines_of(town, [first, *beyond])
+    assert [line["state"] for line in lines] == ["accepted"] + ["refused"] * 10
+    assert said == ["10 frames in a row were refused near the border of the map; the flight may have left it."]
+
+
+def test_memory_does_not_grow_with_the_flight(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(lpn.flight.live.locator, "_KEPT", 30)
+    monkeypatch.setattr(lpn.flight.live.locator, "_PENDING", 8)
+    locator = LiveLocator(town, GridModel(), replace(OPTIONS, register=False))  # type: ignore[arg-type]
+    rng, photo = np.random.default_rng(0), np.zeros((*SIZE[::-1], 3), np.uint8)
+    for i in range(60):
+        photo[:] = np.kron(rng.integers(0, 255, (9, 12, 1), np.uint8), np.ones((30, 30, 3), np.uint8))
+        locator.locate(replace(flight.frames[0], time=2.0 * i), photo)
+    assert len(locator._kept) == 30
+    assert len(locator._pending) <= 8
+
+
+def test_photos_that_come_into_a_folder_are_read_when_they_are_whole(tmp_path: Path) -> None:
+    write_photo(tmp_path / "before.jpg")
+    write_photo(tmp_path / "whole")
+    whole = (tmp_path / "whole").read_bytes()
+    said: list[str] = []
+    source = FolderPictures(tmp_path, said.append)
+    source.start()
+    try:
+        (tmp_path / "new.jpg").write_bytes(whole[: len(whole) // 2])
+        assert source.newest.take(0.15) is None
+        (tmp_path / "new.jpg").write_bytes(whole)
+        picture = source.newest.take(10)
+    finally:
+        source.close()
+    assert picture is not None
+    assert picture.frame.name == "new.jpg"
+    assert picture.pixels().shape[2] == 3
+    assert said == [f"1 photos that were in {tmp_path.name} before are left out."]
+
+
+def test_a_photo_is_found_in_a_folder_whose_time_stands_still_and_a_vanished_file_is_no_photo(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(lpn.flight.live.frames, "_RELIST", 0.2)
+    os.utime(tmp_path, (1e9, 1e9))
+    said: list[str] = []
+    source = FolderPictures(tmp_path, said.append)
+    source._unfinished[tmp_path / "temporary.jpg"] = -math.inf
+    write_photo(tmp_path / "new.jpg")
+    os.utime(tmp_path, (1e9, 1e9))
+    assert not list(source._new_photos())
+    source.start()
+    try:
+        picture = source.newest.take(10)
+    finally:
+        source.close()
+    assert picture is not None
+    assert picture.frame.name == "new.jpg"
+    assert not source._unfinished
+    assert said == []
+
+
+def test_a_folder_that_did_not_change_is_not_listed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    inside = tmp_path / "inside"
+    inside.mkdir()
+    for folder in (inside, tmp_path):
+        os.utime(folder, (1e9, 1e9))
+    source, listed, scandir = FolderPictures(tmp_path, print), list[Path](), os.scandir
+    monkeypatch.setattr(os, "scandir", lambda path: (listed.append(path), scandir(path))[1])
+    assert not list(source._new_photos())
+    assert listed == []
+    for file in (inside / "later" / "new.jpg", inside / ".hidden.jpg", inside / "notes.txt"):
+        file.parent.mkdir(exist_ok=True)
+        write_photo(file)
+    assert list(source._new_photos()) == [inside / "later" / "new.jpg"]
+    assert listed == [inside, inside / "later"]
+
+
+def test_frames_of_a_video_have_their_times(tmp_path: Path) -> None:
+    video = write_video(tmp_path / "v.mp4", 4)
+    source = StreamPictures(video, print, fov=70.0)
+    source.start()
+    pictures = []
+    while not source.newest.ended:
+        if (picture := source.newest.take(1)) is not None:
+            pictures.append(picture)
+    source.close()
+    assert len(pictures) > 1
+    times = [picture.frame.time or 0.0 for picture in pictures]
+    assert times == sorted(times)
+    assert pictures[0].frame.fov == 70.0
+
+
+@pytest.mark.parametrize("source", ["nowhere", "udp://127.0.0.1:1/?timeout=1000", "text.mp4", "notes.txt"])
+def test_a_source_that_cannot_be_opened_is_refused_in_a_sentence(tmp_path: Path, source: str) -> None:
+    for name in ("text.mp4", "notes.txt"):
+        (tmp_path / name).write_text("no video")
+    path = source if "nowhere" in source or "://" in source else str(tmp_path / source)
+    with pytest.raises(InputError, match=r"There is no|cannot be opened|is no video"):
+        open_source(path, print)
+
+
+def arrived(frame: Frame, later: float = 0.0) -> ArrivedPicture:
+    bare = replace(frame, heading=None, heading_source=None, latitude=None, longitude=None, height_above_ground=None)
+    return ArrivedPicture(bare, time.monotonic() + later)
+
+
+def test_a_link_gives_frames_heading_height_and_position_and_says_what_is_odd(flight: Flight) -> None:
+    pytest.importorskip("pymavlink")
+    said: list[str] = []
+    port = free_port()
+    link = MavlinkLink(f"udp:127.0.0.1:{port}", said.append)
+    vehicle, other = SimulatedVehicle(flight, port=port, system=7), SimulatedVehicle(flight, port=port, system=9)
+    frame = flight.frames[0]
+    try:
+        assert link.value(arrived(frame)).age is None
+
+        def in_time() -> Any:
+            vehicle.tell(frame)  # again: a position counts for 2 s, which pass quickly on a busy machine
+            value = link.value(arrived(frame))
+            return value.frame.latitude and value
+
+        value = wait_until(in_time)
+        assert value.frame.latitude == pytest.approx(frame.latitude, abs=1e-6)
+        assert (value.frame.heading, value.frame.heading_source) == (pytest.approx(90), "gimbal")
+        assert value.frame.flying_height == HEIGHT
+        kept = link.value(arrived(frame, 5.0)).frame
+        assert (kept.heading, kept.latitude, kept.longitude, kept.flying_height) == (None, None, None, HEIGHT)
+        assert link.value(arrived(frame, 50.0)).frame.flying_height is None
+        other.tell(frame)
+        wait_until(lambda: any("System 9" in sentence for sentence in said))
+        vehicle.boot += 300
+        time.sleep(0.11)  # entries closer together count as one
+        vehicle.tell(frame)
+        wait_until(lambda: any("clock has jumped" in sentence for sentence in said))
+    finally:
+        for one in (link, vehicle, other):
+            one.close()
+    assert said[0].startswith("No position has come by udp:127.0.0.1")
+    late = next(sentence for sentence in said if "s late; frames have no heading" in sentence)
+    assert float(late.split()[2]) > 4.8
+    assert any(sentence.endswith("those of system 7 are taken.") for sentence in said)
+
+
+def test_a_log_gives_frames_its_values_from_the_first_picture_on(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time,latitude,longitude,heading\n" + "".join(f"{100 + i},47.{i},8.0,{10 * i}\n" for i in range(4)))
+    said: list[str] = []
+    telemetry = open_telemetry(str(log), said.append)
+    assert isinstance(telemetry, LogTelemetry)
+    latitudes = [telemetry.value(ArrivedPicture(Frame("a", Path(), 1, 1, at), 0.0)).frame.latitude for at in (5.0, 6.5)]
+    assert latitudes == pytest.approx([47.0, 47.15])
+    assert telemetry.value(ArrivedPicture(Frame("late", Path(), 1, 1, 99.0), 0.0)).age is None
+    assert said == ["log.csv has nothing at the time of late; it may have ended."]
+    (tmp_path / "empty.csv").write_text("time,latitude,longitude\n")
+    with pytest.raises(DataError):
+        open_telemetry(str(tmp_path / "empty.csv"), print)
+    with pytest.raises(InputError, match="give a log, a track, or an address"):
+        open_telemetry("nothing", print)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "fov"),
+    [
+        (
+            "v.srt",
+            srt(["[latitude: 47.0] [longitude: 8.0] [gb_yaw: 40.0 gb_pitch: -90.0] [focal_len: 24.00]"] * 2),
+            56.81,
+        ),
+        ("v.csv", "time,lat,lon,gimbal_yaw,gimbal_pitch,hfov\n0,47,8,40,-90,45\n2,47,8,40,-90,45\n", 34.51),
+    ],
+)
+def test_telemetry_turns_with_a_video(tmp_path: Path, name: str, text: str, fov: float) -> None:
+    (tmp_path / name).write_text(text)
+    said: list[str] = []
+    source = StreamPictures(turn(write_video(tmp_path / "v.mp4", 2), 1), said.append)
+    source.start()
+    picture = source.newest.take(10)
+    source.close()
+    assert picture is not None
+    assert said == ["v.mp4 is turned by 90° by its file, and the heading of its telemetry with it."]
+    frame = open_telemetry(str(tmp_path / name), print).value(picture).frame
+    assert (frame.width, frame.height) == (48, 64)
+    assert (frame.heading, frame.fov) == (pytest.approx(310.0), pytest.approx(fov, abs=0.01))
+
+
+def test_telemetry_turns_with_a_photo(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("time,lat,lon,gimbal_yaw,gimbal_pitch\n0,47,8,40,-90\n2,47,8,40,-90\n")
+    source = FolderPictures(tmp_path, print)
+    write_photo(tmp_path / "a.jpg", exif(main={ExifTags.Base.Orientation: 6}))
+    source.start()
+    picture = source.newest.take(10)
+    source.close()
+    assert picture is not None
+    assert open_telemetry(str(tmp_path / "log.csv"), print).value(picture).frame.heading == pytest.approx(310.0)
+
+
+def test_the_command_locates_what_a_vehicle_sends(
+    town: Map, flight: Flight, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pymavlink")
+    monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
+    photos, out, port = tmp_path / "photos", tmp_path / "lines.jsonl", free_port()
+    photos.mkdir()
+    vehicle, started, start = SimulatedVehicle(flight, photos, port), threading.Event(), LiveSource.start
+    monkeypatch.setattr(LiveSource, "start", lambda source: (start(source), started.set()))
+    skipped = [0.0]  # seconds that the clock of the run jumps, so that it waits long only after the last frame
+    clock = SimpleNamespace(time=time.time, monotonic=lambda: time.monotonic() + skipped[0])
+    monkeypatch.setattr(lpn.flight.live.run, "time", clock)
+
+    def answered(frame: Frame, lines: int) -> bool:
+        vehicle.tell(frame)  # again: a busy machine may find the photo seconds later
+        return out.read_text().count("\n") >= lines
+
+    def fly() -> None:
+        assert started.wait(TIMEOUT)
+        for i, frame in enumerate(flight.frames[:3]):
+            vehicle.tell(frame)
+            time.sleep(0.15)  # the telemetry of this frame is the nearest one
+            vehicle.photograph(frame)
+            wait_until(lambda frame=frame, lines=i + 1: answered(frame, lines))
+        skipped[0] = 1000.0
+
+    thread = threading.Thread(target=fly)
+    thread.start()
+    command = ["locate", "--live", str(photos), "--map", str(town.sheets[0].raster.path), "--model", "grid.onnx"]
+    command += ["--telemetry", f"udp:127.0.0.1:{port}", "--out", str(out), "--no-register"]
+    assert main([*command, "--size", "44", "--idle", "900"]) == 0
+    thread.join()
+    vehicle.close()
+    lines = [json.loads(line)["properties"] for line in out.read_text().splitlines()]
+    assert [line["frame"] for line in lines] == ["0.png", "1.png", "2.png"]
+    assert all(line["telemetry_age"] < 2 for line in lines)
+    assert "3 frames were located." in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["--live", "nowhere"], "There is no nowhere; give a folder that fills"),
+        (["--live", "FOLDER", "--fov", "500"], "--fov is 500; expected a number from 0.1 to 170."),
+        (["--live", "FOLDER", "--speed", "0"], "The speed is 0 m/s"),
+        (["--live", "FOLDER", "--telemetry", "none"], "There is no none; give a log, a track, or an address"),
+        (["--live", "0"], "There is no 0; give a folder that fills"),
+    ],
+)
+def test_bad_options_of_the_command_are_refused_in_a_sentence(
+    town: Map,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    options: list[str],
+    sentence: str,
+) -> None:
+    monkeypatch.setattr(lpn, "load", lambda *_, **__: GridModel())
+    given = [str(tmp_path) if one == "FOLDER" else one for one in options]
+    assert main(["locate", *given, "--map", str(town.sheets[0].raster.path), "--model", "grid.onnx"]) == 2
+    captured = capsys.readouterr()
+    assert sentence in captured.err
+    assert captured.err.count("\n") == 1
+
+
+def test_a_vehicle_without_positions_gives_heading_and_height(flight: Flight) -> None:
+    pytest.importorskip("pymavlink")
+    link = MavlinkLink(f"udp:127.0.0.1:{(port := free_port())}", lambda _: None)
+    vehicle = SimulatedVehicle(flight, port=port, system=7)
+    lost = replace(flight.frames[0], latitude=None, longitude=None, heading=90.0, heading_source="aircraft")
+    try:
+
+        def known() -> bool:
+            vehicle.tell(lost)
+            frame = link.value(arrived(replace(lost, heading=None))).frame
+            return frame.heading == pytest.approx(90) and frame.flying_height == HEIGHT
+
+        wait_until(known)
+        assert link.system == 7
+        assert link.value(arrived(lost)).frame.latitude is None
+    finally:
+        link.close()
+        vehicle.close()
+
+
+def test_an_answer_is_moved_below_a_camera_of_known_tilt(flight: Flight) -> None:
+    frame = replace(flight.frames[0], pitch=-45.0, roll=0.0, height_above_ground=100.0)
+    middle = StageRecord("accepted", "", 140.0, 20.0, radius=3.0, heading=90.0)
+    below = below_camera(frame, middle)
+    assert (below.x, below.y, below.camera) == (pytest.approx(40), pytest.approx(20), True)
+    degree, tenth = math.radians(1), 10.0
+    assert below.radius == pytest.approx(math.hypot(3, 2 * 100 * 1.5 * degree, 100 * 5 * degree, tenth))
+    turned = below_camera(frame, replace_record(middle, heading=270.0, turn=180.0))
+    assert (turned.x, turned.y) == (pytest.approx(40), pytest.approx(20))
+    wrong = below_camera(
+        frame, replace_record(middle, turn=100.0)
+    )  # the file's heading is wrong, and the photo as it was taken
+    assert (wrong.x, wrong.y) == (below.x, below.y)
+    for unknown in ({"pitch": None}, {"pitch": -20.0}, {"height_above_ground": None}):
+        assert below_camera(replace(frame, **unknown), middle) is middle
+    assert below_camera(frame, below) is below
+
+
+def test_a_stream_is_named_without_its_password() -> None:
+    assert shown_name("rtsp://me:secret@cam:8554/drone?key=secret") == "rtsp://cam:8554/drone"
+    assert shown_name("photos/") == "photos"

@@ -1,0 +1,139 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from lpn.flight.files import Frame
+from lpn.flight.locate.agreement import MapAgreement
+from lpn.flight.locate.belief import TAG_RADIUS, Disagreement, belief, disagreements
+from lpn.flight.locate.located import LocatedFrame, StageRecord
+from lpn.flight.locate.registered_stage import with_map_error
+
+FRAME = Frame("a", Path("a"), 80, 60, height_above_ground=100.0)
+TAG = np.zeros(2)
+REFUSED = StageRecord("refused", "Too few matches.")
+
+
+def registration(x: float, camera: bool = True, radius: float = 1.0) -> StageRecord:
+    return StageRecord("accepted", "Matches agree.", x, 0.0, camera, radius, width=100.0)
+
+
+def sequence(x: float, radius: float = 10.0) -> StageRecord:
+    return StageRecord("accepted", "Neighbours agree.", x, 0.0, radius=radius)
+
+
+def located(tag: np.ndarray | None = TAG, **stages: StageRecord) -> LocatedFrame:
+    return LocatedFrame(FRAME, tag, stages)
+
+
+def test_answers_disagree_beyond_three_times_their_common_radius() -> None:
+    allowed = 3 * np.hypot(1.0, TAG_RADIUS)
+    assert not disagreements([located(registration=registration(allowed - 0.1))])
+    found = disagreements([located(), located(registration=registration(allowed + 0.1))])
+    assert [(one.frame, one.one, one.other) for one in found] == [(1, "registration", "tag")]
+    assert found[0].metres == pytest.approx(allowed + 0.1)
+    assert found[0].allowed == pytest.approx(allowed)
+    assert found[0].sentence == "Registration and tag lie 15.4 m apart; their radii allow 15.3 m."
+
+
+@pytest.mark.parametrize(
+    ("metres", "allowed", "told"),
+    [(4.0, 3.03, ("4.0", "3.1")), (3.14, 3.03, ("3.14", "3.03")), (3.0304, 3.03, ("3.030", "3.030"))],
+)
+def test_what_is_allowed_is_a_bound_that_lies_below_what_is_measured(
+    metres: float, allowed: float, told: tuple[str, str]
+) -> None:
+    one = Disagreement(0, "registration", "map", metres, allowed)
+    assert one.figures == told
+    assert f"{told[0]} m" in one.sentence
+    assert f"{told[1]} m" in one.sentence
+
+
+def test_the_error_of_the_map_counts_against_a_tag_alone() -> None:
+    both = {"registration": registration(0.0, camera=False), "sequence": sequence(27.0, 9.0)}
+    assert not disagreements([located(tag=None, **both)])
+    both["sequence"] = sequence(35.0, 9.0)
+    both["registration"] = with_map_error(both["registration"], 40.0, 39.0)
+    (one,) = disagreements([located(tag=None, **both)])
+    assert one.allowed == pytest.approx(3 * np.hypot(1.0, 9.0)), "the map's error moves both alike"
+    far = with_map_error(registration(100.0), 40.0, 39.0)
+    assert not disagreements([located(registration=far)]), "a tag is not on the map"
+
+
+def test_the_middle_of_a_picture_may_be_moved_by_an_unknown_tilt() -> None:
+    # 100 m high, 15 degrees: 26.8 m more.
+    assert not disagreements([located(registration=registration(41.0, camera=False))])
+    assert disagreements([located(registration=registration(43.0, camera=False))])
+    # Sequence and registration both tell the picture's middle.
+    both = {"registration": registration(40.0, camera=False), "sequence": sequence(0.0)}
+    assert [one.other for one in disagreements([located(tag=None, **both)])] == ["sequence"]
+
+
+def test_answers_that_were_refused_or_not_verified_contradict_nothing() -> None:
+    retrieval = StageRecord("not verified", "", 500.0, 0.0)
+    far = StageRecord("refused", "", 500.0, 0.0, radius=1.0)
+    assert not disagreements([located(retrieval=retrieval, sequence=far, registration=far)])
+
+
+def test_only_a_registration_that_nothing_contradicts_is_believed() -> None:
+    good = located(registration=registration(3.0), sequence=sequence(5.0))
+    assert belief(good).sign is True
+    assert belief(good).headline == "Placed by its details, ± 1.0 m on this map"
+    assert belief(good).reason == "Matches agree. It lies 3.0 m from its GPS tag."
+    told = msgspec.structs.replace(registration(3.0), place_error=0.5)
+    assert belief(located(registration=told)).headline == "Placed by its details, ± 1.0 m on earth"
+    bad = located(registration=registration(60.0), sequence=sequence(50.0))
+    found = belief(bad, disagreements([bad]))
+    assert found.sign is None
+    assert found.stage == "registration"
+    assert found.headline == "Placed by its details, ± 1.0 m on this map, but its GPS tag disagrees"
+    assert found.reason == "Registration and tag lie 60.0 m apart; their radii allow 15.3 m."
+
+
+def test_a_tag_outweighs_the_sequence() -> None:
+    both = {"registration": registration(3.0), "sequence": sequence(100.0)}
+    tagged, untagged = located(**both), located(tag=None, **both)
+    found = belief(tagged, disagreements([tagged]))
+    assert found.sign is True
+    assert (
+        found.reason == "Matches agree. It lies 3.0 m from its GPS tag. Its neighbours would place it 97.0 m from here."
+    )
+    found = belief(untagged, disagreements([untagged]))
+    assert (found.sign, found.headline) == (
+        None,
+        "Placed by its details, ± 1.0 m on this map, but its neighbours disagree",
+    )
+
+
+def test_places_beside_the_middle_that_lie_elsewhere_on_the_map_contradict_the_registration() -> None:
+    def judged(*metres: float, radius: float = 5.0) -> tuple[bool | None, str]:
+        agreement = MapAgreement([(0.1, 0.1, one, 0.0) for one in metres], 20.0)
+        # The map's place on earth has an error of 4 m, which moves photo and map alike: 3 m are left.
+        answer = msgspec.structs.replace(
+            registration(3.0, radius=radius), place_error=4.0, map_error=4.0, agreement=agreement
+        )
+        one = located(registration=answer, sequence=sequence(5.0))
+        verdict = belief(one, disagreements([one]))
+        return verdict.sign, verdict.summary
+
+    doubted = None, "Placed by its details, but away from its middle it does not fit the map"
+    assert judged(8.9, 8.9, 15.0) == (True, "Placed by its details")
+    assert judged(9.1, 9.1, 9.2) == doubted
+    assert judged(15.0, 15.0) == (True, "Placed by its details"), "two places tell too little"
+    assert judged(15.0, 15.0, 15.0, radius=9.0)[0], "the radius holds it"
+    assert judged(16.0, 14.0, 15.0, 0.1) == doubted, "one place that agrees does not help"
+
+
+def test_without_a_registration_the_reason_is_its_refusal() -> None:
+    one = belief(located(registration=REFUSED, sequence=sequence(5.0)))
+    assert (one.sign, one.stage, one.reason) == (None, "sequence", "Too few matches.")
+    assert one.headline == "Placed by its neighbours only, ± 10 m on this map"
+    retrieval = StageRecord("not verified", "The best window.", 1.0, 1.0)
+    two = belief(located(registration=REFUSED, sequence=REFUSED, retrieval=retrieval))
+    assert (two.sign, two.stage, two.reason) == (None, "retrieval", "Too few matches.")
+    three = belief(located(retrieval=REFUSED))
+    assert (three.sign, three.stage, three.reason) == (False, None, "Too few matches.")
+    assert belief(located()).reason == "No stage has an answer."

@@ -1,0 +1,152 @@
+"""Registrations that one drone can have flown, and jumps away and back."""
+
+from __future__ import annotations
+
+import os
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.core.arrays import Float64Array
+from lpn.flight.files import open_flight
+from lpn.flight.locate.continuity import jumps, other_turns, top_speeds
+from lpn.flight.maps import LocalFrame
+
+EAST = np.array([1.0, 0.0])
+
+
+def flown(speeds: list[float], step: float, seed: int = 0) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return times, places, and radii of a drone that flies east at these speeds, a frame each `step` seconds."""
+    times = (np.arange(len(speeds)) + 0.01) * step
+    noise = np.random.default_rng(seed).normal(0, 0.6, (len(speeds), 2))
+    return times, np.outer(np.cumsum(speeds) * step, EAST) + noise, np.full(len(speeds), 0.6)
+
+
+def found(
+    times: Float64Array, places: Float64Array, radii: Float64Array, tags: Float64Array | None = None
+) -> list[int]:
+    speeds = top_speeds(times, places, tags)
+    assert speeds is not None
+    return np.flatnonzero(jumps(times, places, radii, speeds)).tolist()
+
+
+@pytest.mark.parametrize("step", [0.5, 1.0, 2.4])
+@pytest.mark.parametrize(
+    "speeds",
+    [
+        [0] * 60 + [10] * 5 + [0] * 35,
+        [0] * 40 + [300] + [0] * 39,
+        [2] * 112 + [-18] * 8,
+        [0] * 60 + [28] * 5 + [0] * 35,
+    ],
+)
+def test_true_positions_of_uneven_flights_stay(speeds: list[float], step: float) -> None:
+    assert found(*flown(speeds, step)) == []
+    # Late tags, too.
+    times, places, radii = flown(speeds, step)
+    assert found(times, places, radii, places[np.maximum(np.arange(len(places)) - 2, 0)]) == []
+
+
+@pytest.mark.parametrize("name", ["brighton", "caliterra", "seneca"])
+def test_tags_of_real_flights_are_positions_that_were_flown(name: str) -> None:
+    if "LPN_FLIGHTS" not in os.environ:
+        pytest.skip("LPN_FLIGHTS does not name the folder of the real flights")
+    flight = open_flight(Path(os.environ["LPN_FLIGHTS"]) / name / "photos")
+    places = LocalFrame(*np.nanmean(flight.degrees, axis=0).tolist()).xy(*flight.degrees.T)
+    assert found(flight.times, places, np.full(len(places), 1.0)) == []
+    assert found(flight.times, places, np.full(len(places), 1.0), places) == []
+
+
+def test_the_next_house_within_a_second_is_found_out_without_tags() -> None:
+    times, places, radii = flown([8.0] * 60, 1.0)
+    places[8:10] += (-4.0, 38.0)
+    places[20] += (75.0, 0.0)
+    assert found(times, places, radii) == [8, 9, 20]
+    # A jump at the end has no way back.
+    places[59] += (0.0, 38.0)
+    assert found(times, places, radii) == [8, 9, 20]
+
+
+@pytest.mark.parametrize("jump", [(0.0, 38.0), (38.0, 0.0), (-38.0, 0.0)])
+def test_tags_tell_the_speed_so_that_the_next_house_in_two_seconds_is_found_out(jump: tuple[float, float]) -> None:
+    times, places, radii = flown([8.0] * 60, 2.4)
+    tags = places + 5.0
+    places[30] += jump
+    assert found(times, places, radii, tags) == [30]
+    # Tags that stay as they were tell no speed.
+    assert found(times, places, radii, np.zeros_like(tags)) == found(times, places, radii)
+
+
+def test_long_runs_stay_and_whole_seconds_may_be_wrong_by_one() -> None:
+    times, places, radii = flown([8.0] * 40, 1.0)
+    far = places.copy()
+    far[10:16] += (0.0, 200.0)
+    assert found(times, far, radii) == []
+    far[15] -= (0.0, 200.0)
+    assert found(times, far, radii) == [10, 11, 12, 13, 14]
+    near = places.copy()
+    near[20] += (0.0, 30.0)
+    assert found(times, near, radii) == [20]
+    assert found(np.floor(times), near, radii) == []
+
+
+def test_a_few_positions_or_equal_times_tell_no_speed() -> None:
+    times, places, _ = flown([8.0] * 7, 1.0)
+    assert top_speeds(times, places) is None
+    assert top_speeds(np.zeros(20), np.zeros((20, 2))) is None
+    assert jumps(np.zeros(0), np.zeros((0, 2)), np.zeros(0), np.zeros(0)).tolist() == []
+    assert jumps(np.zeros(2), np.zeros((2, 2)), np.zeros(2), np.zeros(1)).tolist() == [False, False]
+
+
+def test_memory_is_linear() -> None:
+    times, places, radii = flown([8.0] * 4000, 1.0)
+    places[1000] += (0.0, 60.0)
+    speeds = top_speeds(times, places)
+    assert speeds is not None
+    tracemalloc.start()
+    try:
+        assert np.flatnonzero(jumps(times, places, radii, speeds)).tolist() == [1000]
+        assert tracemalloc.get_traced_memory()[1] < 2000 * len(times)
+    finally:
+        tracemalloc.stop()
+
+
+# Turns against a gimbal's headings with a degree of noise; 178 degrees are those of a file that is upside down.
+TURNS = np.array([-1.7, -2.5, 178.0, -1.0, -1.9, -1.6, -2.1, -181.0] * 2 + [6.7, 8.5, 7.7, 7.2, 8.8])
+
+
+def test_a_few_registrations_that_are_turned_unlike_the_others_are_found_out() -> None:
+    assert other_turns(TURNS).keys() == {16, 17, 18, 19, 20}
+    assert other_turns(TURNS)[18] == pytest.approx(9.5, abs=0.3)
+    # Half turns are no ground for a refusal, and are told in one: most of the others stand upright.
+    assert other_turns(np.append(TURNS, 188.0))[21] == pytest.approx(170, abs=0.3)
+    assert other_turns(np.append(TURNS + 180.0, 188.0))[21] == pytest.approx(10, abs=0.3)
+    # They may be the first frames, headings may be wrong by anything that is constant, and none are half turns.
+    for wrong in (88.0, 90.0, 179.0, -91.0):
+        assert other_turns(TURNS[::-1] + wrong).keys() == {0, 1, 2, 3, 4}
+    # One that is turned the other way does not hide them.
+    assert other_turns(np.append(TURNS, -7.1)).keys() == {16, 17, 18, 19, 20, 21}
+    # Headings that vary allow more than 5 degrees.
+    assert other_turns(np.append(TURNS[:16], 5.0)).keys() == {16}
+    assert other_turns(np.append(TURNS[:16], [5.0, -4.0, 0.5])) == {}
+    # Within 5 degrees they may be right.
+    assert other_turns(np.append(TURNS[:16], 3.0)) == {}
+
+
+@pytest.mark.parametrize(
+    "turns",
+    [
+        np.append(TURNS, [8.0, 7.5, 7.0]),
+        np.concatenate([np.zeros(200), np.full(10, 12.0), np.zeros(50)]),
+        np.tile([*[-6.0] * 6, *[6.0] * 6], 4),
+        np.concatenate([np.full(12, off) for off in (-30.0, 0.0, 30.0)]),
+        np.append(np.zeros(7), 40.0),
+        np.random.default_rng(0).uniform(-180, 180, 100),
+        np.zeros(0),
+    ],
+    ids=["eight of 24", "ten of 260", "legs", "three settings", "few", "anyhow", "none"],
+)
+def test_turns_that_many_share_and_those_of_headings_that_tell_nothing_stay(turns: Float64Array) -> None:
+    assert other_turns(turns) == {}

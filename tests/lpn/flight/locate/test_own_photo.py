@@ -1,0 +1,114 @@
+"""One photo of no flight on a drawn map: it is placed by its details alone, and a photo of another land is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lpn.core.demo import DEMO_FLIGHT, DEMO_PLACE
+from lpn.core.images import load_picture
+from lpn.flight.files import Frame
+from lpn.flight.locate import ground, registration
+from lpn.flight.locate.ground import MapFeatures
+from lpn.flight.locate.matchers import SiftMatcher, open_matchers
+from lpn.flight.locate.own_photo import register_own_photo
+from lpn.flight.locate.registration import Ground, Registration, Similarity
+from lpn.flight.maps import Map, Window, open_map
+from tests.lpn.flight.locate.scenery import ground_to_photo, land, photo_of, write_map
+
+SIZE = (320, 240)
+# A file that tells height and field of view, so that one width of 70 m is tried; its size is that of the camera's picture.
+FLOWN = Frame("own.jpg", Path("own.jpg"), 4000, 3000, height_above_ground=35.0, fov=90.0)
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    return write_map(tmp_path_factory.mktemp("own") / "town.tif", land())
+
+
+@pytest.fixture
+def features(town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> list[MapFeatures]:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    return [MapFeatures(town, SiftMatcher())]
+
+
+def photo(of: int = 0) -> np.ndarray:
+    return photo_of(land(of), ground_to_photo((20.0, -30.0), 130.0, 70.0, SIZE), SIZE)
+
+
+def test_a_photo_of_which_nothing_is_known_is_placed_by_its_details(town: Map, features: list[MapFeatures]) -> None:
+    progress: list[tuple[int, int]] = []
+    own = register_own_photo(town, features, photo(), None, [], lambda *counts: progress.append(counts))
+    assert own.answer.accepted
+    assert own.whole_map
+    assert np.hypot(own.answer.x - 20.0, own.answer.y + 30.0) < 1.0  # type: ignore[operator]
+    assert own.answer.heading == pytest.approx(130.0, abs=1.0)
+    assert own.answer.radius is not None
+    assert own.answer.radius >= 1.0, "the map's own error is part of it"
+    assert progress[0] == (0, 4)
+
+
+def test_a_photo_of_another_land_is_refused(town: Map, features: list[MapFeatures]) -> None:
+    own = register_own_photo(town, features, photo(of=1), FLOWN, [])
+    assert not own.answer.accepted
+    assert own.answer.sentence
+
+
+@pytest.mark.slow
+def test_a_photo_of_another_place_is_refused_on_the_shipped_map() -> None:
+    town = open_map(DEMO_PLACE[0])
+    features = [MapFeatures(town, matcher) for matcher in open_matchers()]
+    own = register_own_photo(town, features, load_picture(DEMO_FLIGHT[1] / "LPN_0086.webp"), None, [])
+    assert (own.answer.accepted, own.whole_map) == (False, True)
+
+
+def test_what_a_file_with_the_tag_of_another_region_tells_is_not_believed(
+    town: Map, features: list[MapFeatures]
+) -> None:
+    latitude, longitude = town.frame.degrees([(0.0, 0.0)])[0]
+    far, near = (
+        replace(FLOWN, height_above_ground=5.0, latitude=latitude + off, longitude=longitude) for off in (1, 0)
+    )
+    own = register_own_photo(town, features, photo(), far, [])
+    assert own.answer.accepted
+    assert own.located.error("registration") == pytest.approx(111_000, rel=0.01)
+    assert not register_own_photo(town, features, photo(), near, []).answer.accepted, "10 m across, it tells"
+
+
+@pytest.mark.parametrize(
+    ("own", "others", "accepted"), [(29, [], False), (30, [], True), (31, [4], False), (31, [17], True)]
+)
+def test_all_matchers_together_must_support_a_photo_of_anywhere(
+    own: float, others: list[float], accepted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    supports = iter(others)
+    monkeypatch.setattr(registration, "_support_at", lambda *_: next(supports))
+    of_flight = Registration(True, "", "XFeat", support=own, places=(Similarity(70 + 0j, 20 - 30j),))
+    nothing = Ground(np.zeros((0, 2)), np.zeros((0, 1), np.float32), 1.0)
+    answer = registration.proven(of_flight, photo(), [(SiftMatcher(), nothing) for _ in others])
+    assert answer.accepted == accepted
+    needed = 15 * (2 + len(others))
+    assert accepted or answer.reason == (
+        f"Its best place has a support of {own + sum(others)}, and a photo of anywhere needs {needed}."
+    )
+
+
+def test_a_large_map_is_searched_about_the_most_similar_windows(
+    town: Map, features: list[MapFeatures], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ground, "MAX_BLOCKS", 3)
+    near = register_own_photo(town, features, photo(), None, [Window(25.0, -35.0, 60.0)], map_error=7.0)
+    assert (near.answer.accepted, near.whole_map, near.answer.map_error) == (True, False, 7.0)
+    assert near.answer.radius is not None
+    assert near.answer.radius > 7
+
+
+def test_what_the_progress_raises_ends_the_search(town: Map, features: list[MapFeatures]) -> None:
+    def leave(done: int, total: int) -> None:
+        raise InterruptedError(f"{done} of {total}")
+
+    with pytest.raises(InterruptedError, match="0 of 4"):
+        register_own_photo(town, features, photo(), None, [], leave)

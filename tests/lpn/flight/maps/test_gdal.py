@@ -1,0 +1,578 @@
+"""Files of users that would make GDAL read other files or ask servers."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from xml.sax.saxutils import escape
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.demo import DEMO_FLIGHT
+from lpn.core.errors import DataError, LPNError
+from lpn.flight.maps import MapOptions, open_map
+from lpn.flight.maps.elevation import ElevationFile, ElevationSource
+from lpn.flight.maps.folder import build_map
+from lpn.flight.maps.sources import parse_crs
+from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+from tools.fixtures.small_tiles import write_mbtiles
+
+_LISTENER = """
+import socket, sys
+listener = socket.create_server(("127.0.0.1", 0))
+print(listener.getsockname()[1], flush=True)
+while True:
+    connection = listener.accept()[0]
+    connection.settimeout(60)
+    with connection, open(sys.argv[1], "ab") as heard:
+        heard.write(connection.recv(1000).split(b"\\r\\n")[0] + b"\\n")
+        heard.flush()
+        connection.sendall(b"HTTP/1.1 404 Not Found\\r\\nContent-Length: 0\\r\\nConnection: close\\r\\n\\r\\n")
+"""
+# Rasterio by itself, as it reads a map: overviews, then pixels.
+_PLAIN = """
+import sys, rasterio
+for path in sys.argv[1:]:
+    try:
+        with rasterio.open(path) as file:
+            file.overviews(1), file.read(1, out_shape=(8, 8)), file.crs
+    except Exception as error:
+        print(path, error)
+"""
+_WMS = (
+    '<GDAL_WMS><Service name="TMS"><ServerUrl>{}/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service><DataWindow><UpperLeftX>0'
+    "</UpperLeftX><UpperLeftY>600</UpperLeftY><LowerRightX>600</LowerRightX><LowerRightY>0</LowerRightY><TileLevel>2</TileLevel>"
+    "<SizeX>600</SizeX><SizeY>600</SizeY></DataWindow><Projection>EPSG:3857</Projection><BandsCount>3</BandsCount></GDAL_WMS>"
+)
+_WCS = "<WCS_GDAL><ServiceURL>{}/wcs?</ServiceURL><Version>1.0.0</Version><CoverageName>a</CoverageName></WCS_GDAL>"
+_VRT = (
+    '<VRTDataset rasterXSize="600" rasterYSize="600"><VRTRasterBand dataType="Byte" band="1"><SimpleSource><SourceFilename>'
+    "/vsicurl/{}/a.tif</SourceFilename><SourceBand>1</SourceBand></SimpleSource></VRTRasterBand></VRTDataset>"
+)
+_RAW = (
+    '<VRTDataset rasterXSize="20" rasterYSize="20"><GeoTransform>0,1,0,0,0,-1</GeoTransform>'
+    '<VRTRasterBand dataType="Byte" band="1" subClass="VRTRawRasterBand">'
+    '<SourceFilename relativeToVRT="1">secret.txt</SourceFilename><PixelOffset>1</PixelOffset><LineOffset>20</LineOffset>'
+    "</VRTRasterBand></VRTDataset>"
+)
+_NOTES = (
+    '<PAMDataset><Metadata domain="OVERVIEWS"><MDI key="OVERVIEW_FILE">/vsicurl/{}/a.tif</MDI></Metadata></PAMDataset>'
+)
+
+
+class Listener:
+    """A server on loopback in a process of its own: GDAL holds Python's lock while it asks."""
+
+    def __init__(self, log: Path) -> None:
+        log.touch()
+        self._log = log
+        self._process = subprocess.Popen([sys.executable, "-c", _LISTENER, log], stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        self.address = f"http://127.0.0.1:{int(self._process.stdout.readline())}"
+
+    def heard(self) -> list[str]:
+        return self._log.read_text().splitlines()
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.communicate()
+
+
+@pytest.fixture
+def listener(tmp_path: Path) -> Iterator[Listener]:
+    made = Listener(tmp_path / "heard.txt")
+    yield made
+    made.close()
+
+
+def ask_plainly(*paths: Path, **environment: str) -> None:
+    """Open files by rasterio itself in a process of its own."""
+    plain = {name: value for name, value in os.environ.items() if not name.startswith(("GDAL", "CPL_"))}
+    subprocess.run([sys.executable, "-c", _PLAIN, *paths], env=plain | environment, check=True)
+
+
+def text(contents: str, suffix: str = ".tif") -> Callable[[Path, str], Path]:
+    def write(folder: Path, address: str) -> Path:
+        path = folder / f"town{suffix}"
+        path.write_text(contents.format(address))
+        return path
+
+    return write
+
+
+def beside(contents: str, end: str) -> Callable[[Path, str], Path]:
+    def write(folder: Path, address: str) -> Path:
+        path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
+        Path(f"{path}{end}").write_text(contents.format(address))
+        return path
+
+    return write
+
+
+def inside(folder: Path, address: str) -> Path:
+    """Write a whole GeoTIFF whose own tag names its overviews."""
+    import rasterio
+
+    path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
+    with rasterio.open(path, "r+") as file:
+        file.update_tags(ns="OVERVIEWS", OVERVIEW_FILE=f"/vsicurl/{address}/a.tif")
+    return path
+
+
+def overviews_of_overviews(folder: Path, address: str) -> Path:
+    """Write a GeoTIFF with overviews beside it, whose own notes name further ones."""
+    path = write_geotiff(folder / "town.tif", smooth(600, 600)[:, :, :1])
+    inside(folder, address).rename(folder / "town.tif.ovr")
+    return write_geotiff(path, smooth(1200, 1200)[:, :, :1])
+
+
+def polyglot(folder: Path, address: str) -> Path:
+    """Write a JPEG with a VRT as its comment, which stands before any zero."""
+    path, packed = folder / "town.jpg", io.BytesIO()
+    Image.fromarray(smooth(600, 600)).save(packed, "JPEG")
+    comment = _VRT.format(address).encode().ljust(0x0401, b" ")
+    path.write_bytes(b"\xff\xd8\xff\xfe" + (len(comment) + 2).to_bytes(2, "big") + comment + packed.getvalue()[2:])
+    return path
+
+
+CASES: dict[str, Callable[[Path, str], Path]] = {
+    "WMS": text(_WMS),
+    "WMS as a picture": text(_WMS, ".png"),
+    "WCS": text(_WCS),
+    "VRT": text(_VRT),
+    "VRT by its name": text(_VRT, ".vrt"),
+    "VRT as heights": text(_VRT, ".asc"),
+    "overviews that are a WMS": beside(_WMS, ".ovr"),
+    "overviews that are a VRT": beside(_VRT, ".OVR"),
+    "notes that name overviews": beside(_NOTES, ".aux.xml"),
+    "a tag that names overviews": inside,
+    "overviews that name overviews": overviews_of_overviews,
+    "a JPEG that is a VRT, too": polyglot,
+}
+
+
+def doors(path: Path, out: Path) -> dict[str, Callable[[], Any]]:
+    """Return what opens rasters of users."""
+    flight = str(DEMO_FLIGHT[1])
+    town = write_geotiff(out / "ortho.tif", smooth(60, 60))
+    return {
+        "open_map": lambda: open_map(path).overview(8),
+        "open_map with corners": lambda: open_map(path, MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))).overview(8),
+        "build_map": lambda: build_map([path], out / "map"),
+        "elevation": lambda: ElevationSource(ElevationFile(path)),
+        "lpn map": lambda: main(["map", str(path), "--out", str(out / "map")]),
+        "lpn map --elevation": lambda: main(["map", str(town), "--elevation", str(path), "--out", str(out / "map")]),
+        "lpn locate": lambda: main(
+            ["locate", "--map", str(path), "--flight", flight, "--out", str(out / "track.geojson")]
+        ),
+        "lpn map --from-flight": lambda: main(
+            ["map", "--from-flight", flight, "--elevation", str(path), "--out", str(out / "own")]
+        ),
+    }
+
+
+def outcome(door: Callable[[], Any]) -> str:
+    """Return the sentence by which a door refuses a file, or what else came of it."""
+    try:
+        result = door()
+    except LPNError as error:
+        return str(error)
+    return "a command said it" if result == 2 else f"opened: {result}"
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_no_file_of_a_user_makes_gdal_ask_a_server(tmp_path: Path, listener: Listener, case: str) -> None:
+    theirs, ours = tmp_path / "theirs", tmp_path / "ours"
+    theirs.mkdir()
+    ours.mkdir()
+    path = CASES[case](theirs, listener.address)
+    for name, door in doors(path, ours).items():
+        said = outcome(door)
+        assert not said.startswith("opened"), name
+        assert "\n" not in said, name
+        assert not listener.heard(), name
+    main(["doctor", "--data", str(theirs)])
+    assert not listener.heard()
+    # The second line of defence.
+    from lpn.flight.maps import _gdal
+
+    ask_plainly(path, **_gdal._ENVIRONMENT)
+    assert not listener.heard()
+    # The same file is a breach without both.
+    ask_plainly(path)
+    assert listener.heard()
+
+
+@pytest.mark.parametrize(
+    ("contents", "words"),
+    [
+        (_WMS, "is the address of a map server (WMS); save its map as GeoTIFF"),
+        (_WCS, "is the address of a map server (WCS); save its map as GeoTIFF"),
+        (_VRT, "is a VRT, which names other files; give those files"),
+        (f"\n {_VRT}", "is a VRT, which names other files; give those files"),
+    ],
+)
+def test_text_that_names_others_is_called_what_it_is(tmp_path: Path, contents: str, words: str) -> None:
+    path = text(contents)(tmp_path, "http://127.0.0.1:9")
+    with pytest.raises(DataError) as caught:
+        open_map(path)
+    assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("suffix", [".tif", ".vrt"])
+def test_a_raw_band_over_a_text_file_is_refused(tmp_path: Path, suffix: str) -> None:
+    import rasterio
+
+    (tmp_path / "secret.txt").write_bytes(b"what no map shows. " * 30)
+    path = text(_RAW, suffix)(tmp_path, "")
+    with rasterio.open(path) as file:
+        assert file.read(1).tobytes().startswith(b"what no map shows.")
+    for name, door in doors(path, tmp_path).items():
+        said = outcome(door)
+        assert "is a VRT" in said or said == "a command said it", name
+    assert not (tmp_path / "map").exists()
+
+
+def dimap(folder: Path, side: int) -> bytes:
+    """Write a raw band over a text file, and return the head of a file that a driver of GDAL takes for its index."""
+    (folder / "secret.txt").write_bytes(b"what no map shows. " * (side * side // 19 + 1))
+    (folder / "raw.vrt").write_text(_RAW.replace("20", str(side)))
+    index = (
+        f"<Dimap_Document><Raster_Dimensions><NCOLS>{side}</NCOLS><NROWS>{side}</NROWS><NBANDS>1</NBANDS></Raster_Dimensions>"
+        '<Data_Access><Data_File><DATA_FILE_PATH href="raw.vrt"/></Data_File></Data_Access></Dimap_Document>'
+    )
+    return index.encode()
+
+
+def grid(folder: Path, pixels: bytes, side: int) -> Path:
+    """Write a grid of bytes at 1 m, which only its header tells from any other file."""
+    (folder / "town.hdr").write_text(
+        f"NROWS {side}\nNCOLS {side}\nNBITS 8\nULXMAP {EAST}\nULYMAP {NORTH}\nXDIM 1\nYDIM 1\n"
+    )
+    (folder / "town.bil").write_bytes(pixels)
+    return folder / "town.bil"
+
+
+def test_a_large_sheet_is_read_by_the_driver_that_opened_it(tmp_path: Path) -> None:
+    """Above 2048 pixels a sheet is read through a VRT that carries our overviews."""
+    import rasterio
+
+    side = 2100
+    index = dimap(tmp_path, side)
+    pixels = index + b"\0" + smooth(side, side)[:, :, 0].tobytes()[len(index) + 1 :]
+    path = grid(tmp_path, pixels, side)
+    with rasterio.open(path) as file:
+        assert b"no map shows" in file.read(1).tobytes()
+    options = MapOptions(crs="EPSG:32632")
+    for whole in (build_map([path], tmp_path / "map", options), open_map(tmp_path / "map")):
+        raster = whole.sheets[0].raster
+        assert raster.read((0, 1000, side, 1), (side, 1))[0][0, :, 0].tobytes() == pixels[1000 * side : 1001 * side]
+        reduced = raster.read((0, 1000, side, 1000), (side // 4, 250))[0][:, :, 0]
+        assert {file.name for file in raster.files()} == {"town.bil", "town.hdr", "01.ovr"}
+        assert np.abs(reduced - smooth(side, side)[1002:2000:4, 2::4, 0].astype(float)).max() < 12
+        whole.close()
+
+
+def test_no_table_of_an_mbtiles_is_another_file(tmp_path: Path) -> None:
+    """GDAL has virtual tables of SQLite that open any file by any of its drivers."""
+    path, other = tmp_path / "town.mbtiles", tmp_path / "other.sqlite"
+    for file in (path, other):
+        write_mbtiles(file, smooth(512, 512), {})
+    open_map(path).close()
+    with sqlite3.connect(path) as database:
+        database.execute("DROP TABLE tiles")
+        database.execute("PRAGMA writable_schema = ON")
+        virtual = f"CREATE VIRTUAL TABLE tiles USING VirtualOGR('{other}', 0, 'tiles')"
+        database.execute("INSERT INTO sqlite_master VALUES ('table', 'tiles', 'tiles', 0, ?)", (virtual,))
+    database.close()
+    with pytest.raises(DataError, match="cannot be read as a map"):
+        open_map(path)
+    # GDAL itself reads the other file.
+    program = "import sys, rasterio\nwith rasterio.open(sys.argv[1]) as file:\n    print(file.read(1).std() > 10)"
+    environment = {name: value for name, value in os.environ.items() if not name.startswith("OGR_")}
+    ran = subprocess.run(
+        [sys.executable, "-c", program, path], env=environment, check=True, capture_output=True, text=True
+    )
+    assert ran.stdout == "True\n"
+
+
+@pytest.mark.parametrize("end", [".ovr", ".MSK"])
+def test_a_folder_beside_a_raster_is_not_taken_for_its_overviews(tmp_path: Path, end: str) -> None:
+    import rasterio
+
+    path = write_geotiff(tmp_path / "town.tif", smooth(600, 600)[:, :, :1])
+    folder = tmp_path / f"town.tif{end}"
+    folder.mkdir()
+    index = dimap(folder, 300)
+    for name in ("metadata.dim", "METADATA.DIM"):
+        (folder / name).write_bytes(index)
+    if end == ".ovr":
+        with rasterio.open(path) as file:
+            assert b"no map shows" in file.read(1, out_shape=(300, 300)).tobytes()
+    with pytest.raises(DataError, match=rf"town\.tif\{end} is no file"):
+        open_map(path)
+
+
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_a_file_of_imagine_takes_pixels_from_its_own_folder_alone(tmp_path: Path, elsewhere: bool) -> None:
+    import rasterio.shutil
+
+    mine, other = tmp_path / "mine", tmp_path / "other"
+    mine.mkdir()
+    other.mkdir()
+    written = mine / "a-long-name-of-a-town.img"
+    plain = write_geotiff(tmp_path / "town.tif", smooth(60, 60))
+    rasterio.shutil.copy(plain, written, driver="HFA", USE_SPILL="YES")
+    name = b"a-long-name-of-a-town.ige"
+    if elsewhere:
+        written.with_suffix(".ige").rename(other / "secret.ige")
+        named = b"../other/".ljust(len(name) - len(b"secret.ige"), b"/") + b"secret.ige"
+        written.write_bytes(written.read_bytes().replace(name, named))
+    (mine / "link.img").symlink_to(written.name)
+    for path in (written, mine / ".." / "mine" / written.name, mine / "link.img"):
+        with rasterio.open(path) as file:
+            assert np.array_equal(file.read(1), smooth(60, 60)[:, :, 0])
+        if elsewhere:
+            with pytest.raises(DataError, match=r"takes pixels from another folder \(.*other.*secret\.ige\); make one"):
+                open_map(path)
+        else:
+            open_map(path).close()
+
+
+def test_a_folder_of_many_files_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from lpn.flight.maps import _gdal
+
+    paths = [write_geotiff(tmp_path / f"{i}.tif", smooth(60, 60)) for i in range(3)]
+    (tmp_path / "0.TIF.Ovr").write_text("")
+    later = time.time_ns() + 60_000_000_000
+    monkeypatch.setattr(_gdal, "time", SimpleNamespace(time_ns=lambda: later))
+    listed: list[Path] = []
+    iterdir = Path.iterdir
+
+    def noted(folder: Path) -> Iterator[Path]:
+        listed.append(folder)
+        return iterdir(folder)
+
+    monkeypatch.setattr(Path, "iterdir", noted)
+    with pytest.raises(DataError, match=r"0\.TIF\.Ovr holds neither"):
+        open_map(paths[0])
+    for path in paths[1:]:
+        open_map(path).close()
+    assert listed == [tmp_path]
+    # A folder that changed is listed anew, at once where the clock cannot tell the changes apart.
+    (tmp_path / "0.TIF.Ovr").unlink()
+    open_map(paths[0]).close()
+    assert listed == [tmp_path] * 2
+    later = time.time_ns()
+    open_map(paths[0]).close()
+    assert len(listed) > 2
+
+
+@pytest.mark.parametrize("copied", [False, True])
+def test_a_large_picture_without_georeference_warns_of_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, recwarn: pytest.WarningsRecorder, copied: bool
+) -> None:
+    if copied:
+        monkeypatch.setattr("lpn.flight.maps.folder._MAX_UNTILED", 1000)
+    path = tmp_path / "town.png"
+    Image.fromarray(smooth(500, 2100)).save(path)
+    build_map([path], tmp_path / "map", MapOptions(corners=(48.0, 9.0, 47.998, 9.012))).close()
+    assert {file.name for file in (tmp_path / "map" / "sheets").iterdir()} == {"01.tif" if copied else "01.ovr"}
+    open_map(tmp_path / "map").overview(8)
+    assert not recwarn.list
+
+
+def test_a_raster_of_envi_is_read(tmp_path: Path) -> None:
+    import rasterio.shutil
+
+    town = write_geotiff(tmp_path / "town.tif", smooth(60, 60))
+    rasterio.shutil.copy(town, tmp_path / "cube.dat", driver="ENVI")
+    made, plain = open_map(tmp_path / "cube.dat"), open_map(town)
+    assert np.array_equal(made.overview(60)[0], plain.overview(60)[0])
+    assert np.allclose(made.sheets[0].matrix, plain.sheets[0].matrix)
+    (tmp_path / "cube.hdr").unlink()
+    with pytest.raises(DataError, match=r"cube\.dat cannot be read as a map"):
+        open_map(tmp_path / "cube.dat")
+
+
+def test_a_large_sheet_with_a_question_mark_in_its_path_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a?if=VRT.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    with pytest.raises(DataError, match="has a question mark in its path"):
+        build_map([path], tmp_path / "map")
+    open_map(path).close()
+
+
+@pytest.mark.parametrize("change", ["a sheet", "overviews"])
+def test_a_folder_of_a_map_from_elsewhere_reads_no_text_file(tmp_path: Path, change: str) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(700, 3000), tiled=True, blockxsize=256, blockysize=256)
+    build_map([path], tmp_path / "map").close()
+    (tmp_path / "map" / "sheets" / "secret.txt").write_bytes(b"what no map shows. " * 30)
+    raw = text(_RAW)(tmp_path / "map" / "sheets", "")
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    assert known["sheets"][0]["overviews"] == "sheets/01.ovr"
+    known["sheets"][0] |= {"overviews": "sheets/town.tif"} if change == "overviews" else {"file": "sheets/town.tif"}
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match=r"town\.tif (is a VRT|holds neither overviews)"):
+        open_map(tmp_path / "map").overview(8)
+    assert raw.exists()
+
+
+def test_no_coordinate_reference_system_is_asked_of_a_server_or_read_from_a_file(
+    tmp_path: Path, listener: Listener
+) -> None:
+    from rasterio.crs import CRS
+
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60))
+    (tmp_path / "wkt.txt").write_text(CRS.from_epsg(32632).to_wkt())
+    plain = write_geotiff(tmp_path / "b.tif", smooth(60, 60), crs=None)
+    for crs in (f"{listener.address}/crs", str(tmp_path / "wkt.txt")):
+        assert main(["map", str(path), "--crs", crs, "--out", str(tmp_path / "map")]) == 2
+        plain.with_suffix(".prj").write_text(crs)
+        assert main(["map", str(plain), "--out", str(tmp_path / "map")]) == 2
+        build_map([path], tmp_path / "whole").close()
+        manifest = tmp_path / "whole" / "map.json"
+        known = json.loads(manifest.read_text())
+        known["sheets"][0]["crs"] = crs
+        manifest.write_text(json.dumps(known))
+        with pytest.raises(LPNError, match="There is no CRS"):
+            open_map(tmp_path / "whole")
+    assert not listener.heard()
+    # Rasterio itself does both.
+    assert CRS.from_user_input(str(tmp_path / "wkt.txt")).to_epsg() == 32632
+    asked = f"from rasterio.crs import CRS\ntry:\n    CRS.from_user_input('{listener.address}/crs')\nexcept ValueError:\n    pass"
+    subprocess.run([sys.executable, "-c", asked], check=True)
+    assert listener.heard()
+
+
+_DEGREES = 'PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]]'
+_BOUND = (
+    'BOUNDCRS[SOURCECRS[GEOGCRS["x",DATUM["d",ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],'
+    'AXIS["lon",east],UNIT["degree",0.0174532925199433]]],TARGETCRS[GEOGCRS["WGS 84",DATUM["World Geodetic System 1984",'
+    'ELLIPSOID["WGS 84",6378137,298.257223563]],CS[ellipsoidal,2],AXIS["lat",north],AXIS["lon",east],'
+    'UNIT["degree",0.0174532925199433],ID["EPSG",4326]]],ABRIDGEDTRANSFORMATION["t",METHOD["NTv2",ID["EPSG",9615]],'
+    'PARAMETERFILE["Latitude and longitude difference file","{}"]]]'
+)
+_GRIDS = {
+    "PROJ": "+proj=longlat +ellps=WGS84 +nadgrids=@null,{} +no_defs",
+    "heights": "+proj=utm +zone=32 +ellps=WGS84 +geoidgrids={}",
+    "quoted": '+proj=longlat +ellps=WGS84 +nadgrids="{}"',
+    "init": "+proj=longlat +init={}:x",
+    "WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572],EXTENSION["PROJ4_GRIDS","{}"]],' + _DEGREES,
+    "PROJ in WKT 1": 'GEOGCS["x",DATUM["d",SPHEROID["W",6378137,298.2572]],'
+    + _DEGREES.removesuffix("]")
+    + ',EXTENSION["PROJ4","+proj=longlat +ellps=WGS84 +nadgrids={}"]]',
+    "WKT 2": _BOUND,
+}
+
+
+@pytest.fixture
+def pipe(tmp_path: Path) -> Iterator[tuple[Path, Path]]:
+    """A pipe, and a file that has a line for each time that it was opened for reading."""
+    path, log = tmp_path / "grid", tmp_path / "opened.txt"
+    os.mkfifo(path)
+    log.touch()
+    # Nobody who opens it waits.
+    writer = subprocess.Popen(["sh", "-c", 'while : > "$0"; do echo opened >> "$1"; done', path, log])
+    yield path, log
+    writer.kill()
+    writer.wait()
+
+
+@pytest.mark.parametrize("kind", _GRIDS)
+def test_no_coordinate_reference_system_makes_proj_open_a_path(
+    tmp_path: Path, pipe: tuple[Path, Path], capfd: pytest.CaptureFixture[str], kind: str
+) -> None:
+    crs = _GRIDS[kind].format(pipe[0])
+    for text in (crs, f" {crs}\n"):
+        with pytest.raises(DataError, match="names a file by its path"):
+            parse_crs(text)
+    plain = write_geotiff(tmp_path / "a.tif", smooth(60, 60), crs=None)
+    plain.with_suffix(".prj").write_text(crs)
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(plain)
+    plain.with_suffix(".prj").unlink()
+    build_map([write_geotiff(tmp_path / "b.tif", smooth(60, 60))], tmp_path / "map").close()
+    manifest = tmp_path / "map" / "map.json"
+    known = json.loads(manifest.read_text())
+    known["sheets"][0]["crs"] = crs
+    manifest.write_text(json.dumps(known))
+    with pytest.raises(DataError, match="names a file by its path"):
+        open_map(tmp_path / "map")
+    assert not pipe[1].read_text()
+    if kind != "init":  # which GDAL itself refuses
+        # Rasterio opens the path where it lies in a raster, before any of us knows of it.
+        (tmp_path / "grid.txt").write_text("what no map shows")
+        crs = _GRIDS[kind].format(tmp_path / "grid.txt")
+        Path(f"{plain}.aux.xml").write_text(f"<PAMDataset><SRS>{escape(crs)}</SRS></PAMDataset>")
+        for door in (lambda: open_map(plain), lambda: ElevationSource(ElevationFile(plain))):
+            with pytest.raises(DataError, match="has a CRS that names a file by its path"):
+                door()
+    assert "PROJ" not in capfd.readouterr().err
+
+
+def test_grids_of_bare_names_and_none_are_no_paths() -> None:
+    from rasterio.crs import CRS
+
+    mercator = CRS.from_epsg(3857)
+    assert "nadgrids=@null" in mercator.to_wkt()
+    for text in (mercator.to_wkt(), mercator.to_proj4(), "+proj=longlat +ellps=bessel +nadgrids=BETA2007.gsb"):
+        assert parse_crs(text)
+
+
+def test_overviews_and_notes_beside_a_file_are_used(tmp_path: Path) -> None:
+    import rasterio
+
+    path = write_geotiff(tmp_path / "a.tif", smooth(600, 600), tiled=True, blockxsize=256, blockysize=256)
+    with rasterio.Env(TIFF_USE_OVR=True), rasterio.open(path, "r+") as file:
+        file.build_overviews([2], rasterio.enums.Resampling.average)
+    (tmp_path / "a.aux").write_text(r"\relax")  # of LaTeX
+    assert (tmp_path / "a.tif.ovr").is_file()
+    files = {file.name for file in open_map(path).sheets[0].raster.files()}
+    assert files == {"a.tif", "a.tif.ovr"}
+    (tmp_path / "a.tif.ovr").write_bytes(b"")
+    with pytest.raises(DataError, match=r"a\.tif\.ovr holds neither overviews nor a mask as a TIFF; delete it"):
+        open_map(path)
+
+
+def test_a_name_that_gdal_takes_for_xml_is_refused(tmp_path: Path) -> None:
+    path = write_geotiff(tmp_path / "a.tif", smooth(60, 60)).rename(tmp_path / "<VRTDataset>.tif")
+    with pytest.raises(DataError, match="has a name that GDAL takes for a list of files; rename it"):
+        open_map(path)
+
+
+@pytest.mark.parametrize("fine_overviews", [False, True])
+def test_a_sparse_file_of_many_gigapixels_is_refused_before_any_work(tmp_path: Path, fine_overviews: bool) -> None:
+    import rasterio
+
+    path = tmp_path / "sparse.tif"
+    kind = {"driver": "GTiff", "count": 1, "dtype": "int16", "crs": "EPSG:32632", "sparse_ok": True, "bigtiff": "YES"}
+    place = rasterio.Affine(0.5, 0, 5e5, 0, -0.5, 5_316_000)
+    for file, side in ((path, 400_000 if fine_overviews else 200_000), (Path(f"{path}.ovr"), 200_000)):
+        if file == path or fine_overviews:
+            blocks = {"tiled": True, "blockxsize": 4096, "blockysize": 4096}
+            with rasterio.open(file, "w", width=side, height=side, transform=place, **blocks, **kind):
+                pass
+            assert file.stat().st_size < 200_000
+    for door in (
+        lambda: open_map(path),
+        lambda: build_map([path], tmp_path / "map"),
+        lambda: ElevationSource(ElevationFile(path)),
+    ):
+        with pytest.raises(
+            DataError, match=r"00000 pixels, and a first look at it would take 31 minutes or more; cut it"
+        ):
+            door()
+    assert not (tmp_path / "map").exists()

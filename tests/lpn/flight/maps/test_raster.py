@@ -1,0 +1,389 @@
+"""How bands, alpha, masks, and nodata become colours and valid pixels."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from lpn.cli.main import main
+from lpn.core.arrays import AnyArray
+from lpn.core.errors import DataError
+from lpn.flight.maps import Map, MapOptions, Window, open_map
+from lpn.flight.maps.folder import build_map
+from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+
+PICTURE = smooth(64, 64)
+TWO_METRES = (2, 0, EAST, 0, -2, NORTH)
+# The left quarter is transparent.
+OPAQUE = np.ones((64, 64, 1))
+OPAQUE[:, :16] = 0
+CORNERS = MapOptions(corners=(48.0, 9.0, 47.999, 9.0014))
+
+
+def write(path: Path, values: AnyArray, **options: Any) -> Path:
+    return write_geotiff(path, values, matrix=TWO_METRES, **options)
+
+
+def with_alpha(kind: str, alpha: AnyArray, scale: float = 1) -> AnyArray:
+    return np.concatenate([PICTURE.astype(np.float64) * scale, alpha], 2).astype(kind)
+
+
+def share(where: Path | Map, options: MapOptions | None = None) -> float:
+    """The share of a map's bounds that has data; they are a little wider than its raster."""
+    town = where if isinstance(where, Map) else open_map(where, options)
+    return float(town.coverage().mean())
+
+
+def colour_of(where: Path, options: MapOptions | None = None) -> list[int]:
+    """The colour 16 m east of the middle."""
+    colour: list[int] = open_map(where, options).read(Window(16, 0, 8), 4)[0][2, 2].tolist()
+    return colour
+
+
+def with_notes(path: Path, *bands: str) -> Path:
+    """Write GDAL's notes on the bands of a raster beside it."""
+    notes = "".join(f'<PAMRasterBand band="{number}">{text}</PAMRasterBand>' for number, text in enumerate(bands, 1))
+    Path(f"{path}.aux.xml").write_text(f"<PAMDataset>{notes}</PAMDataset>")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("kind", "full", "usual"),
+    [
+        ("uint8", 1, 255),
+        ("uint8", 100, 255),
+        ("uint16", 255, 65_535),
+        ("uint16", 1, 65_535),
+        ("int16", 255, 32_767),
+        ("uint32", 255, 2**32 - 1),
+        ("int32", 255, 2**31 - 1),
+        ("float32", 255, 1),
+        ("float64", 0.25, 1),
+    ],
+)
+def test_alpha_of_a_smaller_range_than_its_type_is_alpha(tmp_path: Path, kind: str, full: float, usual: float) -> None:
+    options = {"photometric": "RGB", "alpha": "yes"}
+    towns = [
+        open_map(write(tmp_path / f"{number}" / "town.tif", with_alpha(kind, OPAQUE * most), **options))
+        for number, most in enumerate((full, usual))
+        if not (tmp_path / f"{number}").mkdir()
+    ]
+    assert towns[0].frame == towns[1].frame
+    assert towns[0].notes == towns[1].notes
+    for town in towns:
+        assert share(town) == pytest.approx(0.75, abs=0.002)
+    for one, other in zip(towns[0].overview(200), towns[1].overview(200), strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(("kind", "full"), [("uint16", 255), ("uint8", 1)])
+def test_the_known_map_lies_where_its_neighbour_with_full_alpha_lies(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, full: int
+) -> None:
+    values = with_alpha(kind, OPAQUE * full, scale=40 if kind == "uint16" else 1)
+    matrix = (2, 0, 462_300, 0, -2, 5_238_700)
+    path = write_geotiff(tmp_path / "alpha.tif", values, matrix=matrix, photometric="RGB", alpha="yes")
+    assert main(["map", str(path), "--out", str(tmp_path / "map")]) == 0
+    assert "shows 129 m by 129 m about 47.300116, 8.502161, 74% of it with data" in capsys.readouterr().out
+
+
+def test_partial_alpha_has_data_where_gdal_says_so(tmp_path: Path) -> None:
+    import rasterio
+
+    alpha = np.repeat(np.arange(64)[None, :, None] * 4, 64, axis=0)  # a gradient, and NIR taken for alpha, look so
+    path = write(tmp_path / "town.tif", with_alpha("uint8", alpha), photometric="RGB", alpha="yes")
+    with rasterio.open(path) as file:
+        assert (file.dataset_mask() > 0).mean() == 63 / 64
+    town = open_map(path)
+    assert share(town) == pytest.approx(63 / 64, abs=0.01)
+    assert town.notes == [
+        "Band 4 of town.tif is marked as alpha, and most of it is between clear and opaque; data is where it is above 0. If it "
+        "is another band, such as near infrared, mark it so (gdal_edit -colorinterp_4 undefined)."
+    ]
+
+
+def test_jpeg_smears_neither_alpha_nor_nodata_into_the_map(tmp_path: Path) -> None:
+    rows, columns = np.mgrid[:300, :300]
+    inside = (rows - 150) ** 2 + (columns - 150) ** 2 < 120**2
+    picture = smooth(300, 300) * inside[:, :, None]
+    alpha = np.concatenate([picture, inside[:, :, None] * 255], 2).astype(np.uint8)
+    options = {"compress": "jpeg", "tiled": True, "blockxsize": 256, "blockysize": 256}
+    path = write_geotiff(tmp_path / "alpha.tif", alpha, photometric="RGB", alpha="yes", **options)
+    import rasterio
+
+    with rasterio.open(path) as file:
+        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.015
+    assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
+    small = np.concatenate([picture, inside[:, :, None]], 2).astype(np.uint8)
+    path = write_geotiff(tmp_path / "small.tif", small, photometric="RGB", alpha="yes", interleave="band", **options)
+    assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.03)
+    path = write_geotiff(tmp_path / "nodata.tif", picture, photometric="YCBCR", nodata=0, **options)
+    with rasterio.open(path) as file:
+        assert (file.dataset_mask() > 0).mean() > inside.mean() + 0.05
+    assert open_map(path).overview(300)[1].mean() == pytest.approx(inside.mean(), abs=0.006)
+
+
+def test_alpha_of_grey_and_of_many_bands(tmp_path: Path) -> None:
+    grey = np.concatenate([PICTURE[:, :, :1], OPAQUE * 255], 2).astype(np.uint16)
+    assert share(write(tmp_path / "grey.tif", grey, photometric="MINISBLACK", alpha="yes")) == pytest.approx(
+        0.75, abs=0.002
+    )
+    # GDAL has no mask for these, as it has one for two and for four bands.
+    many = np.concatenate([PICTURE, PICTURE[:, :, :2], OPAQUE * 255], 2).astype(np.uint8)
+    path = write(tmp_path / "many.tif", many, photometric="MINISBLACK")
+    import rasterio
+    from rasterio.enums import ColorInterp
+
+    with rasterio.open(path, "r+") as file:
+        file.colorinterp = [ColorInterp.gray, *[ColorInterp.undefined] * 4, ColorInterp.alpha]
+    assert share(path) == pytest.approx(0.75, abs=0.002)
+
+
+def test_alpha_comes_before_nodata(tmp_path: Path) -> None:
+    """Dark pixels that are opaque are data; so is white under a nodata value of 255."""
+    values = with_alpha("uint8", OPAQUE * 255)
+    values[:, 16:32, :3] = 0
+    for nodata in (0, 255):
+        path = write(tmp_path / f"{nodata}.tif", values, photometric="RGB", alpha="yes", nodata=nodata)
+        assert share(path) == pytest.approx(0.75, abs=0.002)
+
+
+@pytest.mark.parametrize("internal", ["YES", "NO"])
+def test_masks_inside_and_beside_the_file(tmp_path: Path, internal: str) -> None:
+    import rasterio
+
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=internal):
+        path = write(tmp_path / "town.tif", PICTURE)
+        with rasterio.open(path, "r+") as file:
+            file.write_mask((OPAQUE[:, :, 0] * 255).astype(np.uint8))
+    assert path.with_suffix(".tif.msk").exists() == (internal == "NO")
+    assert share(path) == pytest.approx(0.75, abs=0.002)
+
+
+@pytest.mark.parametrize("nodata", [np.nan, -9999.0, -3.4028234663852886e38])
+def test_nodata_of_floats(tmp_path: Path, nodata: float) -> None:
+    values = PICTURE.astype(np.float32)
+    values[:, :16] = nodata
+    town = open_map(write(tmp_path / "town.tif", values, nodata=nodata))
+    assert share(town) == pytest.approx(0.75, abs=0.002)
+    assert town.notes == [
+        "town.tif holds float32 numbers; the percentiles 2 and 98 of each band (48 to 207, 99 to 207, 48 to 207) become 0 and "
+        "255."
+    ]
+
+
+def test_nodata_of_each_band(tmp_path: Path) -> None:
+    values = PICTURE.copy()
+    values[:, :16] = (7, 8, 9)
+    notes = [f"<NoDataValue>{value}</NoDataValue>" for value in (7, 8, 9)]
+    path = with_notes(write(tmp_path / "town.tif", values), *notes)
+    assert share(path) == pytest.approx(0.75, abs=0.002)
+
+
+def test_a_mask_comes_before_a_nodata_value_that_no_byte_has(tmp_path: Path) -> None:
+    import rasterio
+
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK="YES"):
+        source = write(tmp_path / "town.tif", PICTURE)
+        with rasterio.open(source, "r+") as file:
+            file.write_mask((OPAQUE[:, :, 0] * 255).astype(np.uint8))
+    path = with_notes(source, *["<NoDataValue>-10000</NoDataValue>"] * 3)
+    assert share(path) == pytest.approx(0.75, abs=0.002)
+
+
+def test_scaled_numbers_are_stretched_as_they_are(tmp_path: Path) -> None:
+    import rasterio
+
+    values = (PICTURE[:, :, :1].astype(np.int16) - 100) * 5
+    values[:, :16] = -32_768
+    path = write(tmp_path / "town.tif", values, nodata=-32_768)
+    with rasterio.open(path, "r+") as file:
+        file.scales = [0.001]
+    town = open_map(path)
+    assert share(town) == pytest.approx(0.75, abs=0.002)
+    assert "the percentiles 2 and 98 of each band (-260 to 535)" in town.notes[0]
+
+
+def test_nodata_that_no_pixel_has_does_not_hide_a_border(tmp_path: Path) -> None:
+    values = np.maximum(smooth(200, 200), 1)
+    values[:, :80] = 255
+    source = write_geotiff(tmp_path / "town.tif", values, nodata=0)
+    assert open_map(source).overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+    beyond = with_notes(write_geotiff(tmp_path / "a.tif", values), *["<NoDataValue>-9999</NoDataValue>"] * 3)
+    assert open_map(beyond).overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)  # no byte is -9999
+
+
+def test_a_dark_picture_with_a_nodata_value_is_no_border(tmp_path: Path) -> None:
+    path = write(tmp_path / "town.tif", PICTURE[:, :, :1] // 64 + 1, nodata=0)
+    town = open_map(path)
+    assert share(town) == pytest.approx(1, abs=0.01)
+    assert not town.notes
+
+
+@pytest.mark.parametrize("options", [{"nodata": 0}, {"nodata": 0, "dtype": "uint16"}])
+def test_a_map_without_a_valid_pixel_is_refused(tmp_path: Path, options: dict[str, Any]) -> None:
+    kind = options.pop("dtype", "uint8")
+    path = write(tmp_path / "town.tif", np.zeros((64, 64, 3), kind), **options)
+    with pytest.raises(DataError, match=r"^town.tif has no valid pixel; expected a map.$"):
+        open_map(path)
+    path = write(tmp_path / "clear.tif", with_alpha("uint8", OPAQUE * 0), photometric="RGB", alpha="yes")
+    with pytest.raises(DataError, match=r"^clear.tif has no valid pixel; expected a map.$"):
+        build_map([path], tmp_path / "map")
+
+
+@pytest.mark.parametrize(
+    ("clear", "valid"), [([0, 255, 255, 255], 0.75), ([0, 0, 255, 255], 0.5), ([0, 9, 9, 9], 0.75)]
+)
+def test_transparent_entries_of_a_palette_are_no_data(tmp_path: Path, clear: list[int], valid: float) -> None:
+    picture = Image.fromarray(np.repeat((np.arange(64) // 16)[None], 64, axis=0).astype(np.uint8), "P")
+    picture.putpalette([9, 9, 9, 250, 0, 0, 0, 250, 0, 10, 20, 250])
+    picture.save(tmp_path / "town.png", transparency=bytes(clear))
+    town = open_map(tmp_path / "town.png", CORNERS)
+    assert share(town) == pytest.approx(valid, abs=0.01)
+    assert colour_of(tmp_path / "town.png", CORNERS) == [0, 250, 0]
+
+
+def test_a_large_palette_with_transparent_entries_keeps_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A copy as GeoTIFF would lose the alpha of its palette."""
+    from lpn.flight.maps import folder
+
+    monkeypatch.setattr(folder, "_MAX_UNTILED", 1000)
+    monkeypatch.setattr(folder, "_LARGE", 32)
+    test_transparent_entries_of_a_palette_are_no_data(tmp_path, [0, 0, 255, 255], 0.5)
+    town = build_map([tmp_path / "town.png"], tmp_path / "map", CORNERS)
+    assert share(town) == pytest.approx(0.5, abs=0.01)
+
+
+def test_a_palette_of_16_bits_is_shown_in_its_colours(tmp_path: Path) -> None:
+    import rasterio
+
+    values = np.repeat((np.arange(64) // 32 * 300)[None, :, None], 64, axis=0).astype(np.uint16)
+    path = write(tmp_path / "town.tif", values, photometric="PALETTE")
+    with rasterio.open(path, "r+") as file:
+        file.write_colormap(1, {0: (255, 0, 0, 255), 300: (0, 0, 255, 255)})
+    picture, valid = open_map(path).read(Window(0, 0, 80), 40)
+    assert valid.all()
+    assert picture[20, 5].tolist() == [255, 0, 0]
+    assert picture[20, 35].tolist() == [0, 0, 255]
+
+
+def test_few_bits_are_stretched(tmp_path: Path) -> None:
+    path = write(tmp_path / "town.tif", PICTURE[:, :, :1] // 16, nbits=4)
+    town = open_map(path)
+    assert town.notes == [
+        "town.tif holds 4-bit numbers; the percentiles 2 and 98 of each band (3 to 12) become 0 and 255."
+    ]
+    assert np.ptp(town.overview(64)[0]) == 255
+    black_and_white = write(tmp_path / "bits.tif", (PICTURE[:, :, :1] > 128).astype(np.uint8), nbits=1)
+    assert set(np.unique(open_map(black_and_white, MapOptions(keep_borders=True)).read(Window(0, 0, 60), 30)[0])) >= {
+        0,
+        255,
+    }
+
+
+@pytest.mark.parametrize("kind", ["CMYK", "CIELAB", "YCBCR"])
+def test_other_colour_spaces_are_shown_as_gdal_converts_them(tmp_path: Path, kind: str) -> None:
+    values = np.zeros((64, 64, 4 if kind == "CMYK" else 3), np.uint8)
+    values[:] = {"CMYK": (255, 0, 255, 0), "CIELAB": (200, 136, 120), "YCBCR": (0, 200, 0)}[kind]
+    compress = {"compress": "jpeg"} if kind == "YCBCR" else {}
+    path = write(tmp_path / "town.tif", values, photometric=kind, **compress)
+    red, green, blue = colour_of(path)
+    expected = {"CMYK": (0, 255, 0), "YCBCR": (0, 200, 0), "CIELAB": (0, 236, 0)}[kind]
+    assert (red, green, blue) == pytest.approx(expected, abs=12)
+
+
+def test_colours_that_nothing_converts_are_refused(tmp_path: Path) -> None:
+    colours = [f"<ColorInterp>{name}</ColorInterp>" for name in ("Hue", "Saturation", "Lightness")]
+    path = with_notes(write(tmp_path / "town.tif", PICTURE), *colours)
+    with pytest.raises(DataError, match=r"has the colours of HSL; convert it to RGB"):
+        open_map(path)
+
+
+def test_a_cmyk_jpeg_is_shown_in_its_colours(tmp_path: Path) -> None:
+    picture = np.full((64, 64, 3), (20, 180, 60), np.uint8)
+    Image.fromarray(picture).convert("CMYK").save(tmp_path / "town.jpg", quality=95)
+    assert colour_of(tmp_path / "town.jpg", CORNERS) == pytest.approx([20, 180, 60], abs=6)
+
+
+def test_bands_by_their_marks_and_names(tmp_path: Path) -> None:
+    import rasterio
+    from rasterio.enums import ColorInterp
+
+    values = np.zeros((64, 64, 5), np.uint8)
+    values[:] = (10, 20, 30, 40, 50)
+    turned = write(tmp_path / "bgr.tif", values[:, :, :3])
+    with rasterio.open(turned, "r+") as file:
+        file.colorinterp = [ColorInterp.blue, ColorInterp.green, ColorInterp.red]
+    assert colour_of(turned) == [30, 20, 10]
+    path = write(tmp_path / "five.tif", values, photometric="MINISBLACK")
+    assert colour_of(path) == [10, 20, 30]
+    with rasterio.open(path, "r+") as file:
+        for number, name in enumerate(("Blue", "Green", "Red", "NIR", "Red edge"), 1):
+            file.set_band_description(number, name)
+    assert colour_of(path) == [30, 20, 10]
+    assert open_map(path).notes == ["five.tif has 5 bands; 3, 2, 1 are shown as red, green, and blue."]
+    assert colour_of(path, MapOptions(bands=(4, 3, 2))) == [40, 30, 20]
+    unmarked = write(tmp_path / "nir.tif", values[:, :, :4], photometric="RGB", alpha="unspecified")
+    assert colour_of(unmarked) == [10, 20, 30]
+
+
+def test_bands_of_two_types(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """GDAL writes such bands as a VRT only, which stands here for a file of Erdas Imagine."""
+    from lpn.flight.maps import _gdal
+
+    monkeypatch.setattr(_gdal, "_DRIVERS", ["VRT"])
+    monkeypatch.setattr(_gdal, "_NAMES_OTHERS", re.compile(rb"(?!)"))
+    write(tmp_path / "colours.tif", PICTURE)
+    write(tmp_path / "alpha.tif", (OPAQUE * 65_535).astype(np.uint16))
+    bands = "".join(
+        f'<VRTRasterBand dataType="{kind}" band="{number}"><ColorInterp>{colour}</ColorInterp><SimpleSource>'
+        f'<SourceFilename relativeToVRT="1">{name}.tif</SourceFilename><SourceBand>{band}</SourceBand></SimpleSource>'
+        "</VRTRasterBand>"
+        for number, (kind, colour, name, band) in enumerate(
+            [
+                ("Byte", "Red", "colours", 1),
+                ("Float32", "Green", "colours", 2),
+                ("Byte", "Blue", "colours", 3),
+                ("UInt16", "Alpha", "alpha", 1),
+            ],
+            1,
+        )
+    )
+    path = tmp_path / "town.vrt"
+    path.write_text(
+        f'<VRTDataset rasterXSize="64" rasterYSize="64"><SRS>EPSG:32632</SRS><GeoTransform>{EAST},2,0,{NORTH},0,-2'
+        f"</GeoTransform>{bands}</VRTDataset>"
+    )
+    assert share(path) == pytest.approx(0.75, abs=0.002)
+    (tmp_path / "colours.tif").unlink()
+    with pytest.raises(DataError, match=r"town.vrt is damaged, incomplete, .*colours.tif") as caught:
+        build_map([path], tmp_path / "map")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_of_several_pages_says_so(tmp_path: Path) -> None:
+    pages = [Image.fromarray(PICTURE), Image.fromarray(PICTURE[::-1])]
+    pages[0].save(tmp_path / "town.tif", save_all=True, append_images=pages[1:])
+    assert "town.tif holds 2 pictures; the first is shown." in open_map(tmp_path / "town.tif", CORNERS).notes
+
+
+@pytest.mark.parametrize("name", ["LERC", "ZSTD", "WEBP", "LZMA", "PACKBITS", "DEFLATE"])
+def test_compressions(tmp_path: Path, name: str) -> None:
+    path = write(tmp_path / "town.tif", PICTURE, compress=name, bigtiff="YES")
+    same = open_map(write(tmp_path / "plain.tif", PICTURE))
+    found, valid = open_map(path).read(Window(0, 0, 60), 40)
+    assert valid.all()
+    np.testing.assert_allclose(found.astype(int), same.read(Window(0, 0, 60), 40)[0], atol=12 if name == "WEBP" else 0)
+
+
+def test_a_recorded_map_whose_bands_are_gone_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path / "town.tif", PICTURE)
+    build_map([path], tmp_path / "map")
+    write(path, PICTURE[:, :, :1])
+    with pytest.raises(DataError, match="has 1 bands, fewer than before"):
+        open_map(tmp_path / "map")

@@ -1,0 +1,708 @@
+from __future__ import annotations
+
+import math
+import re
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyproj
+import pytest
+from PIL import Image
+
+from lpn.core.errors import DataError, InputError, LPNError
+from lpn.flight.maps import Map, MapOptions, Window, open_map
+from lpn.flight.maps.datums import datum_notes
+from lpn.flight.maps.folder import build_map
+from lpn.flight.maps.sources import parse_crs
+from tests.lpn.flight.maps.small_maps import EAST, NORTH, smooth, write_geotiff
+
+WORLD = f"0.5\n0\n0\n-0.5\n{EAST + 0.25}\n{NORTH - 0.25}\n"
+
+
+def picture_with_world_file(path: Path, suffix: str, crs: str | None = "EPSG:32632", world: str = WORLD) -> Path:
+    Image.fromarray(smooth(120, 160)).save(path)
+    path.with_suffix(suffix).write_text(world)
+    if crs is not None:
+        path.with_suffix(".prj").write_text(pyproj.CRS(crs).to_wkt("WKT1_ESRI"))
+    return path
+
+
+def cut(town: Map) -> np.ndarray:
+    return town.read(Window(0, 0, 30), 60)[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "suffix"), [("a.png", ".pgw"), ("a.PNG", ".PGW"), ("a.webp", ".wld"), ("a.png", ".pngw")]
+)
+def test_a_picture_with_a_world_file_is_the_geotiff(tmp_path: Path, name: str, suffix: str) -> None:
+    town = open_map(picture_with_world_file(tmp_path / name, suffix))
+    same = open_map(write_geotiff(tmp_path / "a.tif", smooth(120, 160)))
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=1e-3)
+    assert town.frame == same.frame
+    if name != "a.webp":  # which is not lossless
+        np.testing.assert_array_equal(cut(town), cut(same))
+
+
+def test_a_given_crs_takes_precedence(tmp_path: Path) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw", None)
+    assert open_map(path, MapOptions(crs="EPSG:32632")).frame.longitude == pytest.approx(9.0, abs=0.01)
+    assert open_map(path, MapOptions(crs="32633")).frame.longitude == pytest.approx(15.0, abs=0.01)
+
+
+def corners(width: float = 0.001, height: float = 0.0008) -> tuple[float, float, float, float]:
+    return (48.0, 9.0, 48.0 - height, 9.0 + width)
+
+
+def test_corners_come_from_options_lists_and_names(tmp_path: Path) -> None:
+    top, left, bottom, right = corners()
+    names = ("one.png", "two.png", f"@three@{left}@{top}@{right}@{bottom}@.png", "01/satellite01.png")
+    (tmp_path / "01").mkdir()
+    for name in names:
+        Image.fromarray(smooth(120, 160)).save(tmp_path / name)
+    (tmp_path / "map.csv").write_text(
+        f"Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_long\ntwo.png,{top},{left},{bottom},{right}\n"
+    )
+    (tmp_path / "satellite_coordinates_range.csv").write_text(
+        "mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region\n"
+        f"satellite01.png,{top},{left},{bottom},{right},here\n"
+    )
+    towns = [
+        open_map(tmp_path / names[0], MapOptions(corners=corners())),
+        open_map(tmp_path / "map.csv"),
+        open_map(tmp_path / names[1]),
+        open_map(tmp_path / names[2]),
+        open_map(tmp_path / names[3]),
+        open_map(tmp_path),  # its list names the sheets
+    ]
+    for town in towns:
+        outer = town.frame.xy([top, bottom], [left, right])
+        np.testing.assert_allclose([outer[0, 0], outer[1, 1]], town.bounds[:2], atol=0.01)
+        np.testing.assert_array_equal(cut(town), cut(towns[0]))
+
+
+def test_parts_of_a_listed_map_lie_in_its_corners(tmp_path: Path) -> None:
+    picture = smooth(200, 260)
+    (tmp_path / "09").mkdir()
+    rows, columns = (slice(0, 120), slice(120, 200)), (slice(0, 100), slice(100, 260))
+    for row in (0, 1):
+        for column in (0, 1):
+            part = tmp_path / "09" / f"satellite09_0{row + 1}-0{column + 1}.png"
+            Image.fromarray(picture[rows[row], columns[column]]).save(part)
+    top, left, bottom, right = corners()
+    (tmp_path / "satellite_coordinates_range.csv").write_text(
+        f"mapname,LT_lat_map,LT_lon_map,RB_lat_map,RB_lon_map,region\nsatellite09.png,{top},{left},{bottom},{right},x\n"
+    )
+    Image.fromarray(picture).save(tmp_path / "whole.png")
+    whole = open_map(tmp_path / "whole.png", MapOptions(corners=corners()))
+    town = open_map(tmp_path / "09")
+    assert len(town.sheets) == 4
+    np.testing.assert_allclose(town.bounds, whole.bounds, atol=0.01)
+    np.testing.assert_allclose(cut(town).astype(int), cut(whole), atol=6)
+    (tmp_path / "09" / "satellite09_01-01.png").unlink()
+    refused(tmp_path / "09" / "satellite09_01-02.png", "Parts of satellite09", "missing")
+
+
+def test_ground_control_points_that_fit_a_plane_are_a_transform(tmp_path: Path) -> None:
+    from rasterio.control import GroundControlPoint
+
+    places = [(0, 0), (0, 160), (120, 0), (120, 160)]
+    points = [GroundControlPoint(row, column, EAST + 0.5 * column, NORTH - 0.5 * row) for row, column in places]
+    known: dict[str, Any] = {"matrix": None, "gcps": points}
+    path = write_geotiff(tmp_path / "a.tif", smooth(120, 160), **known)
+    same = open_map(write_geotiff(tmp_path / "b.tif", smooth(120, 160)))
+    np.testing.assert_array_equal(cut(open_map(path)), cut(same))
+    points[0].x += 20
+    write_geotiff(path, smooth(120, 160), **known)
+    with pytest.raises(DataError, match="pixels off a plane"):
+        open_map(path)
+
+
+def test_the_finest_sheet_wins_and_fills_its_gaps(tmp_path: Path) -> None:
+    coarse = write_geotiff(
+        tmp_path / "coarse.tif", np.full((60, 60, 3), 50, np.uint8), matrix=(2, 0, EAST, 0, -2, NORTH)
+    )
+    fine = np.full((80, 80, 3), 200, np.uint8)
+    fine[20:40] = 0
+    write_geotiff(tmp_path / "fine.tif", fine, matrix=(0.5, 0, EAST + 40, 0, -0.5, NORTH - 40), nodata=0)
+    town = open_map([coarse, tmp_path / "fine.tif"])
+    assert [sheet.name for sheet in town.sheets] == ["fine.tif", "coarse.tif"]
+    assert town.resolution == pytest.approx(0.5, rel=1e-3)
+    centre = town.frame.xy(
+        *reversed(pyproj.Transformer.from_crs(32632, 4326, always_xy=True).transform(EAST + 60, NORTH - 60))
+    )
+    picture, valid = town.read(Window(*centre[0].tolist(), 60), 60)
+    assert valid.all()
+    assert picture[30, 5].tolist() == [50] * 3  # west of the fine sheet
+    assert picture[15, 30].tolist() == [200] * 3  # on it
+    assert picture[25, 30].tolist() == [50] * 3  # in its gap
+
+
+def test_four_sheets_of_one_map_have_no_seam(tmp_path: Path) -> None:
+    picture = smooth(200, 200)
+    for row in (0, 100):
+        for column in (0, 100):
+            matrix = (0.5, 0, EAST + column / 2, 0, -0.5, NORTH - row / 2)
+            write_geotiff(
+                tmp_path / f"{row}_{column}.tif", picture[row : row + 100, column : column + 100], matrix=matrix
+            )
+    whole = open_map(write_geotiff(tmp_path / "whole.tiff", picture))
+    (tmp_path / "whole.tiff").unlink()
+    town = open_map(tmp_path)
+    assert len(town.sheets) == 4
+    found, valid = town.read(Window(0, 0, 60, 30), 120)
+    assert valid.all()
+    np.testing.assert_allclose(found, whole.read(Window(0, 0, 60, 30), 120)[0], atol=6)
+
+
+def valid_share(path: Path, options: MapOptions | None = None) -> tuple[float, np.ndarray]:
+    """The share of valid pixels of a whole map of 100 m by 100 m, and the colour of its middle."""
+    town = open_map(path, options)
+    picture, valid = town.overview(200)
+    return float(valid.mean()), picture[100, 150]
+
+
+def test_alpha_and_nodata_are_not_shown(tmp_path: Path) -> None:
+    picture = smooth(200, 200)
+    alpha = np.full((200, 200, 1), 255, np.uint8)
+    alpha[:, :80] = 0
+    path = write_geotiff(tmp_path / "alpha.tif", np.concatenate([picture, alpha], 2), photometric="RGB", alpha="yes")
+    assert valid_share(path)[0] == pytest.approx(0.6, abs=0.01)
+    picture[:, :80] = 7
+    path = write_geotiff(tmp_path / "nodata.tif", picture, nodata=7)
+    assert valid_share(path)[0] == pytest.approx(0.6, abs=0.01)
+
+
+@pytest.mark.parametrize(("colour", "name"), [(255, "white"), (0, "black")])
+def test_a_compressed_border_has_no_data_but_the_same_colour_inside_has(tmp_path: Path, colour: int, name: str) -> None:
+    picture = smooth(200, 200)
+    picture[:, :80] = colour
+    picture[100:120, 120:140] = colour  # a roof
+    path = tmp_path / "a.jpg"
+    Image.fromarray(picture).save(path, quality=80)
+    path.with_suffix(".jgw").write_text(WORLD)
+    path.with_suffix(".prj").write_text(pyproj.CRS("EPSG:32632").to_wkt("WKT1_ESRI"))
+    town = open_map(path)
+    assert town.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+    assert town.notes == [f"The {name} border of a.jpg (40% of it) is taken as no data."]
+    assert valid_share(path, MapOptions(keep_borders=True))[0] > 0.99
+
+
+def test_an_opaque_alpha_band_does_not_hide_a_border(tmp_path: Path) -> None:
+    picture = np.concatenate([smooth(200, 200), np.full((200, 200, 1), 255, np.uint8)], 2)
+    picture[:, :80] = 255
+    path = write_geotiff(tmp_path / "alpha.tif", picture, photometric="RGB", alpha="yes")
+    assert valid_share(path)[0] == pytest.approx(0.6, abs=0.015)
+
+
+def test_dark_water_at_the_border_is_part_of_the_map(tmp_path: Path) -> None:
+    picture = smooth(200, 200)
+    picture[:, :80] = np.random.default_rng(0).integers(0, 16, (200, 80, 3))
+    assert valid_share(write_geotiff(tmp_path / "a.tif", picture))[0] > 0.98
+
+
+def test_16_bits_are_stretched_by_percentiles_of_each_sheet(tmp_path: Path) -> None:
+    deep = smooth(200, 200).astype(np.uint16) * 10 + 1000
+    deep[:, :80] = 0
+    path = write_geotiff(tmp_path / "deep.tif", deep)
+    town = open_map(path)
+    low, high = np.percentile(deep[:, 80:, 1], (2, 98))
+    picture, valid = town.overview(200)
+    assert valid.mean() == pytest.approx(0.6, abs=0.02)
+    shown = np.clip((deep[100, 150, 1] - low) * 255 / (high - low), 0, 255)
+    assert picture[100, 150, 1] == pytest.approx(shown, abs=6)
+    assert any("uint16 numbers; the percentiles 2 and 98" in note for note in town.notes)
+    floats = np.where(deep > 0, deep / 1000, np.nan).astype(np.float32)
+    share, colour = valid_share(write_geotiff(tmp_path / "floats.tif", floats))
+    assert share == pytest.approx(0.6, abs=0.02)
+    np.testing.assert_allclose(colour, picture[100, 150], atol=3)
+
+
+def test_one_band_is_grey_and_more_than_three_are_chosen(tmp_path: Path) -> None:
+    picture = smooth(200, 200)
+    grey = open_map(write_geotiff(tmp_path / "grey.tif", picture[:, :, 1:2]))
+    colour = open_map(write_geotiff(tmp_path / "colour.tif", picture))
+    np.testing.assert_array_equal(cut(grey), np.repeat(cut(colour)[:, :, 1:2], 3, axis=2))
+    five = write_geotiff(
+        tmp_path / "five.tif", np.concatenate([picture[:, :, ::-1], picture[:, :, :2]], 2), photometric="MINISBLACK"
+    )
+    np.testing.assert_array_equal(cut(open_map(five)), cut(colour)[:, :, ::-1])
+    assert any("five.tif has 5 bands; 1, 2, 3 are shown" in note for note in open_map(five).notes)
+    np.testing.assert_array_equal(cut(open_map(five, MapOptions(bands=(3, 2, 1)))), cut(colour))
+    for bands in ((1, 2), (0, 1, 2), (1, 2, 6)):
+        with pytest.raises(InputError, match="bands 1 to 5"):
+            open_map(five, MapOptions(bands=bands))
+
+
+def test_a_palette_is_shown_in_its_colours(tmp_path: Path) -> None:
+    import rasterio
+
+    path = write_geotiff(tmp_path / "palette.tif", np.full((64, 64, 1), 7, np.uint8), photometric="PALETTE")
+    with rasterio.open(path, "r+") as file:
+        file.write_colormap(1, {7: (10, 200, 30, 255)})
+    assert cut(open_map(path))[30, 30].tolist() == [10, 200, 30]
+
+
+def write_tiles(folder: Path, zoom: int, west: int, north: int, picture: np.ndarray, suffix: str = "png") -> Path:
+    for row in range(picture.shape[0] // 256):
+        for column in range(picture.shape[1] // 256):
+            file = folder / str(zoom) / str(west + column) / f"{north + row}.{suffix}"
+            file.parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(picture[row * 256 : row * 256 + 256, column * 256 : column * 256 + 256]).save(file)
+    return folder
+
+
+def test_tiles_are_the_geotiff_of_their_deepest_zoom(tmp_path: Path) -> None:
+    picture = smooth(768, 768)
+    zoom, west, north = 18, 137_700, 90_900
+    tiles = write_tiles(tmp_path / "tiles", zoom, west, north, picture)
+    half = 20_037_508.342789244
+    metres = 2 * half / 2**zoom
+    matrix = (metres / 256, 0, west * metres - half, 0, -metres / 256, half - north * metres)
+    same = open_map(write_geotiff(tmp_path / "same.tif", picture, "EPSG:3857", matrix))
+    town = open_map(tiles)
+    assert town.frame == same.frame
+    assert town.notes == ["tiles is shown at zoom 18, the deepest of 1."]
+    np.testing.assert_allclose(cut(town), cut(same), atol=1)
+    coarse, fine = (one.read(Window(5, 8, 200, 30), 64) for one in (town, same))
+    assert coarse[1].all()
+    np.testing.assert_allclose(coarse[0], fine[0], atol=4)
+    (tiles / "18" / str(west + 1) / f"{north + 1}.png").unlink()
+    valid = open_map(tiles).overview(300)[1]
+    assert valid.mean() == pytest.approx(8 / 9, abs=0.01)
+    assert not valid[150, 150]
+    # A coarser zoom is read where it is enough.
+    write_tiles(tiles, 17, west // 2, north // 2, np.full((512, 512, 3), 99, np.uint8))
+    assert open_map(tiles).read(Window(0, 0, 300), 64)[0][32, 32].tolist() == [99] * 3
+    # The same tiles, counted from the south.
+    south = tmp_path / "south"
+    write_tiles(south, zoom, west, north, picture)
+    for column in (south / "18").iterdir():
+        for file in sorted(column.iterdir()):
+            file.rename(column / f"{2**zoom - 1 - int(file.stem)}.png.new")
+        for file in sorted(column.iterdir()):
+            file.rename(column / file.name.removesuffix(".new"))
+    (south / "tilemapresource.xml").write_text("<TileMap/>")
+    np.testing.assert_allclose(cut(open_map(south)), cut(same), atol=1)
+
+
+def test_an_mbtiles_is_the_geotiff_that_it_was_made_of(tmp_path: Path) -> None:
+    import rasterio.shutil
+
+    crs, zoom = "EPSG:3857", 18
+    half = 20_037_508.342789244
+    metres = 2 * half / 2**zoom
+    matrix = (metres / 256, 0, 137_700 * metres - half, 0, -metres / 256, half - 90_900 * metres)
+    path = write_geotiff(tmp_path / "a.tif", smooth(512, 512), crs, matrix)
+    rasterio.shutil.copy(str(path), str(tmp_path / "a.mbtiles"), driver="MBTILES", TILE_FORMAT="PNG")
+    town = open_map(tmp_path / "a.mbtiles")
+    same = open_map(path)
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=0.2)
+    middle = same.frame.degrees([(0, 0)])[0]
+    at = town.frame.xy(*middle)[0]
+    found, valid = town.read(Window(*at.tolist(), 60), 100)
+    assert valid.all()
+    np.testing.assert_allclose(found, same.read(Window(0, 0, 60), 100)[0], atol=3)
+
+
+def refused(path: Path | list[Path], *words: str, error: type[LPNError] = DataError, **options: Any) -> None:
+    with pytest.raises(error) as caught:
+        open_map(path, MapOptions(**options))
+    message = str(caught.value)
+    assert all(word in message for word in words), message
+    assert "\n" not in message
+    assert message.endswith(".")
+
+
+def test_what_has_no_georeference_is_refused(tmp_path: Path) -> None:
+    Image.fromarray(smooth(60, 60)).save(tmp_path / "bare.png")
+    refused(tmp_path / "bare.png", "no georeference", "--corners")
+    refused(picture_with_world_file(tmp_path / "a.png", ".pgw", None), "no coordinate reference system", "--crs")
+    refused(picture_with_world_file(tmp_path / "b.png", ".pgw", world="1\n2\n"), "b.pgw is no world file")
+    refused(picture_with_world_file(tmp_path / "c.webp", ".wld", world="1\nx\n"), "c.wld is no world file")
+    path = picture_with_world_file(tmp_path / "d.png", ".pgw")
+    (tmp_path / "d.prj").write_text("nonsense")
+    refused(path, "d.prj holds no coordinate reference system", "--crs")
+    refused(path, "no CRS 'EPSG:nothing'", error=InputError, crs="EPSG:nothing")
+    refused(path, "not both", error=InputError, crs="EPSG:4326", corners=corners())
+
+
+def test_a_wrong_crs_is_refused(tmp_path: Path) -> None:
+    degrees = (7e-6, 0, 9.0, 0, -5e-6, 48.0)
+    refused(write_geotiff(tmp_path / "a.tif", smooth(60, 60), "EPSG:32632", degrees), "look like degrees", "EPSG:32632")
+    refused(write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:4326"), "outside the world", "in degrees")
+    metres = (0.5, 0, 9e9, 0, -0.5, NORTH)
+    refused(write_geotiff(tmp_path / "c.tif", smooth(60, 60), "EPSG:3857", (0.5, 0, 0, 0, -0.5, 9e9)), "--crs")
+    refused(write_geotiff(tmp_path / "d.tif", smooth(60, 60), "EPSG:32632", metres), "--crs")
+    tiny = (1e-6, 0, EAST, 0, -1e-6, NORTH)
+    refused(write_geotiff(tmp_path / "e.tif", smooth(60, 60), "EPSG:32632", tiny), "1e-06 m wide", "EPSG:32632")
+    local = 'LOCAL_CS["site",UNIT["metre",1]]'
+    refused(write_geotiff(tmp_path / "f.tif", smooth(60, 60), local), "--crs")
+    whole = (0.1, 0, -180.0, 0, -0.1, 90.0)
+    refused(write_geotiff(tmp_path / "g.tif", smooth(1800, 3600)[:, :, :1], "EPSG:4326", whole), "at most 400 km")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ((95.0, 9.0, 48.0, 9.1), "outside the world"),
+        ((48.0, 9.0, 47.9, 190.0), "outside the world"),
+        ((math.nan, 9.0, 47.9, 9.1), "outside the world"),
+        ((47.9, 9.0, 48.0, 9.1), "not top left and bottom right"),
+        ((48.0, 9.1, 47.9, 9.0), "not top left and bottom right"),
+    ],
+)
+def test_impossible_corners_are_refused(tmp_path: Path, given: tuple[float, ...], words: str) -> None:
+    Image.fromarray(smooth(60, 60)).save(tmp_path / "a.png")
+    refused(tmp_path / "a.png", words, corners=given)
+
+
+def test_broken_lists_are_refused(tmp_path: Path) -> None:
+    listed = tmp_path / "map.csv"
+    header = "Filename,Top_left_lat,Top_left_lon,Bottom_right_lat,Bottom_right_lon\n"
+    for text, words in (
+        ("name;lat\n", "The first line of"),
+        (header, "names no picture"),
+        (header + "a.png,1,2,3\n", "Line 2 of"),
+        (header + "a.png,1,2,3,x\n", "Line 2 of"),
+        (header + "a.png,48,9,47.9,9.1\n", "not beside it"),
+    ):
+        listed.write_text(text)
+        refused(listed, words)
+    listed.write_bytes("Zürich".encode("cp1252"))
+    refused(listed, "UTF-8")
+
+
+def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
+    refused(tmp_path / "missing.tif", "There is no file")
+    (tmp_path / "text.tif").write_text("no picture")
+    refused(tmp_path / "text.tif", "cannot be read as a map")
+    (tmp_path / "empty").mkdir()
+    refused(tmp_path / "empty", "holds nothing; expected GeoTIFF files")
+    (tmp_path / "database.mbtiles").write_bytes(b"SQLite format 3\0" + bytes(100))
+    refused(tmp_path / "database.mbtiles", "cannot be read as a map")
+    refused(write_geotiff(tmp_path / "c.tif", np.zeros((9, 9, 1), np.complex64)), "complex")
+    refused(write_geotiff(tmp_path / "nothing.tif", np.zeros((9, 9, 1), np.uint16), nodata=0), "no valid pixel")
+    far = write_geotiff(tmp_path / "far.tif", smooth(60, 60), matrix=(0.5, 0, EAST, 0, -0.5, NORTH - 600_000))
+    refused([write_geotiff(tmp_path / "near.tif", smooth(60, 60)), far], "at most 400 km")
+    tiles = write_tiles(tmp_path / "tiles", 18, 137_700, 90_900, smooth(256, 512))
+    refused(tiles, "leave CRS, corners", error=InputError, crs="EPSG:4326")
+    Image.fromarray(smooth(64, 64)).save(tiles / "18" / "137701" / "90900.png")
+    with pytest.raises(DataError, match="64 x 64 pixels; expected 256 x 256"):
+        open_map(tiles).overview(100)
+    (tiles / "18" / "137701" / "90900.png").write_bytes(b"broken")
+    with pytest.raises(DataError, match=r"The tile .* cannot be read"):
+        open_map(tiles).overview(100)
+    shutil.rmtree(tiles / "18")
+    (tiles / "3" / "9").mkdir(parents=True)
+    Image.fromarray(smooth(256, 256)).save(tiles / "3" / "9" / "1.png")
+    refused(tiles, "has the tile 9, 1 at zoom 3")
+
+
+def test_a_damaged_geotiff_is_one_sentence(tmp_path: Path) -> None:
+    path = write_geotiff(
+        tmp_path / "a.tif", np.random.default_rng(0).integers(0, 250, (600, 600, 3)).astype(np.uint8), nodata=251
+    )
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with pytest.raises(DataError, match=r"a\.tif (is damaged|cannot be read)") as caught:
+        open_map(path).overview(100)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [
+        b"\xef\xbb\xbf" + WORLD.encode(),
+        WORLD.encode("utf-16"),
+        WORLD.replace("\n", "\r\n\r\n").encode(),
+        WORLD.replace(".", ",").encode(),
+        WORLD.replace("\n", " ").encode(),
+        WORLD.encode() + b"\nEPSG:32632\n",
+    ],
+)
+def test_world_files_as_programs_write_them(tmp_path: Path, data: bytes) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw")
+    path.with_suffix(".pgw").write_bytes(data)
+    same = open_map(write_geotiff(tmp_path / "a.tif", smooth(120, 160)))
+    town = open_map(path)
+    assert town.frame == same.frame
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=1e-3)
+
+
+@pytest.mark.parametrize("suffix", [".tfw", ".TFW", ".tifw", ".wld", ".tiffw"])
+def test_a_tiff_with_a_world_file_is_the_geotiff(tmp_path: Path, suffix: str) -> None:
+    path = picture_with_world_file(tmp_path / ("a.tiff" if suffix == ".tiffw" else "a.tif"), suffix)
+    assert open_map(path).frame == open_map(write_geotiff(tmp_path / "b.tif", smooth(120, 160))).frame
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "EPSG:32632\n",
+        "+proj=utm +zone=32 +datum=WGS84 +units=m",
+        pyproj.CRS(32632).to_wkt("WKT1_GDAL"),
+        pyproj.CRS(32632).to_wkt(),
+        "\ufeff" + pyproj.CRS(32632).to_wkt("WKT1_ESRI"),
+    ],
+)
+@pytest.mark.parametrize("coding", ["utf-8", "utf-16"])
+def test_projection_files_as_programs_write_them(tmp_path: Path, text: str, coding: str) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw", None)
+    path.with_suffix(".prj").write_bytes(text.removeprefix("\ufeff" if coding == "utf-16" else "").encode(coding))
+    assert open_map(path).frame == open_map(write_geotiff(tmp_path / "b.tif", smooth(120, 160))).frame
+
+
+@pytest.mark.parametrize(
+    ("crs", "matrix", "place"),
+    [
+        ("EPSG:32632", (2, 0, EAST, 0, 2, NORTH - 128), (47.996723, 9.000858)),  # from the south up
+        ("EPSG:32632+5773", (2, 0, EAST, 0, -2, NORTH), (47.996723, 9.000858)),  # with heights
+        ("EPSG:31467", (2, 0, 3_500_000, 0, -2, 5_317_000), (47.990545, 8.999834)),  # northing comes first
+        ("EPSG:2180", (2, 0, 500_000, 0, -2, 500_000), (52.365372, 19.000940)),
+        ("EPSG:4258", (2e-5, 0, 9.0, 0, -2e-5, 48.0), (47.999360, 9.000640)),  # latitude comes first
+        ("EPSG:2263", (2, 0, 980_000, 0, -2, 200_000), (40.715454, -74.015100)),  # feet
+        ("EPSG:4807", (2e-5, 0, 2.0, 0, -2e-5, 52.0), (46.799383, 4.137180)),  # gons from Paris
+    ],
+)
+def test_coordinates_of_any_axis_order_and_unit(
+    tmp_path: Path, crs: str, matrix: tuple[float, ...], place: tuple[float, float]
+) -> None:
+    town = open_map(write_geotiff(tmp_path / "a.tif", smooth(64, 64), crs, matrix))
+    assert (town.frame.latitude, town.frame.longitude) == pytest.approx(place, abs=2e-6)
+
+
+def test_a_raster_from_the_south_up_is_not_mirrored(tmp_path: Path) -> None:
+    picture = smooth(120, 160)
+    north = open_map(write_geotiff(tmp_path / "a.tif", picture))
+    south = open_map(write_geotiff(tmp_path / "b.tif", picture[::-1], matrix=(0.5, 0, EAST, 0, 0.5, NORTH - 60)))
+    np.testing.assert_array_equal(cut(south), cut(north))
+
+
+def test_coordinates_that_are_no_map_are_refused(tmp_path: Path) -> None:
+    from rasterio.rpc import RPC
+
+    geocentric = write_geotiff(tmp_path / "a.tif", smooth(60, 60), "EPSG:4978", (2, 0, 4e6, 0, -2, 6e5))
+    refused(geocentric, "EPSG:4978", "neither in degrees nor a projection", "--crs")
+    refused(
+        write_geotiff(tmp_path / "b.tif", smooth(60, 60), "EPSG:5773"), "neither in degrees nor a projection", "--crs"
+    )
+    one = [1.0] + [0.0] * 19
+    position = RPC(0, 1, 48, 0.01, one, one, 30, 30, 9, 0.01, one, one, 30, 30, None, None)
+    bare = write_geotiff(tmp_path / "c.tif", smooth(60, 60), None, None, rpcs=position)
+    refused(bare, "RPCs only", "gdalwarp -rpc")
+
+
+@pytest.mark.parametrize(
+    ("wkt", "place"),
+    [
+        ('LOCAL_CS["OSGB 1936 / British National Grid",UNIT["metre",1],AUTHORITY["EPSG","27700"]]', (51.507, -0.1275)),
+        (
+            'LOCAL_CS["WGS 84 / Pseudo-Mercator",GEOGCS["WGS 84",DATUM["unknown",SPHEROID["unretrievable - using WGS84",6378137,'
+            '298.257223563]],PRIMEM["Greenwich",0],UNIT["degree",0.0174532925199433]],AUTHORITY["EPSG","3857"],UNIT["metre",1]]',
+            (1.6202, 4.7625),
+        ),
+        ('LOCAL_CS["RGF93 v1 / Lambert-93",UNIT["metre",1],AXIS["Easting",EAST],AXIS["Northing",NORTH]]', None),
+        ('LOCAL_CS["site",UNIT["metre",1]]', None),
+    ],
+)
+def test_a_local_crs_is_read_by_its_code_or_refused(
+    tmp_path: Path, wkt: str, place: tuple[float, float] | None
+) -> None:
+    path = picture_with_world_file(tmp_path / "a.png", ".pgw", None, "2\n0\n0\n-2\n530000\n180500\n")
+    path.with_suffix(".prj").write_text(wkt)
+    if place is None:
+        refused(path, "neither in degrees nor a projection", "--crs")
+    else:
+        frame = open_map(path).frame
+        assert (frame.latitude, frame.longitude) == pytest.approx(place, abs=2e-3)
+
+
+def test_a_turned_photo_with_corners_is_refused(tmp_path: Path) -> None:
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    Image.fromarray(smooth(60, 80)).save(tmp_path / "a.jpg", exif=turned)
+    refused(tmp_path / "a.jpg", "EXIF orientation 6", "save it upright", corners=corners())
+    turned[0x0112] = 1
+    Image.fromarray(smooth(60, 80)).save(tmp_path / "a.jpg", exif=turned)
+    assert open_map(tmp_path / "a.jpg", MapOptions(corners=corners())).frame.latitude == pytest.approx(47.9996)
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 64), (64, 1), (2, 2), (15, 400)])
+def test_a_map_of_too_few_pixels_is_refused(tmp_path: Path, rows: int, columns: int) -> None:
+    refused(
+        write_geotiff(tmp_path / "town.tif", smooth(64, 400)[:rows, :columns]),
+        f"The map town has {columns} x {rows} pixels; expected at least 16 on each side",
+    )
+
+
+def test_narrow_strips_are_sheets_of_a_map_that_is_large_enough(tmp_path: Path) -> None:
+    picture = smooth(60, 80)
+    whole = open_map(write_geotiff(tmp_path / "whole.tif", picture))
+    strips = [
+        write_geotiff(tmp_path / f"{row}.tif", picture[row : row + 5], matrix=(0.5, 0, EAST, 0, -0.5, NORTH - row / 2))
+        for row in range(0, 60, 5)
+    ]
+    assert open_map(strips).bounds == pytest.approx(whole.bounds, abs=0.01)
+    refused(strips[:2], "80 x 10 pixels")
+    assert open_map(write_geotiff(tmp_path / "least.tif", smooth(16, 16))).bounds
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("a.ecw", b"e\x02" + bytes(99), "is an ECW file"),
+        ("a.sid", b"msid" + bytes(99), "is a MrSID file"),
+        ("a.pdf", b"%PDF-1.6\n", "is a PDF"),
+        ("a.zip", b"PK\x03\x04" + bytes(99), "unpack it first"),
+        ("a.tif", b"PK\x03\x04" + bytes(99), "unpack it first"),
+        ("a.tif", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
+        ("a.tif", b"<!doctype html><html>Please log in</html>", "a page of HTML"),
+        ("a.tif", b"", "is empty"),
+        ("a.laz", b"LASF" + bytes(99), "a point cloud"),
+        ("a.pmtiles", b"PMTiles\x03" + bytes(99), "pmtiles convert"),
+        ("a.geojson", b'{"type": "FeatureCollection", "features": []}', "lines and points"),
+        (
+            "a.kml",
+            b"<?xml version='1.0'?><kml xmlns='http://www.opengis.net/kml/2.2'><Placemark/></kml>",
+            "give its picture with --corners",
+        ),
+        ("a.kmz", b"PK\x03\x04" + bytes(99), "a file of Google Earth"),
+        ("a.ntf", b"NITF02.10" + bytes(99), "is a NITF file"),
+        ("a.nc", b"\x89HDF\r\n\x1a\n" + bytes(99), "a netCDF or HDF file"),
+        ("a.tpkx", b"PK\x03\x04" + bytes(99), "a tile package of ArcGIS"),
+        ("a.qgz", b"PK\x03\x04" + bytes(99), "a project"),
+        ("a.mp4", b"\0\0\0\x18ftypmp42", "a flight of it with lpn flight"),
+        ("a.pth", b"PK\x03\x04" + bytes(99), "a file of a model"),
+    ],
+)
+def test_what_is_no_raster_is_called_what_it_is(tmp_path: Path, name: str, data: bytes, words: str) -> None:
+    (tmp_path / name).write_bytes(data)
+    refused(tmp_path / name, f"{name} is ", words)
+
+
+def test_a_file_of_several_rasters_names_them(tmp_path: Path) -> None:
+    import rasterio.shutil
+
+    source, path = write_geotiff(tmp_path / "a.tif", smooth(64, 64)), tmp_path / "a.gpkg"
+    rasterio.shutil.copy(str(source), str(path), driver="GPKG")
+    assert open_map(path).frame == open_map(source).frame
+    more = {"APPEND_SUBDATASET": "YES", "RASTER_TABLE": "second"}
+    rasterio.shutil.copy(str(source), str(path), driver="GPKG", **more)
+    refused(path, "rasters (", "export the right one as GeoTIFF")
+
+
+@pytest.mark.parametrize(
+    ("driver", "name"), [("JP2OpenJPEG", "b.jp2"), ("COG", "b.tif"), ("HFA", "b.img"), ("BMP", "b.bmp")]
+)
+def test_other_rasters_with_a_georeference_are_the_geotiff(tmp_path: Path, driver: str, name: str) -> None:
+    import rasterio.shutil
+
+    source = write_geotiff(tmp_path / "a.tif", smooth(64, 64))
+    rasterio.shutil.copy(str(source), str(tmp_path / name), driver=driver)
+    assert open_map(tmp_path / name).frame == open_map(source).frame
+
+
+def test_a_tile_cache_of_arcgis_is_named(tmp_path: Path) -> None:
+    level = tmp_path / "_alllayers" / "L10" / "R000000a1"
+    level.mkdir(parents=True)
+    Image.fromarray(smooth(256, 256)).save(level / "C000000b2.png")
+    refused(tmp_path, "is a tile cache of ArcGIS")
+
+
+def test_a_photo_turned_by_its_world_file_in_degrees(tmp_path: Path) -> None:
+    """Programs for single drone photos write such files: turned by nearly 180 degrees."""
+    steps = (-3.5e-07, 2.6e-09, 3.1e-09, 3.0e-07)
+    path = picture_with_world_file(tmp_path / "a.jpg", ".jgw", None, "\n".join(map(str, (*steps, -51.7, -19.7))))
+    town = open_map(path, MapOptions(crs="EPSG:4326"))
+    east, north = -51.7 + 79.5 * steps[0] + 59.5 * steps[2], -19.7 + 79.5 * steps[1] + 59.5 * steps[3]
+    assert (town.frame.latitude, town.frame.longitude) == pytest.approx((north, east), abs=1e-6)
+    assert town.read(Window(0, 0, 2), 20)[1].all()
+
+
+def test_an_approximate_world_file_is_named(tmp_path: Path) -> None:
+    path = picture_with_world_file(tmp_path / "a.tif", ".tfwx")
+    refused(path, "a.tfwx stands for a transform that no world file can hold", "gdalwarp")
+
+
+def test_coordinates_of_pixel_centres_are_those_of_the_corner(tmp_path: Path) -> None:
+    """A GeoTIFF whose raster type is PixelIsPoint lies where the same one with PixelIsArea lies."""
+    import rasterio
+
+    path = write_geotiff(tmp_path / "a.tif", smooth(64, 64))
+    frame, bounds = open_map(path).frame, open_map(path).bounds
+    with rasterio.open(path, "r+") as file:
+        file.update_tags(AREA_OR_POINT="Point")
+    with rasterio.open(path) as file:
+        assert file.tags()["AREA_OR_POINT"] == "Point"
+    assert (open_map(path).frame, open_map(path).bounds) == (frame, bounds)
+
+
+@pytest.mark.parametrize(
+    ("crs", "words"),
+    [
+        ("EPSG:26732", "lies on the datum North American Datum 1927, and its places may be off by some 20 m"),
+        ("EPSG:2334", "lies on the datum Xian 1980, and its places may be off by more than 100 m"),
+        ("+proj=utm +zone=32 +ellps=bessel +units=m", "by more than 100 m, as no way from it to WGS 84 is known"),
+        ("EPSG:4807", "by some 2 m"),
+        ("EPSG:4818", "by some 6 m"),
+        ("EPSG:4806", "by some 4 m"),
+        ("EPSG:4004", "Not specified based on Bessel 1841 ellipsoid, and its places may be off by more than 100 m"),
+        ("EPSG:4019", ""),
+        ("+proj=utm +zone=32 +ellps=bessel +towgs84=598,74,418,0.2,0,-2.5,6.7", ""),
+        ("EPSG:25832", ""),
+        ("EPSG:3857", ""),
+        ("EPSG:2056", ""),
+    ],
+)
+def test_a_map_on_an_old_datum_tells_how_far_off_it_may_be(crs: str, words: str) -> None:
+    notes = datum_notes([("a.tif", parse_crs(crs))])
+    assert (words in notes[0]) if words else not notes
+
+
+def test_a_map_has_one_note_for_all_sheets_on_an_old_datum(tmp_path: Path) -> None:
+    files = [
+        write_geotiff(tmp_path / f"{name}.tif", smooth(120, 160), "EPSG:31467", (0.5, 0, x, 0, -0.5, 5_400_000))
+        for name, x in (("a", 3_500_000), ("b", 3_500_050))
+    ]
+    made = build_map(files, tmp_path / "map")
+    (note,) = (note for note in made.notes if "Deutsches Hauptdreiecksnetz" in note)
+    assert re.match(r"2 sheets, such as [ab]\.tif, lie on", note)
+    assert open_map(tmp_path / "map").notes == made.notes
+    assert any(note.startswith("a.tif lies on the datum") for note in open_map(files[0]).notes)
+
+
+@pytest.mark.parametrize(
+    ("text", "code"),
+    [
+        (" EPSG:32632\n", 32632),
+        ("32632 ", 32632),
+        ("urn:ogc:def:crs:EPSG::32632", 32632),
+        ("urn:ogc:def:crs:EPSG:9.9:32632", 32632),
+        ("EPSG: 32632", 32632),
+        ("http://www.opengis.net/def/crs/EPSG/0/32632", 32632),
+        ("+init=epsg:32632", 32632),
+        ("+zone=32 +proj=utm +datum=WGS84", 32632),
+        ("wgs84", 4326),
+        ("NAD83", 4269),
+        ("NAD27", 4267),
+        ("WGS72", 4322),
+        ("IAU_2015:30100", None),
+    ],
+)
+def test_spellings_of_a_crs(text: str, code: int | None) -> None:
+    assert parse_crs(text).to_epsg() == code
+
+
+def test_what_is_no_crs_is_said_without_a_line_of_gdal(capfd: pytest.CaptureFixture[str]) -> None:
+    for text in (
+        "nonsense",
+        "FOO:BAR",
+        "urn:ogc:def:crs:EPSG::1",
+        "urn:ogc:def:crs:../a:b:c",
+        "WGS84 or so",
+        "+proj=none",
+    ):
+        with pytest.raises(InputError, match="There is no CRS"):
+            parse_crs(text)
+    assert capfd.readouterr() == ("", "")

@@ -1,0 +1,425 @@
+from __future__ import annotations
+
+import gzip
+import io
+import json
+import math
+import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+from PIL import EpsImagePlugin, Image
+
+from lpn.cli.main import main
+from lpn.core.arrays import UInt8Array
+from lpn.core.errors import DataError, InputError
+from lpn.flight.maps import Map, MapOptions, Window, open_map
+from lpn.flight.maps.folder import build_map
+from tests.lpn.flight.maps.small_maps import smooth, write_geotiff
+from tools.fixtures.small_tiles import (
+    NORTH,
+    WEST,
+    ZOOM,
+    bounds_text,
+    encoded,
+    matrix,
+    write_folder,
+    write_mbtiles,
+)
+
+PICTURE = smooth(512, 512)
+FINE = smooth(1024, 1024)
+# Middle of the four tiles.
+LATITUDE, LONGITUDE = 48.205456, 9.103546
+METADATA = {"name": "town", "format": "png", "bounds": bounds_text()}
+
+
+@pytest.fixture(scope="module")
+def same(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    """The map that the tiles were cut of."""
+    return open_map(write_geotiff(tmp_path_factory.mktemp("same") / "same.tif", PICTURE, "EPSG:3857", matrix()))
+
+
+@pytest.fixture(scope="module")
+def fine(tmp_path_factory: pytest.TempPathFactory) -> Map:
+    """The map that the tiles of 512 pixels were cut of."""
+    return open_map(write_geotiff(tmp_path_factory.mktemp("fine") / "fine.tif", FINE, "EPSG:3857", matrix(512)))
+
+
+def check(town: Map, same: Map, tolerance: int = 3) -> list[str]:
+    """Check that two maps show the same at the same place; return the notes of the first."""
+    assert (town.frame.latitude, town.frame.longitude) == (same.frame.latitude, same.frame.longitude)
+    assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
+    np.testing.assert_allclose(town.bounds, same.bounds, atol=0.01)
+    assert town.resolution == pytest.approx(same.resolution)
+    for window in (Window(0, 0, 60), Window(20, -30, 100, 40)):
+        picture, valid = town.read(window, 80)
+        assert valid.all()
+        np.testing.assert_allclose(picture.astype(int), same.read(window, 80)[0], atol=tolerance)
+    return town.notes
+
+
+def refused(path: Path, *words: str) -> None:
+    with pytest.raises(DataError) as caught:
+        open_map(path)
+    for word in words:
+        assert word in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"),
+    [
+        ("{z}/{x}/{y}.png", 3),
+        ("{z}/{x}/{y}.webp", 12),
+        ("{z}/{x}/{y}.jpg", 12),
+        ("{z}/{x}/{y}.PNG", 3),
+        ("{z}/{x}/{y}.png.tile", 3),  # OsmAnd, osmdroid
+        ("{z}/{x}/{y}", 3),
+    ],
+)
+def test_tiles_by_the_names_that_programs_give_them(tmp_path: Path, same: Map, name: str, tolerance: int) -> None:
+    notes = check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same, tolerance)
+    assert notes == ["town is shown at zoom 18, the deepest of 1."]
+
+
+def test_the_names_of_one_folder_may_be_mixed(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    jpeg = write_folder(tmp_path / "jpeg", PICTURE, "{z}/{x}/{y}.jpg")
+    name = f"{ZOOM}/{WEST}/{NORTH}"
+    (jpeg / f"{name}.jpg").rename(tiles / f"{name}.jpg")
+    (tiles / f"{name}.png").unlink()
+    for other in ("leaflet.html", "openlayers.html", "doc.kml", f"{name}.kml"):  # as gdal2tiles leaves them
+        (tiles / other).write_text("<html/>")
+    Image.fromarray(smooth(50, 50)).save(tiles / "preview.png")
+    assert check(open_map(tiles), same, 12) == ["town is shown at zoom 18, the deepest of 1."]
+
+
+def test_tiles_of_512_pixels(tmp_path: Path, fine: Map) -> None:
+    for name in ("{z}/{x}/{y}@2x.png", "{z}/{x}/{y}.png"):
+        check(open_map(write_folder(tmp_path / name[-7:], FINE, name, side=512)), fine)
+    assert check(open_map(write_mbtiles(tmp_path / "town.mbtiles", FINE, METADATA, side=512)), fine) == []
+
+
+def test_tiles_of_512_pixels_come_before_plain_ones(tmp_path: Path, fine: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    write_folder(tiles, FINE, "{z}/{x}/{y}@2x.png", side=512)
+    check(open_map(tiles), fine)
+    # A tile that is there in 256 pixels alone is enlarged.
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}@2x.png").unlink()
+    town = open_map(tiles)
+    assert town.read(Window(-40, 40, 60), 60)[1].all()
+    assert town.resolution == pytest.approx(fine.resolution)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("{z}/{x}/{south}.png", "In town, rows count from the south (TMS): there the tiles fit together."),
+        ("{z}/{y}/{x}.png", "In town, names are {z}/{y}/{x}, with rows from the north: there the tiles fit together."),
+    ],
+)
+def test_the_order_of_tiles_without_metadata_is_that_in_which_they_fit(
+    tmp_path: Path, same: Map, name: str, words: str
+) -> None:
+    assert check(open_map(write_folder(tmp_path / "town", PICTURE, name)), same)[1:] == [words]
+
+
+@pytest.mark.parametrize("colour", [0, 255])
+def test_a_border_does_not_hide_the_order_of_tiles(tmp_path: Path, colour: int) -> None:
+    """Above the first row and below the second one there is the same colour, which would fit in the wrong order, too."""
+    picture = smooth(512, 768)
+    picture[:40] = picture[472:] = colour
+    for name in ("{z}/{x}/{y}.png", "{z}/{x}/{south}.png"):
+        town = open_map(write_folder(tmp_path / f"{len(name)}", picture, name))
+        assert town.frame.latitude == LATITUDE
+    # Nothing else than the colour touches.
+    picture[200:300] = colour
+    town = open_map(write_folder(tmp_path / "bare", picture))
+    assert any("does not say where its rows begin" in note for note in town.notes)
+
+
+def test_tiles_that_fit_are_right_against_their_metadata(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / "tilemapresource.xml").write_text("<TileMap/>")
+    words = "In town, rows count from the north (XYZ): there the tiles fit together."
+    assert words in check(open_map(tiles), same)
+
+
+def test_metadata_decide_about_tiles_that_do_not_tell(tmp_path: Path) -> None:
+    """Tiles of one colour fit together in every order."""
+    plain = np.full((512, 512, 3), 90, np.uint8)
+    north = open_map(write_folder(tmp_path / "plain", plain))
+    assert north.frame.latitude == LATITUDE
+    assert north.notes[1:] == [
+        "plain does not say where its rows begin; they are counted from the north (XYZ). For rows from the south (TMS), add a "
+        "tilemapresource.xml."
+    ]
+    south = write_folder(tmp_path / "south", plain, "{z}/{x}/{south}.png")
+    assert open_map(south).frame.latitude == -LATITUDE
+    profile = "<TileMap><SRS>EPSG:900913</SRS><TileSets profile='mercator'/></TileMap>"
+    for name, text in (
+        ("tilemapresource.xml", profile),
+        ("metadata.json", json.dumps({"scheme": "tms"})),
+        ("metadata.json", json.dumps({"bounds": bounds_text()})),
+        ("tiles.json", json.dumps({"bounds": [float(edge) for edge in bounds_text().split(",")]})),
+    ):
+        (south / name).write_text(text)
+        town = open_map(south)
+        assert (town.frame.latitude, town.frame.longitude) == (LATITUDE, LONGITUDE)
+        assert not any("does not say where its rows begin" in note for note in town.notes)
+        (south / name).unlink()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<TileMap><SRS>EPSG:4326</SRS><TileSets profile='geodetic'/></TileMap>",
+        "<TileMap><SRS>EPSG:3067</SRS><TileSets profile='raster'/></TileMap>",
+        "<TileMap><SRS></SRS><TileSets profile='raster'/></TileMap>",
+    ],
+)
+def test_tiles_in_another_projection_are_refused(tmp_path: Path, text: str) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / "tilemapresource.xml").write_text(text)
+    refused(tiles, "expected Web Mercator (EPSG:3857)")
+    (tiles / "tilemapresource.xml").unlink()
+    (tiles / "metadata.json").write_text(json.dumps({"profile": "geodetic"}))
+    refused(tiles, "the profile geodetic", "expected Web Mercator (EPSG:3857)")
+
+
+def jpeg(tile: UInt8Array) -> bytes:
+    return encoded(tile, "JPEG")
+
+
+MBTILES: dict[str, tuple[dict[str, str], dict[str, Any], int]] = {
+    "as its format wants": (METADATA, {}, 3),
+    "JPEG": (METADATA | {"format": "jpg"}, {"encode": jpeg}, 12),
+    "scheme tms": (METADATA | {"scheme": "tms"}, {}, 3),
+    "empty metadata": ({}, {}, 3),
+    "tiles from a view": (METADATA, {"schema": "view"}, 3),
+    "bounds that are none": (METADATA | {"bounds": "a,b"}, {}, 3),
+}
+
+
+@pytest.mark.parametrize("case", MBTILES)
+def test_an_mbtiles_is_read_by_its_tiles(tmp_path: Path, same: Map, case: str) -> None:
+    metadata, options, tolerance = MBTILES[case]
+    town = open_map(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, **options))
+    assert check(town, same, tolerance) == []
+
+
+def vector(_: Any) -> bytes:
+    return gzip.compress(b"\x1a\x10" + bytes(50))
+
+
+_NONE = "has no valid pixel"
+_UNKNOWN = "cannot be read as a map"
+UNREAD: dict[str, tuple[dict[str, str] | None, dict[str, Any], str]] = {
+    "scheme xyz": (METADATA | {"scheme": "xyz"}, {"from_south": False}, "counts its rows from the north (scheme xyz)"),
+    "rows from the north": (METADATA, {"from_south": False}, _NONE),
+    "gzipped pictures": (METADATA, {"encode": lambda tile: gzip.compress(encoded(tile))}, _NONE),
+    "pages of HTML": (METADATA, {"encode": lambda _: b"<!DOCTYPE html><html>Not found</html>"}, _NONE),
+    "zooms that are too small": (METADATA | {"minzoom": "0", "maxzoom": "10"}, {}, _NONE),
+    "bounds of the world": (METADATA | {"bounds": "-180.0,-85,180,85"}, {}, "a first look at it would take"),
+    "vector tiles": (METADATA | {"format": "pbf"}, {"encode": vector}, _UNKNOWN),
+    "no metadata": (None, {}, _UNKNOWN),
+    "map and images without a view": (METADATA, {"schema": "no view"}, _UNKNOWN),
+}
+
+
+@pytest.mark.parametrize("case", UNREAD)
+def test_an_mbtiles_against_its_format_is_refused(tmp_path: Path, case: str) -> None:
+    metadata, options, words = UNREAD[case]
+    refused(write_mbtiles(tmp_path / "town.mbtiles", PICTURE, metadata, **options), words)
+
+
+def test_missing_tiles_of_an_mbtiles_have_no_data(tmp_path: Path) -> None:
+    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA, encode=jpeg)
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM tiles WHERE rowid = 1")
+    database.close()
+    assert open_map(path).overview(200)[1].mean() == pytest.approx(0.75, abs=0.01)
+
+
+def test_bounds_that_do_not_fit_the_tiles_are_named(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / "metadata.json").write_text(json.dumps({"bounds": "8,40,8.1,40.1"}))
+    words = "The bounds that town states do not fit its tiles, and are left out of account."
+    assert words in check(open_map(tiles), same)
+
+
+@pytest.mark.parametrize("kind", ["folder", "mbtiles"])
+def test_stated_bounds_cut_the_filling_of_the_last_tiles(tmp_path: Path, kind: str) -> None:
+    picture = PICTURE.copy()
+    picture[384:] = picture[:, 448:] = 255
+    metadata = {"bounds": bounds_text(1.75, 1.5)}
+    if kind == "folder":
+        path = write_folder(tmp_path / "town", picture)
+        (path / "metadata.json").write_text(json.dumps(metadata))
+    else:
+        path = write_mbtiles(tmp_path / "town.mbtiles", picture, metadata)
+    town = open_map(path)
+    west, south, east, north = town.bounds
+    pixel = matrix()[0] * math.cos(math.radians(LATITUDE))
+    assert (east - west, north - south) == pytest.approx((448 * pixel, 384 * pixel), rel=2e-3)
+    picture, valid = town.overview(400)
+    assert valid.mean() > 0.99
+    assert not (picture > 250).all(axis=2).any()
+
+
+def test_a_white_border_of_tiles_has_no_data(tmp_path: Path) -> None:
+    picture = PICTURE.copy()
+    picture[:, :205] = 255
+    for path in (write_mbtiles(tmp_path / "town.mbtiles", picture, {}), write_folder(tmp_path / "town", picture)):
+        town = open_map(path)
+        assert f"The white border of {path.name} (40% of it) is taken as no data." in town.notes
+        assert town.overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+        assert open_map(path, MapOptions(keep_borders=True)).overview(200)[1].mean() > 0.99
+        build_map([path], tmp_path / "map")
+        assert open_map(tmp_path / "map").overview(200)[1].mean() == pytest.approx(0.6, abs=0.015)
+    with pytest.raises(InputError, match="leave CRS, corners, and bands out"):
+        open_map(tmp_path / "town", MapOptions(bands=(1,)))
+
+
+def test_a_database_in_a_read_only_folder_needs_no_files_beside_it(tmp_path: Path, same: Map) -> None:
+    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, METADATA)
+    with sqlite3.connect(path) as database:
+        assert database.execute("PRAGMA journal_mode = WAL").fetchone() == ("wal",)
+    database.close()
+    for name in ("town.mbtiles-wal", "town.mbtiles-shm"):
+        (tmp_path / name).unlink(missing_ok=True)
+    check(open_map(path), same)
+    assert [file.name for file in tmp_path.iterdir()] == ["town.mbtiles"]
+
+
+def test_changes_that_are_still_in_the_log_of_a_database_are_read(tmp_path: Path, same: Map) -> None:
+    path = write_mbtiles(tmp_path / "town.mbtiles", PICTURE, {"name": "town"})
+    database = sqlite3.connect(path)
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("UPDATE metadata SET value = 'other' WHERE name = 'name'")
+    database.execute("DELETE FROM tiles WHERE tile_column = ?", (WEST + 1,))
+    database.commit()
+    town = open_map(path)
+    assert town.bounds[2] - town.bounds[0] == pytest.approx((same.bounds[2] - same.bounds[0]) / 2, abs=0.1)
+    town.close()
+    database.close()
+
+
+def test_a_tile_in_postscript_runs_no_program(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = MagicMock()
+    monkeypatch.setattr(EpsImagePlugin, "Ghostscript", ran)
+    drawn = b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 256 256\n%%EndComments\nshowpage\n"
+    with Image.open(io.BytesIO(drawn)) as picture, suppress(AttributeError, TypeError):
+        picture.load()
+    assert ran.called  # by Pillow itself
+    ran.reset_mock()
+    tiles = write_folder(tmp_path / "tiles", PICTURE)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(drawn)
+    refused(tiles, "cannot be read as a picture")
+    assert not ran.called
+
+
+def test_vector_tiles_are_named(tmp_path: Path) -> None:
+    tiles = write_folder(tmp_path / "tiles", PICTURE, "{z}/{x}/{y}.pbf")
+    refused(tiles, "vector tiles (pbf)")
+
+
+def test_databases_without_tiles_are_named(tmp_path: Path) -> None:
+    (tmp_path / "empty.mbtiles").touch()
+    refused(tmp_path / "empty.mbtiles", "is empty")
+    (tmp_path / "text.mbtiles").write_text("no database")
+    refused(tmp_path / "text.mbtiles", "cannot be read as a map")
+    refused(write_mbtiles(tmp_path / "none.mbtiles", smooth(9, 9), {}), "cannot be read as a map")
+    with sqlite3.connect(tmp_path / "other.mbtiles") as database:
+        database.execute("CREATE TABLE roads (name TEXT)")
+    refused(tmp_path / "other.mbtiles", "cannot be read as a map")
+    path = write_mbtiles(tmp_path / "text_zoom.mbtiles", PICTURE, {})
+    with sqlite3.connect(path) as database:
+        database.execute("UPDATE tiles SET zoom_level = 'deep'")
+    refused(path, "cannot be read as a map")
+    (tmp_path / "town.sqlitedb").write_bytes(path.read_bytes())
+    refused(tmp_path / "town.sqlitedb", "is a set of tiles that is no .mbtiles; export it as .mbtiles.")
+
+
+def test_empty_tiles_have_no_data(tmp_path: Path) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(b"")
+    assert open_map(tiles).overview(200)[1].mean() == pytest.approx(0.75, abs=0.01)
+    for file in tiles.rglob("*.png"):
+        file.write_bytes(b"")
+    refused(tiles, "are empty")
+
+
+def test_pages_of_html_among_the_tiles_have_no_data(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = b"<!DOCTYPE html><html>Not found</html>"
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    (tiles / f"{ZOOM}/{WEST}/{NORTH}.png").write_bytes(page)
+    assert main(["map", str(tiles), "--out", str(tmp_path / "map")]) == 0
+    printed = capsys.readouterr().out
+    assert "Some tiles of town are text, as a failed download leaves them; they have no data." in printed
+    assert "75% of it with data" in printed
+
+
+def test_the_content_of_a_tile_decides_about_its_format(tmp_path: Path, same: Map) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE, "{z}/{x}/{y}.jpg")
+    for file in list(tiles.rglob("*.jpg")):
+        file.rename(file.with_suffix(".png"))
+    check(open_map(tiles), same, 12)
+
+
+def test_a_coarser_zoom_that_reaches_further_is_named(tmp_path: Path) -> None:
+    tiles = write_folder(tmp_path / "town", PICTURE)
+    finer = tiles / str(ZOOM + 1) / str(2 * WEST)
+    finer.mkdir(parents=True)
+    Image.fromarray(smooth(256, 256)).save(finer / f"{2 * NORTH}.png")
+    assert "Zoom 18 of town reaches further than zoom 19; that part is not shown." in open_map(tiles).notes
+
+
+def test_the_folder_of_tiles_is_named_from_above_and_below(tmp_path: Path) -> None:
+    write_folder(tmp_path / "download" / "tiles", PICTURE)
+    refused(tmp_path / "download", "give", str(tmp_path / "download" / "tiles"))
+    refused(tmp_path / "download" / "tiles" / str(ZOOM), "give", str(tmp_path / "download" / "tiles") + ".")
+
+
+def test_pictures_that_only_look_like_tiles_are_sheets(tmp_path: Path) -> None:
+    """Numbers in names are no tiles where a world file or another picture stands beside them."""
+    Image.fromarray(PICTURE).save(tmp_path / "18_137700_90900.png")
+    write_geotiff(tmp_path / "32_500_5316.tif", smooth(60, 60))
+    (tmp_path / "18_137700_90900.pgw").write_text("0.5\n0\n0\n-0.5\n500000\n5316000\n")
+    (tmp_path / "18_137700_90900.prj").write_text("EPSG:32632")
+    assert [sheet.name for sheet in open_map(tmp_path).sheets] == ["18_137700_90900.png", "32_500_5316.tif"]
+
+
+@pytest.mark.parametrize("write", [write_folder, partial(write_mbtiles, metadata=METADATA)])
+def test_the_command_maps_tiles_and_the_folder_moves_with_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], same: Map, write: Callable[[Path, UInt8Array], Path]
+) -> None:
+    (tmp_path / "all").mkdir()
+    written = write(tmp_path / "all" / "town.mbtiles", PICTURE)
+    assert main(["map", str(written), "--out", str(tmp_path / "all" / "map")]) == 0
+    assert "shows 204 m by 204 m about 48.205456, 9.103546, 100% of it with data" in capsys.readouterr().out
+    shutil.move(tmp_path / "all", tmp_path / "elsewhere")
+    check(open_map(tmp_path / "elsewhere" / "map"), same)
+
+
+@pytest.mark.parametrize("write", [write_folder, partial(write_mbtiles, metadata=METADATA)])
+def test_a_large_set_is_read_from_many_threads(
+    tmp_path: Path, write: Callable[[Path, UInt8Array], Path], same: Map
+) -> None:
+    from concurrent.futures import ThreadPoolExecutor
+
+    town = open_map(write(tmp_path / "town.mbtiles", PICTURE))
+    windows = [Window(x, y, 40, x) for x in range(-50, 50, 20) for y in range(-50, 50, 20)]
+    with ThreadPoolExecutor(4) as threads:
+        for window, (picture, valid) in zip(windows, threads.map(lambda w: town.read(w, 32), windows), strict=True):
+            assert valid.all()
+            np.testing.assert_allclose(picture.astype(int), same.read(window, 32)[0], atol=2)
+    town.close()
