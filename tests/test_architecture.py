@@ -48,8 +48,8 @@ def test_no_room_of_the_model_and_its_answers_imports_those_of_flights() -> None
     assert not wrong, "\n".join(sorted(wrong))
 
 
-# Modules outside the flights' rooms that may import them: windows of a map in stores and in training, and the explorer's own photos,
-# which each lead to one of their functions. All else reaches flights by entry points.
+# Rooms outside lpn.flight that may import it: windows of a map in stores and in training, and the explorer's own photos.
+# All else reaches flights by entry points.
 REACHES_FLIGHTS = {
     "lpn.cli", "lpn.index", "lpn.training", "explorer.cli", "explorer.compute", "explorer.flight", "explorer.opening",
     "explorer.screen", "explorer.uploads", "explorer.workspace",

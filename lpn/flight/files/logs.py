@@ -7,9 +7,9 @@
     SourceFile,GPSLatitude,GPSLongitude                                                 exiftool -csv: 47 deg 18' 4.44" N
 
 Columns are known by their names (`lpn.flight.files.log_columns`), in any order, and their values must be what the name says:
-degrees on the Earth. Lines of comment before the names, decimal commas, degrees and minutes, letters of hemispheres, degrees times 1e7,
-radians, and a latitude and longitude whose names are swapped are told from the file as a whole, and a note says so. Where nothing
-names a unit, metres, degrees, and seconds are meant. GPX is read by `lpn.flight.files.track_files`.
+degrees on the Earth. Lines of comment before the names, decimal commas, degrees and minutes, letters of hemispheres, degrees
+times 1e7, radians, and a latitude and longitude whose names are swapped are told from the file as a whole, and a note says
+so. Where nothing names a unit, metres, degrees, and seconds are meant. GPX is read by `lpn.flight.files.track_files`.
 """
 
 from __future__ import annotations

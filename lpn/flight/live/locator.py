@@ -1,9 +1,9 @@
 """One frame of a flight that goes on: its windows ranked, the forward half of the sequence, and registration near its prediction.
 
 The model of `lpn.flight.locate.sequence` runs forward only: a frame's answer depends on frames before it. Differences from a
-flight that is whole are these. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. Frames that follow each
-other quickly show nearly the same ground, so that their scores count less: by the share of the distance between two windows that
-the drone flies meanwhile. An accepted registration is evidence for the next frame's place, too.
+flight that is whole are these. Descriptors are centred by the mean of the frames so far, from 20 distinct ones on. Frames
+that follow each other quickly show nearly the same ground, so that their scores count less: by the share of the distance
+between two windows that the drone flies meanwhile. An accepted registration is evidence for the next frame's place, too.
 """
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ def register_own_photo(
     """Register a photo of which nothing needs to be known: neither its place nor its heading, height, or field of view.
 
     It is accepted by the rules of a flight's photos, see `lpn.flight.locate.registration`, and needs more support
-    than these, see `lpn.flight.locate.registration.proven`. The whole map is searched where it is small enough, so that every place
-    that looks alike is a rival.
+    than these, see `lpn.flight.locate.registration.proven`. The whole map is searched where it is small enough, so that every
+    place that looks alike is a rival.
 
     Args:
         features: of the map by each matcher, which are tried in this order.
