@@ -80,12 +80,12 @@ test: check $(VENV)/.browser
 
 # Everything: all tests, what must not get worse, a short fuzz run, and a short soak. A whole file goes to one process, which shares
 # its servers; the files come in the order of tests/conftest.py, and not by their numbers of tests.
-# Fuzzing takes one core, and a soak waits for most of its time.
+# Fuzzing takes one core, and a soak waits for most of its time; its caches are full after a minute.
 test-all coverage: export LPN_MILVUS_PYTHON := $(abspath $(VENV)/milvus/bin/python)
 test-all: check $(VENV)/.browser $(VENV)/.milvus
 	$(PYTEST) --dist loadfile --no-loadscope-reorder -m '' --durations 40 --durations-min 5
 	$(MAKE) keep
-	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=1 ALONE=15 CLIENTS=8 PAGES=1
+	$(MAKE) -j2 fuzz soak INPUTS=300 MINUTES=3 ALONE=15 CLIENTS=8 PAGES=1
 
 # Lines and branches by room: make coverage OUT=slow.json TESTS="-m ''" with the slow tests.
 coverage: $(VENV)/.browser $(VENV)/.milvus

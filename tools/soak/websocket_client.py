@@ -47,7 +47,9 @@ class WebSocketSoakClient(SoakClient):
     def _pick(self) -> None:
         """Choose any query."""
         query = self._rng.randrange(len(self._reference.tasks[self._state.task].queries))
-        self._act("pick", lambda: self._tab.set(query=query, own=""), self._state.showing(query=query))
+        shown = query == self._state.query and not self._state.own  # it stays as it is
+        state = self._state if shown else self._state.showing(query=query)
+        self._act("pick", lambda: self._tab.set(query=query, own=""), state)
 
     def _weigh(self) -> None:
         """Weigh the parts, or count all alike."""
