@@ -4,7 +4,7 @@ import { find, make } from "./dom.js";
 
 const GAP = 6;
 
-/** A term that explains itself, for panels: `text` stands in place of its name. A panel's Python makes it by `term()`. */
+/** A term that explains itself, for panels: `text` stands in place of its name. */
 export const term = (name, text = name) => make("span", { class: "term", tabindex: 0, "data-term": name, text });
 /** Words that the glossary has not, with their meaning. */
 export const explained = (text, meaning) => make("span", { class: "term", tabindex: 0, "data-tip": meaning, text });
