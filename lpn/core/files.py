@@ -7,10 +7,8 @@ import hashlib
 import json
 import logging
 import math
-import mmap
 import os
 import re
-import sys
 import threading
 import time
 import unicodedata
@@ -168,11 +166,8 @@ def linked_folder(path: Path) -> Path:
     return path.with_name(name) if re.fullmatch(r"[\w-]+", name) else path
 
 
-def open_memmap(path: Path, at_random: bool = False) -> AnyArray:
+def open_memmap(path: Path) -> AnyArray:
     """Open the array of a `.npy` file, memory-mapped and read-only.
-
-    Args:
-        at_random: rows are read here and there, so the system must not read megabytes ahead of each.
 
     Raises:
         FileNotFoundError: if there is no file.
@@ -186,8 +181,6 @@ def open_memmap(path: Path, at_random: bool = False) -> AnyArray:
     # NumPy raises these on damaged headers.
     except (EOFError, SyntaxError, TokenError, TypeError, OverflowError, MemoryError) as error:
         raise ValueError("the file does not hold a valid array") from error
-    if at_random and isinstance(array.base, mmap.mmap) and sys.platform.startswith("linux"):
-        array.base.madvise(mmap.MADV_RANDOM)
     return array
 
 

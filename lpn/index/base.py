@@ -311,20 +311,6 @@ def check_box(box: Sequence[float] | None) -> DegreeBox | None:
     return values[0], values[1], values[2], values[3]
 
 
-def overlaps(extent: DegreeBox, box: DegreeBox) -> bool:
-    """Return whether an extent of positions, which never crosses the antimeridian, meets a box; False if it is NaN."""
-    south, west, north, east = box
-    both = [extent[3] >= west, extent[1] <= east]
-    return extent[2] >= south and extent[0] <= north and (all(both) if west <= east else any(both))
-
-
-def covers(box: DegreeBox, extent: DegreeBox) -> bool:
-    """Return whether a box contains an extent of positions, as for `overlaps`."""
-    south, west, north, east = box
-    both = [west <= extent[1], extent[3] <= east]
-    return south <= extent[0] and extent[2] <= north and (all(both) if west <= east else any(both))
-
-
 def within(positions: Float64Array, box: DegreeBox) -> BoolArray:
     """Return which positions (N, 2) are in a box, (N,); NaN is in no box."""
     south, west, north, east = box

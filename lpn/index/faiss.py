@@ -1,9 +1,10 @@
-"""faiss (the extra `search`), for 10^6 to 10^7 tiles on one machine: a faiss index beside the vectors of each larger segment.
+"""faiss (the extra `search`), for 10^6 to 10^7 tiles on one machine: a faiss index of the older parts, beside them.
 
-    faiss.index     in a segment's folder, with its rows in the segment's order
+    0000012.faiss     the rows of the oldest parts, in their order; index.json names it and them
 
 faiss proposes candidates by compact codes, and the float32 vectors on disk score them. Tiles that faiss does not propose are
-missed. `nprobe` and `depth` trade misses for time, and can be changed at any search.
+missed. `nprobe` and `depth` trade misses for time, and can be changed at any search. Newer parts are compared exhaustively, until
+their rows are more than those of the others: then all are learnt anew.
 
     flat        float32 vectors: the only misses are ties at the `depth`-th candidate within faiss's rounding
     sq8         inverted lists with a byte for each number
@@ -12,29 +13,27 @@ missed. `nprobe` and `depth` trade misses for time, and can be changed at any se
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
+from msgspec.structs import replace
 
 from lpn.core.arrays import Float32Array, Int64Array
 from lpn.core.errors import InputError, StoreError
-from lpn.core.files import unreadable_error
 from lpn.index.base import DegreeBox, DescriptorKind, SearchResult, check_box, check_count
-from lpn.index.folder import FolderIndex, IndexManifest, IndexSnapshot, create
-from lpn.index.segments import Segment
+from lpn.index.folder import EngineFile, FolderIndex, IndexManifest, IndexSnapshot, create
+from lpn.index.parts import Part, readable, sum_of
 
 Codes = Literal["flat", "sq8", "pq"]
 
-FILE = "faiss.index"
-# If at most this many tiles of a segment are in a box, all are compared, which is as fast and exact.
+# If at most this many tiles are in a box, all are compared, which is as fast and exact.
 _FEW = 4096
 # Maximum number of training vectors for each list.
 _SAMPLE = 64
-# Minimum number of training vectors for the codes, if the segment has as many.
+# Minimum number of training vectors for the codes, if there are as many.
 _LEAST = 16384
 _ROUNDS = 10
 _ROWS = 16384
@@ -55,10 +54,7 @@ class FaissIndex(FolderIndex):
     """
 
     engine = "faiss"
-    max_segment_bytes = 8 << 30
-    engine_file = FILE
-    # The newest segments have no faiss index and are compared exhaustively, up to this many tiles in all: training takes as long
-    # for few tiles as for many, too long for every small add.
+    # So many rows, at least, are compared exhaustively before codes are learnt.
     plain = 16384
 
     def __init__(self, folder: str | Path, nprobe: int = 64, depth: int = 16) -> None:
@@ -67,7 +63,8 @@ class FaissIndex(FolderIndex):
         super().__init__(folder)
         self.codes = cast(Codes, self._state.manifest.settings["codes"])
         self._lists = self.codes != "flat"
-        self._opened: dict[tuple[Path, tuple[int, int]], Any] = {}
+        # The faiss index that is open, with its file's name and the identities of the parts that it covers.
+        self._codes: tuple[object, Any] = None, None
 
     @classmethod
     def create(
@@ -102,123 +99,110 @@ class FaissIndex(FolderIndex):
         while True:
             state = self._current()
             try:
-                places = self._places(state, wanted.astype(np.float32), k, box)
-            except _ReplacedError:
-                continue
-            return self._result(state.segments, places, wanted, k)
+                proposed = self._proposed(state, wanted.astype(np.float32), k, box)
+            except StoreError:
+                if self._stamp() == state.stamp:
+                    raise
+                continue  # another process has learnt anew, and removed the file
+            return self._result(state, proposed, wanted, k)
 
     def close(self) -> None:
         """See `Index.close`."""
-        self._opened.clear()
+        self._codes = None, None
         super().close()
 
-    def _places(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: DegreeBox | None) -> Int64Array:
-        """Return the places of the candidates among the rows of all segments."""
-        proposed: list[Int64Array] = [np.zeros(0, np.int64)]
-        start = 0
-        for segment in state.segments:
-            proposed.append(self._proposed(state, segment, wanted, segment.chosen(box), k) + start)
-            start += segment.rows
-        return np.concatenate(proposed)
-
-    def _proposed(
-        self,
-        state: IndexSnapshot,
-        segment: Segment,
-        wanted: Float32Array,
-        rows: Int64Array | None,
-        k: int,
-    ) -> Int64Array:
-        """Return the candidate rows of one segment."""
-        size = segment.rows if rows is None else len(rows)
-        depth = min(size, max(k * self.depth, k))
-        if segment.rows <= self.plain or size <= max(_FEW, depth):
-            # Single precision reorders only ties in its last digits.
-            scores = (segment.in_order if rows is None else segment.vectors[rows]) @ wanted
-            first = np.argpartition(scores, size - depth)[size - depth :] if depth < size else np.arange(size)
-            return first if rows is None else rows[first]
-        index = self._index(state, segment)
+    def _proposed(self, state: IndexSnapshot, wanted: Float32Array, k: int, box: DegreeBox | None) -> Int64Array:
+        """Return the places of the candidates among all rows."""
+        file, depth = state.manifest.codes, max(k * self.depth, k)
+        covered = 0 if file is None else len(file.parts)
+        rows = [state.chosen(number, box) for number in range(covered)]
+        size = sum(part.rows if some is None else len(some) for part, some in zip(state.parts, rows, strict=False))
+        if size <= max(_FEW, depth):
+            return self._best_of(state, 0, wanted, depth, box)
+        assert file is not None
+        index = self._opened_codes(state, file)
+        selector = None
+        if any(some is not None for some in rows):
+            mask = np.zeros(state.starts[covered], np.uint8)
+            for start, part, some in zip(state.starts.tolist(), state.parts, rows, strict=False):
+                mask[start : start + part.rows] = 1 if some is None else np.isin(np.arange(part.rows), some)
+            selector = self._faiss.IDSelectorBitmap(np.packbits(mask, bitorder="little"))
         lists = index.nlist if self._lists else 1
         nprobe = min(self.nprobe, lists)
         while True:
-            proposed = index.search(wanted[None], depth, params=self._parameters(segment, rows, nprobe))[1][0]
-            proposed = proposed[proposed >= 0]
+            found = index.search(wanted[None], min(size, depth), params=self._parameters(selector, nprobe))[1][0]
+            found = found[found >= 0]
             # With a box, the visited lists may hold fewer than k tiles.
-            if len(proposed) >= min(k, size) or nprobe == lists:
-                return cast(Int64Array, proposed)
+            if len(found) >= min(k, size) or nprobe == lists:
+                return np.concatenate([found, self._best_of(state, covered, wanted, depth, box)])
             nprobe = min(2 * nprobe, lists)
 
-    def _parameters(self, segment: Segment, rows: Int64Array | None, nprobe: int) -> Any:
-        selector = None
-        if rows is not None:
-            mask = np.zeros(segment.rows, np.uint8)
-            mask[rows] = 1
-            selector = self._faiss.IDSelectorBitmap(np.packbits(mask, bitorder="little"))
+    def _best_of(
+        self, state: IndexSnapshot, first: int, wanted: Float32Array, depth: int, box: DegreeBox | None
+    ) -> Int64Array:
+        """Return the best rows of the parts from a first one on; single precision reorders only ties in its last digits."""
+        places, scores = state.scores(range(first, len(state.parts)), wanted, box)
+        return places if len(places) <= depth else places[np.argpartition(scores, len(places) - depth)[-depth:]]
+
+    def _parameters(self, selector: Any, nprobe: int) -> Any:
         if self._lists:
             return self._faiss.SearchParametersIVF(sel=selector, nprobe=nprobe)
         return self._faiss.SearchParameters(sel=selector)
 
-    def _index(self, state: IndexSnapshot, segment: Segment) -> Any:
-        """Open the faiss index of a segment of a snapshot, which other threads may have replaced since."""
-        this = segment.folder, segment.identity
-        opened = self._opened
-        if this in opened:
-            return opened[this]
-        there = {(one.folder, one.identity) for one in state.segments}
-        opened = self._opened = {which: one for which, one in opened.items() if which in there}
-        file = segment.folder / FILE
-        try:
-            index = self._faiss.read_index(str(file), self._faiss.IO_FLAG_MMAP if self._lists else 0)
-            if self._lists:
-                index.parallel_mode = 1  # threads share the lists of one query
-        except RuntimeError as error:
-            if self._stamp() != state.stamp:
-                raise _ReplacedError from error
+    def _opened_codes(self, state: IndexSnapshot, file: EngineFile) -> Any:
+        which = file.name, *(part.identity for part in state.parts[: len(file.parts)])
+        opened, index = self._codes
+        if opened == which:
+            return index
+        path = self.folder / file.name
+        with readable(path):
+            path.open("rb").close()
             try:
-                file.open("rb").close()
-            except FileNotFoundError:
-                pass
-            except OSError as why:
-                raise unreadable_error(file, why) from error
-            raise StoreError(
-                f"{FILE} in {segment.folder} is missing or damaged; delete the index and make it again."
-            ) from error
-        self._opened = opened | {this: index}
+                index = self._faiss.read_index(str(path), self._faiss.IO_FLAG_MMAP if self._lists else 0)
+            except RuntimeError as error:
+                raise ValueError("faiss cannot read it") from error
+        if self._lists:
+            index.parallel_mode = 1  # threads share the lists of one query
+        self._codes = which, index
         return index
 
-    def _plan_merge(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
-        plain = len(sizes)
-        while plain and sizes[plain - 1] <= self.plain:
-            plain -= 1
-        last = sum(sizes[plain:])
-        if last + rows <= self.plain:
-            unmerged, rows = super()._plan_merge(sizes[plain:], rows)
-            return plain + unmerged, rows
-        return super()._plan_merge(sizes[:plain], last + rows)
+    def _with_engine_file(self, manifest: IndexManifest) -> IndexManifest:
+        """Learn the codes of all parts, if those without are more than those with."""
+        covered = 0 if manifest.codes is None else len(manifest.codes.parts)
+        old, new = (sum(part.rows for part in some) for some in (manifest.parts[:covered], manifest.parts[covered:]))
+        if new <= max(self.plain, old):
+            return manifest
+        parts = tuple(part for part in manifest.parts if part.replaced < part.rows)
+        name = f"{manifest.next:07d}.faiss"
+        file = self.folder / name
+        self._learn([Part(self.folder / part.name, self.kind, part.rows).vectors for part in parts], file)
+        codes = EngineFile(name, tuple(part.name for part in parts), sum_of(file))
+        return replace(manifest, parts=parts, codes=codes, next=manifest.next + 1)
 
-    def _finish(self, folder: Path, rows: int) -> None:
-        """Train lists and codes on a sample of a segment's vectors, and write the faiss index."""
-        if rows <= self.plain:
-            return
-        vectors = np.load(folder / "vectors.npy", mmap_mode="r")
+    def _learn(self, parts: list[Float32Array], file: Path) -> None:
+        """Train lists and codes on a sample of all vectors, and write the faiss index."""
+        starts = np.cumsum([0, *map(len, parts)])
+        rows = int(starts[-1])
         name = _factory(self.codes, rows, self.kind)
         index = self._faiss.index_factory(self.kind.numbers, name, self._faiss.METRIC_INNER_PRODUCT)
         if self._lists:
             learners = [index.cp] if self.codes == "sq8" else [index.cp, index.pq.cp]
             for learner in learners:
                 learner.niter, learner.max_points_per_centroid, learner.min_points_per_centroid = _ROUNDS, _SAMPLE, 1
-            sample = np.random.default_rng(0).permutation(rows)[: max(_SAMPLE * index.nlist, _LEAST)]
-            index.train(np.ascontiguousarray(vectors[np.sort(sample)]))
-        for start in range(0, rows, _ROWS):
-            index.add(np.ascontiguousarray(vectors[start : start + _ROWS]))
+            sample = np.sort(np.random.default_rng(0).permutation(rows)[: max(_SAMPLE * index.nlist, _LEAST)])
+            bounds = np.searchsorted(sample, starts)
+            index.train(
+                np.concatenate(
+                    [part[sample[a:b] - at] for part, at, a, b in zip(parts, starts, bounds, bounds[1:], strict=False)]
+                )
+            )
+        for part in parts:
+            for start in range(0, len(part), _ROWS):
+                index.add(np.ascontiguousarray(part[start : start + _ROWS]))
         try:
-            self._faiss.write_index(index, str(folder / FILE))
+            self._faiss.write_index(index, str(file))
         except RuntimeError as error:
-            raise StoreError(f"{folder / FILE} cannot be written; free space or choose another folder.") from error
-
-
-class _ReplacedError(Exception):
-    """Another process has merged a segment into a new one since the manifest was read."""
+            raise StoreError(f"{file} cannot be written; free space or choose another folder.") from error
 
 
 def _factory(codes: Codes, rows: int, kind: DescriptorKind) -> str:

@@ -1,15 +1,10 @@
-"""An index in a folder: a manifest and segments of tiles, with atomic adds.
+"""An index in a folder: a manifest and immutable parts.
 
-    index.json       format, engine and its settings, model fingerprint, n, D, the segments, oldest first, and a checksum
-    0000012/ ...     segments, see `lpn.index.segments`, each with checksums.json: CRC-32 of every block of its files
+    index.json       format, engine and its settings, model fingerprint, n, D, the parts, oldest first, and a checksum
+    0000012/ ...     parts, see `lpn.index.parts`
 
-An add writes folders that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it
-was before, and the next add deletes the leftovers.
-
-Segments are merged as in a log-structured merge tree, so that many small adds do not slow searches down. An add
-starts with its own tiles. It then merges older segments, the newest first, while the next one has at most twice as many
-tiles as are merged so far. Up to `max_segment_bytes`, each segment is then more than twice as large as the next newer
-one. The number of segments, and how often a tile is rewritten, grow with the logarithm of the number of tiles.
+An add writes a part that the manifest does not name yet, and replaces the manifest last. If it is killed, the index is as it was
+before, and the next add deletes what it left. A name in a newer part wins.
 """
 
 from __future__ import annotations
@@ -17,14 +12,11 @@ from __future__ import annotations
 import json
 import os
 import re
-import zlib
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from dataclasses import replace as replace_fields
 from pathlib import Path
-from typing import Annotated
 
 import msgspec
 import numpy as np
@@ -42,42 +34,47 @@ from lpn.core.files import (
     write_atomic,
 )
 from lpn.core.formats import decode_json
-from lpn.index.base import (
-    DescriptorKind,
-    Index,
-    SearchResult,
-    best,
-    no_such_tile,
-    scores_of,
-)
-from lpn.index.segment_checksums import NAME, changed_files, write_checksums
-from lpn.index.segments import DEAD, FILES, Segment, TileBatch, identity_of, keys_of, write_segment
+from lpn.index.base import DegreeBox, DescriptorKind, Index, SearchResult, best, no_such_tile, scores_of, within
+from lpn.index.parts import FILES, Part, identity_of, readable, sum_of, write_part
 
-FORMAT = "lpn-index/1"
+FORMAT = "lpn-index/2"
 MANIFEST = "index.json"
-_TEMPORARY_SUFFIX = r"\.\d+-\d+\.part"
-_UNFINISHED = re.compile(re.escape(MANIFEST) + _TEMPORARY_SUFFIX)
-_SUMS = re.compile(f"{re.escape(NAME)}({_TEMPORARY_SUFFIX})?")
-_SEGMENT = re.compile(r"\d{7,}")
-_REMEDY = "delete the index and make it again"
+_UNFINISHED = re.compile(re.escape(MANIFEST) + r"\.\d+-\d+\.part")
+_PART, _CODES = re.compile(r"\d{7,}"), re.compile(r"\d{7,}\.faiss")
 _ATTEMPTS = 20
 _ROWS_PER_READ = 1024
+# Chosen rows are read by themselves if they are at most 1 / _FEW of a part, else all of its rows are.
+_FEW = 4
 
 
-class ManifestEntry(msgspec.Struct, frozen=True):
-    """A segment of an index.
+class PartEntry(msgspec.Struct, frozen=True):
+    """A part of an index.
 
     Attributes:
         name: its folder.
-        rows: number of tiles, including replaced ones.
-        dead: name of the file that marks replaced tiles; None if no tile was replaced.
-        dead_crc: CRC-32 of the file `dead`.
+        rows: number of its tiles.
+        replaced: number of those whose names are in newer parts.
+        sums: SHA-256 of each file.
     """
 
     name: str
-    rows: Annotated[int, msgspec.Meta(ge=0)]
-    dead: str | None = None
-    dead_crc: int | None = None
+    rows: int
+    sums: dict[str, str]
+    replaced: int = 0
+
+
+class EngineFile(msgspec.Struct, frozen=True):
+    """A file of an engine beside the parts.
+
+    Attributes:
+        name: of the file.
+        parts: the oldest parts of the index, which it covers.
+        sum: its SHA-256.
+    """
+
+    name: str
+    parts: tuple[str, ...]
+    sum: str
 
 
 class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
@@ -87,8 +84,9 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
         engine: "exact" or "faiss".
         fingerprint, n_parts, embedding: the descriptors, see `DescriptorKind`.
         settings: settings of the engine.
-        next: number of the next folder or file to be written.
-        segments: oldest first.
+        next: number of the next part to be written.
+        parts: oldest first.
+        codes: file of the engine, if it has one.
         windows: sides in metres and overlaps of a map's windows, see `Index.expect_windows`, the newest overlap of a side last;
             empty for other tiles.
         checksum: CRC-32 of all other values.
@@ -101,7 +99,8 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     embedding: int
     settings: dict[str, str] = {}
     next: int = 1
-    segments: tuple[ManifestEntry, ...] = ()
+    parts: tuple[PartEntry, ...] = ()
+    codes: EngineFile | None = None
     windows: tuple[tuple[float, float], ...] = ()
     checksum: int | None = None
 
@@ -109,6 +108,11 @@ class IndexManifest(msgspec.Struct, frozen=True, kw_only=True):
     def kind(self) -> DescriptorKind:
         """The kind of descriptors."""
         return DescriptorKind(self.fingerprint, self.n_parts, self.embedding)
+
+    @property
+    def tiles(self) -> int:
+        """Number of tiles."""
+        return sum(part.rows - part.replaced for part in self.parts)
 
     def to_json(self) -> bytes:
         """Encode the manifest with its checksum."""
@@ -153,7 +157,7 @@ class IndexContents:
 
     Attributes:
         tiles: number of tiles.
-        unfinished: segments of an add that was interrupted or is still running, whose tiles are not in the index.
+        unfinished: parts of an add that was interrupted or is still running, whose tiles are not in the index.
     """
 
     tiles: int
@@ -171,25 +175,19 @@ def verify(folder: Path) -> IndexContents:
             f"{folder} is an index whose making was interrupted, and holds nothing; make it again with lpn index."
         )
     manifest = IndexManifest.read(folder)
-    tiles = 0
-    for entry in manifest.segments:
-        segment = folder / entry.name
-        changed = changed_files(segment)
-        try:
-            tiles += Segment(segment, manifest.kind, entry.rows, entry.dead).size
-            if entry.dead is not None and zlib.crc32((segment / entry.dead).read_bytes()) != entry.dead_crc:
-                changed.append(entry.dead)
-        except FileNotFoundError as error:
-            raise StoreError(f"{error.filename} is missing; {_REMEDY}.") from error
-        except OSError as error:
-            raise unreadable_error(Path(error.filename or segment), error) from error
-        if changed:
-            raise StoreError(f"{changed[0]} in {segment} does not match its checksums; {_REMEDY}.")
-    known = {entry.name for entry in manifest.segments}
-    unfinished = sum(
-        bool(_SEGMENT.fullmatch(path.name)) and path.is_dir() and path.name not in known for path in folder.iterdir()
-    )
-    return IndexContents(tiles, unfinished)
+    sums = {folder / part.name / name: wanted for part in manifest.parts for name, wanted in part.sums.items()}
+    if manifest.codes is not None:
+        sums[folder / manifest.codes.name] = manifest.codes.sum
+    for file, wanted in sums.items():
+        with readable(file):
+            found = sum_of(file)
+        if found != wanted:
+            raise StoreError(
+                f"{file.name} in {file.parent} does not match its checksum; delete the index and make it again."
+            )
+    known = {part.name for part in manifest.parts}
+    unfinished = sum(_PART.fullmatch(path.name) is not None and path.name not in known for path in folder.iterdir())
+    return IndexContents(manifest.tiles, unfinished)
 
 
 def create(folder: Path, manifest: IndexManifest) -> IndexManifest:
@@ -225,12 +223,44 @@ class IndexSnapshot:
     """One version of an index.
 
     Attributes:
+        alive: of each part, which rows no newer part replaced, (B,); None for all.
         stamp: identifies the version of the manifest's file.
     """
 
     manifest: IndexManifest
-    segments: list[Segment]
+    parts: list[Part]
+    alive: list[BoolArray | None]
     stamp: tuple[int, ...]
+
+    @property
+    def starts(self) -> Int64Array:
+        """The place of each part's first row among the rows of all parts, and the number of all rows, (P + 1,)."""
+        return np.cumsum([0, *(part.rows for part in self.parts)], dtype=np.int64)
+
+    def chosen(self, number: int, box: DegreeBox | None) -> Int64Array | None:
+        """Return the rows of a part to be searched, ascending; None for all."""
+        alive = self.alive[number]
+        if box is None:
+            return None if alive is None else np.flatnonzero(alive)
+        inside = within(self.parts[number].positions, box)
+        return np.flatnonzero(inside if alive is None else inside & alive)
+
+    def scores(
+        self, numbers: Sequence[int], asked: Float32Array, box: DegreeBox | None
+    ) -> tuple[Int64Array, Float32Array]:
+        """Score the searched rows of some parts in float32, and return their places among all rows, (C,), and scores, (C,)."""
+        places, scores = [np.zeros(0, np.int64)], [np.zeros(0, np.float32)]
+        starts = self.starts
+        for number in numbers:
+            part, rows = self.parts[number], self.chosen(number, box)
+            if rows is None:
+                found, rows = part.vectors @ asked, np.arange(part.rows)
+            else:
+                few = len(rows) * _FEW <= part.rows
+                found = part.vectors[rows] @ asked if few else (part.vectors @ asked)[rows]
+            places.append(starts[number] + rows)
+            scores.append(found)
+        return np.concatenate(places), np.concatenate(scores)
 
 
 class FolderIndex(Index):
@@ -241,11 +271,6 @@ class FolderIndex(Index):
     Raises:
         StoreError: when the folder is not an index of this engine, or is damaged.
     """
-
-    # Maximum size of the vectors of a merged segment.
-    max_segment_bytes = 1 << 30
-    # Name of the file that `_finish` writes into a segment's folder, if any.
-    engine_file: str | None = None
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -260,7 +285,7 @@ class FolderIndex(Index):
 
     def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
         """Add tiles; atomic, even if the process is killed."""
-        self._change(lambda: self._write(TileBatch(names, vectors, places)))
+        self._change(lambda: self._with_engine_file(self._write(names, vectors, places)))
 
     @property
     def expected_windows(self) -> dict[float, list[float]]:
@@ -282,96 +307,85 @@ class FolderIndex(Index):
             self._change(lambda: announced(self._state.manifest))
 
     def tiles(self) -> tuple[list[str], Float32Array, Float64Array]:
-        """See `Index.tiles`; the descriptors of a single segment stay on disk."""
-        segments = self._current().segments
-        rows, on_disk = sum(one.size for one in segments), len(segments) == 1 and segments[0].alive is None
-        vectors = segments[0].in_order if on_disk else np.empty((rows, self.kind.numbers), np.float32)
-        names: list[str] = []
-        positions = [np.zeros((0, 2))]
-        for batch in (batch for segment in segments for batch in segment.batches(segment.alive)):
-            if not on_disk:
-                vectors[len(names) : len(names) + len(batch.names)] = batch.vectors
-            names += batch.names
-            positions.append(batch.positions)
-        return names, vectors.reshape(rows, self.kind.n_parts, self.kind.embedding), np.concatenate(positions)
+        """See `Index.tiles`; the descriptors of a single part stay on disk."""
+        state = self._current()
+        rows = [state.chosen(number, None) for number in range(len(state.parts))]
+        kept = [slice(None) if some is None else some for some in rows]
+        pairs = list(zip(state.parts, kept, strict=True))
+        names = [name for part, some in pairs for name in np.array(part.names, object)[some].tolist()]
+        vectors = [np.zeros((0, self.kind.numbers), np.float32), *(part.vectors[some] for part, some in pairs)]
+        positions = [np.zeros((0, 2)), *(part.positions[some] for part, some in pairs)]
+        joined = vectors[1] if len(vectors) == 2 else np.concatenate(vectors)
+        return names, joined.reshape(-1, self.kind.n_parts, self.kind.embedding), np.concatenate(positions)
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""
-        vectors = np.empty((len(ids), self.kind.n_parts, self.kind.embedding), np.float32)
+        vectors = np.empty((len(ids), self.kind.numbers), np.float32)
         positions, held = np.full((len(ids), 2), np.nan), np.zeros(len(ids), np.bool_)
-        keys = keys_of(ids)
-        for segment in self._current().segments:
-            rows = segment.find(ids, keys)
+        for part in self._current().parts:  # a newer one replaces what an older one gave
+            rows = part.find(ids)
             here = np.flatnonzero(rows >= 0)
-            vectors[here] = segment.vectors[rows[here]].reshape(-1, *vectors.shape[1:])
-            positions[here], held[here] = segment.positions[rows[here]], True
+            vectors[here], positions[here], held[here] = part.vectors[rows[here]], part.positions[rows[here]], True
         if not held.all():
             raise no_such_tile(ids[int(np.argmin(held))])
-        return vectors, positions
+        return vectors.reshape(-1, self.kind.n_parts, self.kind.embedding), positions
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""
         held = np.zeros(len(ids), np.bool_)
-        keys = keys_of(ids)
-        for segment in self._current().segments:
-            held |= segment.find(ids, keys) >= 0
+        for part in self._current().parts:
+            held |= part.find(ids) >= 0
         return held
 
     def count(self) -> int:
         """See `Index.count`."""
-        return sum(segment.size for segment in self._current().segments)
+        return self._current().manifest.tiles
 
     def close(self) -> None:
         """See `Index.close`."""
-        self._state = replace_fields(self._state, segments=[])
+        self._state = IndexSnapshot(self._state.manifest, [], [], ())
 
     @abstractmethod
-    def _finish(self, folder: Path, rows: int) -> None:
-        """Write the engine's own file into a new segment's folder."""
+    def _with_engine_file(self, manifest: IndexManifest) -> IndexManifest:
+        """Return the manifest of an add with the engine's own file, which this may write."""
 
     def _change(self, change: Callable[[], IndexManifest]) -> None:
-        """Replace the manifest by what `change` returns for the newest one; processes take turns."""
+        """Replace the manifest by that of `change` for the newest one; processes take turns."""
         try:
             with exclusive_lock(self.folder, wait=True):
-                self._state = self._read(self._state.segments)
+                self._state = self._read()
                 self._clear()
                 write_atomic(self.folder / MANIFEST, change().to_json())
-                self._state = self._read(self._state.segments)
+                self._state = self._read()
                 self._clear()
         except (OSError, OutputError) as error:
             raise _unwritable(self.folder, error) from error
 
     def _current(self) -> IndexSnapshot:
         """Return the newest version of the index, whichever process wrote it."""
-        state = self._state
-        if self._stamp() != state.stamp or not state.segments:
-            state = self._state = self._read(state.segments)
-        return state
+        if self._stamp() != self._state.stamp:
+            self._state = self._read()
+        return self._state
 
-    def _result(self, segments: list[Segment], places: Int64Array, wanted: Float64Array, k: int) -> SearchResult:
-        """Score candidates, by their places (C,) among the rows of all segments, and return the k best."""
-        starts = np.cumsum([0, *(segment.rows for segment in segments)])
-        # Read rows in the order in which they lie on disk.
-        places = np.sort(places)
+    def _result(self, state: IndexSnapshot, places: Int64Array, wanted: Float64Array, k: int) -> SearchResult:
+        """Score candidates, by their places (C,) among the rows of all parts, and return the k best."""
+        places = np.sort(places)  # as they lie on the disk
         scores = np.empty(len(places))
-        ends = np.searchsorted(places, starts)
-        for segment, start, first, last in zip(segments, starts, ends, ends[1:], strict=False):
-            for i in range(first, last, _ROWS_PER_READ):
-                some = slice(i, min(i + _ROWS_PER_READ, last))
-                scores[some] = scores_of(segment.vectors[places[some] - start], wanted)
+        for part, start, mine in _by_part(state, places):
+            for i in range(0, len(mine), _ROWS_PER_READ):
+                some = mine[i : i + _ROWS_PER_READ]
+                scores[some] = scores_of(part.vectors[places[some] - start], wanted)
         chosen = best(scores, places, k)
         places, scores = places[chosen], scores[chosen]
         names = [""] * len(places)
         vectors = np.empty((len(places), self.kind.numbers), np.float32)
         positions = np.empty((len(places), 2))
-        for segment, start in zip(segments, starts, strict=False):
-            mine = np.flatnonzero((places >= start) & (places < start + segment.rows))
+        for part, start, mine in _by_part(state, places):
             rows = places[mine] - start
-            vectors[mine], positions[mine] = segment.vectors[rows], segment.positions[rows]
-            for position, name in zip(mine.tolist(), segment.names(rows), strict=True):
-                names[position] = name
-        shaped = vectors.reshape(len(places), self.kind.n_parts, self.kind.embedding)
-        return SearchResult(names, scores, shaped, positions)
+            vectors[mine], positions[mine] = part.vectors[rows], part.positions[rows]
+            for position, row in zip(mine.tolist(), rows.tolist(), strict=True):
+                names[position] = part.names[row]
+        return SearchResult(names, scores, vectors.reshape(-1, self.kind.n_parts, self.kind.embedding), positions)
 
     def _stamp(self) -> tuple[int, ...]:
         """Identify the version of the manifest's file; empty if there is none."""
@@ -383,125 +397,91 @@ class FolderIndex(Index):
             raise unreadable_error(self.folder / MANIFEST, error) from error
         return stat.st_ino, stat.st_mtime_ns, stat.st_size
 
-    def _read(self, held: Sequence[Segment] = ()) -> IndexSnapshot:
-        """Read the manifest and open its segments, reusing held ones that have not changed."""
-        open_now = {segment.folder.name: segment for segment in held}
+    def _read(self) -> IndexSnapshot:
+        """Read the manifest and open its parts, reusing those that are open."""
         for attempt in range(_ATTEMPTS):
             stamp = self._stamp()
             manifest = IndexManifest.read(self.folder)
             try:
-                segments = [
-                    self._opened_segment(manifest, entry, open_now.get(entry.name)) for entry in manifest.segments
-                ]
-                return IndexSnapshot(manifest, segments, stamp)
-            except FileNotFoundError as error:
-                # Another process may have replaced a segment since the manifest was read.
+                return self._opened(manifest, stamp)
+            except StoreError:
+                # Another process may have removed a part since the manifest was read.
                 if attempt + 1 == _ATTEMPTS or self._stamp() == stamp:
-                    raise StoreError(
-                        f"{error.filename} is missing; the index is damaged, so delete it and make it again."
-                    ) from error
+                    raise
         raise AssertionError
 
-    def _opened_segment(self, manifest: IndexManifest, entry: ManifestEntry, held: Segment | None) -> Segment:
-        folder = self.folder / entry.name
-        if held is not None and (held.rows, held.dead, held.identity) == (entry.rows, entry.dead, identity_of(folder)):
-            return held
-        return Segment(folder, manifest.kind, entry.rows, entry.dead)
+    def _opened(self, manifest: IndexManifest, stamp: tuple[int, ...]) -> IndexSnapshot:
+        held = getattr(self, "_state", None)
+        before: dict[str, tuple[Part, int, BoolArray | None]] = {}
+        if held is not None:
+            entries = zip(held.manifest.parts, held.parts, held.alive, strict=False)
+            before = {entry.name: (part, entry.replaced, alive) for entry, part, alive in entries}
+        parts, alive = [], []
+        for entry in manifest.parts:
+            folder, (part, *_) = self.folder / entry.name, before.get(entry.name, (None,))
+            if part is None or (part.rows, part.identity) != (entry.rows, identity_of(folder)):
+                part = Part(folder, manifest.kind, entry.rows)
+            parts.append(part)
+        for number, (entry, part) in enumerate(zip(manifest.parts, parts, strict=True)):
+            known, replaced, mask = before.get(entry.name, (None, 0, None))
+            if known is not part or replaced != entry.replaced:
+                mask = _alive(part, parts[number + 1 :]) if entry.replaced else None
+            alive.append(mask)
+        return IndexSnapshot(manifest, parts, alive, stamp)
 
-    def _write(self, batch: TileBatch) -> IndexManifest:
-        """Write the files of an add, and return the manifest that lists them."""
-        manifest, segments = self._state.manifest, self._state.segments
-        keys = keys_of(batch.names)
-        masks: list[BoolArray | None] = []
-        for segment in segments:
-            rows = segment.find(batch.names, keys)
-            alive = segment.alive
-            if (rows >= 0).any():
-                alive = np.ones(segment.rows, np.bool_) if alive is None else alive.copy()
-                alive[rows[rows >= 0]] = False
-            masks.append(alive)
-        sizes = [
-            segment.rows if mask is None else int(mask.sum()) for segment, mask in zip(segments, masks, strict=True)
-        ]
-        unmerged, rows_new = self._plan_merge(sizes, len(batch.names))
-        entries: list[ManifestEntry] = []
-        number = self._unused_number(manifest.next)
-        for entry, segment, mask, size in zip(manifest.segments[:unmerged], segments, masks, sizes, strict=False):
-            if 2 * size < segment.rows:
-                if size:
-                    entries.append(self._segment(number, segment.batches(mask), size))
-                    number = self._unused_number(number + 1)
-            elif mask is not segment.alive:
-                assert mask is not None
-                dead = f"dead-{number:07d}.npy"
-                np.save(segment.folder / dead, ~mask)
-                entries.append(replace(entry, dead=dead, dead_crc=zlib.crc32((segment.folder / dead).read_bytes())))
-                number = self._unused_number(number + 1)
-            else:
+    def _write(self, names: list[str], vectors: Float32Array, places: Float64Array) -> IndexManifest:
+        """Write the part of an add, and return the manifest that names it."""
+        manifest, state = self._state.manifest, self._state
+        covered = () if manifest.codes is None else manifest.codes.parts
+        left, entries = set(names), []
+        for entry, part in zip(reversed(manifest.parts), reversed(state.parts), strict=True):
+            replaced = left & part.row_of.keys()
+            left -= replaced
+            entry = replace(entry, replaced=entry.replaced + len(replaced))
+            if entry.replaced < entry.rows or entry.name in covered:
                 entries.append(entry)
-
-        def gathered() -> Iterator[TileBatch]:
-            for segment, mask in zip(segments[unmerged:], masks[unmerged:], strict=True):
-                yield from segment.batches(mask)
-            yield batch
-
-        entries.append(self._segment(number, gathered(), rows_new))
-        return replace(manifest, segments=tuple(entries), next=number + 1)
-
-    def _plan_merge(self, sizes: Sequence[int], rows: int) -> tuple[int, int]:
-        """Choose the segments that an add of `rows` tiles merges.
-
-        Returns:
-            The number of older segments that stay as they are, and the size of the merged one.
-        """
-        unmerged = len(sizes)
-        most = self.max_segment_bytes // (4 * self.kind.numbers)
-        while unmerged and sizes[unmerged - 1] <= 2 * rows and rows + sizes[unmerged - 1] <= most:
-            unmerged -= 1
-            rows += sizes[unmerged]
-        return unmerged, rows
-
-    def _segment(self, number: int, batches: Iterator[TileBatch], rows: int) -> ManifestEntry:
-        name = f"{number:07d}"
-        write_segment(self.folder / name, self.kind, batches, rows)
-        self._finish(self.folder / name, rows)
-        write_checksums(self.folder / name)
-        return ManifestEntry(name, rows)
-
-    def _unused_number(self, number: int) -> int:
-        """Return the first unused number from this one on."""
+        number = manifest.next
         while os.path.lexists(self.folder / f"{number:07d}"):
             number += 1
-        return number
+        name = f"{number:07d}"
+        sums = write_part(self.folder / name, names, vectors, places)
+        added = PartEntry(name, len(names), sums)
+        return replace(manifest, parts=(*reversed(entries), added), next=number + 1)
 
     def _clear(self) -> None:
-        """Delete files that the manifest does not list: merged segments, and leftovers of a killed add.
+        """Delete files that the manifest does not name: replaced parts, and leftovers of a killed add.
 
         A folder that also holds files of other programs is not touched.
         """
-        entries = {entry.name: entry for entry in self._state.manifest.segments}
+        manifest = self._state.manifest
+        named = {part.name for part in manifest.parts} | {manifest.codes.name if manifest.codes else MANIFEST}
         for path in self.folder.iterdir():
-            if path.name in entries:
-                for file in path.glob("dead-*.npy"):
-                    if file.name != entries[path.name].dead and DEAD.fullmatch(file.name):
-                        file.unlink(missing_ok=True)
-            elif _UNFINISHED.fullmatch(path.name):
+            if path.name in named:
+                continue
+            if _UNFINISHED.fullmatch(path.name) or _CODES.fullmatch(path.name):
                 path.unlink(missing_ok=True)
-            elif _SEGMENT.fullmatch(path.name) and path.is_dir() and not path.is_symlink():
-                # Some systems do not delete files that another process has open.
-                with suppress(OSError):
-                    self._remove(path)
+            elif _PART.fullmatch(path.name) and path.is_dir() and not path.is_symlink():
+                files = list(path.iterdir())
+                if all(file.name in FILES and file.is_file() and not file.is_symlink() for file in files):
+                    # Some systems do not delete files that another process has open.
+                    with suppress(OSError):
+                        for file in files:
+                            file.unlink()
+                        path.rmdir()
 
-    def _remove(self, segment: Path) -> None:
-        files = list(segment.iterdir())
-        if all(self._is_own(file) for file in files):
-            for file in files:
-                file.unlink()
-            segment.rmdir()
 
-    def _is_own(self, file: Path) -> bool:
-        named = file.name == self.engine_file or any(names.fullmatch(file.name) for names in (FILES, _SUMS))
-        return named and file.is_file() and not file.is_symlink()
+def _by_part(state: IndexSnapshot, places: Int64Array) -> Iterator[tuple[Part, int, Int64Array]]:
+    """Yield each part that holds some places among all rows, the place of its first row, and which of them it holds."""
+    owners = np.searchsorted(state.starts, places, "right") - 1
+    for number in np.unique(owners).tolist():
+        yield state.parts[number], int(state.starts[number]), np.flatnonzero(owners == number)
+
+
+def _alive(part: Part, newer: Sequence[Part]) -> BoolArray:
+    alive = np.ones(part.rows, np.bool_)
+    for other in newer:
+        alive[[part.row_of[name] for name in part.row_of.keys() & other.row_of.keys()]] = False
+    return alive
 
 
 def _check_same_kind(folder: Path, existing: IndexManifest, wanted: IndexManifest) -> IndexManifest:

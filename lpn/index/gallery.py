@@ -27,7 +27,7 @@ class IndexGallery:
 
     Attributes:
         names: in the index.
-        descriptors: (G, n, D); those of a folder of one segment stay on disk.
+        descriptors: (G, n, D); those of a folder of one part stay on disk.
         degrees: latitude and longitude, (G, 2), NaN for a tile without a position.
         chosen: how the tiles were chosen from a larger index, in words; empty for all tiles.
     """

@@ -45,8 +45,8 @@ v.DoctorCommand.run = run
 """
 SLOW_INDEX = """
 import time, lpn.index.folder as f
-write = f.write_segment
-f.write_segment = lambda *a: (write(*a), print("writing", flush=True), time.sleep(600))
+write = f.write_part
+f.write_part = lambda *a: (write(*a), print("writing", flush=True), time.sleep(600))
 """
 
 

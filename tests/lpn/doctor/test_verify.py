@@ -13,7 +13,7 @@ import pytest
 from lpn.cli import main
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
-from lpn.index import DescriptorKind, ExactIndex, segments
+from lpn.index import DescriptorKind, ExactIndex, parts
 
 KIND = DescriptorKind("0123456789abcdef", 2, 8)
 VECTORS = np.full((20, 2, 8), 0.25, np.float32)
@@ -42,7 +42,7 @@ def test_an_index_on_a_full_disk_is_called_empty_or_tells_what_is_missing(
     left = "an add was interrupted or is still running, and its tiles are missing"
     with ExactIndex.create(tmp_path / "index", KIND) as index:
         with monkeypatch.context() as patched:
-            patched.setattr(segments.np, "save", full)
+            patched.setattr(parts.np, "save", full)
             with pytest.raises(StoreError, match="free space or choose another folder"):
                 index.add(NAMES, VECTORS)
         assert [path.name for path in sorted((tmp_path / "index").iterdir())] == ["0000001", "index.json"]
@@ -54,7 +54,7 @@ def test_an_index_on_a_full_disk_is_called_empty_or_tells_what_is_missing(
         index.add(NAMES, VECTORS)
         assert said(capsys, tmp_path / "index") == (0, f"{tmp_path}/index is what was written.")
         with monkeypatch.context() as patched:
-            patched.setattr(segments.np, "save", full)
+            patched.setattr(parts.np, "save", full)
             with pytest.raises(StoreError, match="free space or choose another folder"):
                 index.add(["another tile"], VECTORS[:1])
         assert said(capsys, tmp_path / "index") == (

@@ -1,4 +1,4 @@
-"""faiss's own searches, which larger segments have: in a box, among replaced tiles, and how many they miss."""
+"""faiss's own searches, which larger indexes have: in a box, among replaced tiles, and how many they miss."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def queries(tiles: Tiles) -> Any:
 
 @pytest.fixture(scope="module", params=["flat", "sq8", "pq"])
 def made(request: pytest.FixtureRequest, tiles: Tiles, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """An index of one segment."""
+    """An index of one part."""
     folder = tmp_path_factory.mktemp("faiss") / "index"
     with FaissIndex.create(folder, KIND, request.param) as index:
         tiles.add_to(index, COUNT)
@@ -58,9 +58,9 @@ def searched(monkeypatch: pytest.MonkeyPatch) -> list[tuple[bool, int]]:
     seen: list[tuple[bool, int]] = []
     original = FaissIndex._parameters
 
-    def watched(self: FaissIndex, segment: Any, rows: Any, nprobe: int) -> Any:
-        seen.append((rows is not None, nprobe))
-        return original(self, segment, rows, nprobe)
+    def watched(self: FaissIndex, selector: Any, nprobe: int) -> Any:
+        seen.append((selector is not None, nprobe))
+        return original(self, selector, nprobe)
 
     monkeypatch.setattr(FaissIndex, "_parameters", watched)
     return seen
@@ -79,7 +79,7 @@ def test_a_box_that_leaves_many_tiles_is_searched_by_faiss(
     assert all(some for some, _ in searched)
 
 
-def test_replaced_tiles_of_a_large_segment_are_not_found(
+def test_replaced_tiles_that_have_codes_are_not_found(
     made: Path, tiles: Tiles, queries: Any, searched: list[tuple[bool, int]], tmp_path: Path
 ) -> None:
     folder = Path(shutil.copytree(made, tmp_path / "index"))
@@ -98,11 +98,14 @@ def test_replaced_tiles_of_a_large_segment_are_not_found(
                 now.check(tiles_found, query, None, 10, box)
         assert len(searched) == 6
         assert all(some for some, _ in searched)
-        # So many that the segment is written anew, with codes of its own, and nothing of the old one is left.
-        index.add(now.names[:6500], now.descriptors[:6500], now.positions[:6500])
-        now.check(index.search(queries[0], None, 10), queries[0], None, 10, None)
-    named = json.loads((folder / "index.json").read_text())["segments"]
-    assert {path.name for path in folder.iterdir()} == {"index.json", *(entry["name"] for entry in named)}
+        # All of them, which are then learnt anew, and nothing of the old part is left.
+        index.add(now.names, now.descriptors, now.positions)
+        index.add(["one more"], now.descriptors[:1], now.positions[:1])
+        assert index.count() == COUNT + 1
+    manifest = json.loads((folder / "index.json").read_text())
+    named = [entry["name"] for entry in manifest["parts"]]
+    assert {path.name for path in folder.iterdir()} == {"index.json", manifest["codes"]["name"], *named}
+    assert "0000001" not in named
 
 
 @pytest.mark.parametrize("codes", ["sq8", "pq"])
@@ -154,7 +157,7 @@ def test_few_tiles_are_missed_by_default_and_more_with_less_effort(
 def test_what_another_thread_has_read_since_makes_no_index_damaged(
     tmp_path: Path, tiles: Tiles, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A thread has its segments; one is gathered by a process; another thread sees that; the first opens what is gone."""
+    """A thread has its parts; more are added by a process; another thread sees that; the first opens what is gone."""
     adder = FaissIndex.create(tmp_path / "index", KIND, "sq8")
     adder.add(tiles.names[:5000], tiles.descriptors[:5000], tiles.positions[:5000])
     reader = FaissIndex(tmp_path / "index")
@@ -190,10 +193,10 @@ def test_an_index_made_anew_in_the_same_place_is_searched_by_its_own_codes(tmp_p
 def test_codes_that_cannot_be_read_are_told_as_that(tmp_path: Path, tiles: Tiles) -> None:
     with FaissIndex.create(tmp_path / "index", KIND, "sq8") as index:
         index.add(tiles.names[:5000], tiles.descriptors[:5000])
-        file = tmp_path / "index" / "0000001" / "faiss.index"
+        (file,) = (tmp_path / "index").glob("*.faiss")
         file.unlink()
         file.mkdir()
-        with pytest.raises(StoreError, match=r"faiss.index cannot be read \(Is a directory\); check its permissions"):
+        with pytest.raises(StoreError, match=r"faiss cannot be read \(Is a directory\); check its permissions"):
             index.search(tiles.descriptors[0], None, 1)
 
 
@@ -211,23 +214,19 @@ def test_many_small_adds_learn_once_in_many_tiles(
     tiles: Tiles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     learnt: list[int] = []
-    original = FaissIndex._finish
+    original = FaissIndex._learn
 
-    def counted(self: FaissIndex, folder: Path, rows: int) -> None:
-        original(self, folder, rows)
-        if (folder / "faiss.index").exists():
-            learnt.append(rows)
+    def counted(self: FaissIndex, parts: list[Any], file: Path) -> None:
+        original(self, parts, file)
+        learnt.append(sum(map(len, parts)))
 
-    monkeypatch.setattr(FaissIndex, "_finish", counted)
+    monkeypatch.setattr(FaissIndex, "_learn", counted)
     with FaissIndex.create(tmp_path / "index", KIND, "sq8", nprobe=10_000, depth=300) as index:
         for start in range(0, COUNT, 500):
             some = slice(start, start + 500)
             index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
-            for one in index._current().segments:
-                assert (one.folder / "faiss.index").exists() == (one.rows > 4096)
-        assert learnt == [4500, 9000]
-        assert sum(one.rows for one in index._current().segments[1:]) == COUNT - 9000
-        assert len(index._current().segments) <= 5
+        assert learnt == [4500, 9500]
+        assert [file.suffix for file in (tmp_path / "index").iterdir()].count(".faiss") == 1
         for box in (None, *WIDE):
             query = tiles.descriptors[-1]
             tiles.check(index.search(query, None, 10, box), query, None, 10, box)

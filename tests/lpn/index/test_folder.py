@@ -1,4 +1,4 @@
-"""An index as a folder: what it deletes, which files it opens, what it says of those it cannot read, and boxes of segments."""
+"""An index as a folder: what it deletes, which files it opens, what it says of those it cannot read."""
 
 from __future__ import annotations
 
@@ -15,22 +15,15 @@ import pytest
 
 from lpn.core.errors import StoreError
 from lpn.doctor.verify import verify
-from lpn.index import DegreeBox, ExactIndex, create_index, folder, open_index, segments
-from lpn.index.base import covers, overlaps, within
+from lpn.index import ExactIndex, create_index, folder, open_index
 from tests.lpn.index.test_index import KIND, Tiles
 
 EACH = 16
-"""Tiles of a segment below."""
-
-
-@pytest.fixture
-def unmerged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every add keeps a segment of its own."""
-    monkeypatch.setattr(ExactIndex, "max_segment_bytes", 1)
+"""Tiles of a part below."""
 
 
 def regions(path: Path, count: int) -> tuple[ExactIndex, Tiles]:
-    """An index of so many segments, each of a region two degrees wide, 10 degrees east of the one before."""
+    """An index of so many parts, each of a region two degrees wide, 10 degrees east of the one before."""
     tiles = Tiles.draw(EACH * count)
     rng = np.random.default_rng(2)
     corners = np.stack([np.full(count, 40.0), -170.0 + 10 * np.arange(count)], 1).repeat(EACH, 0)
@@ -70,7 +63,7 @@ def test_a_folder_of_somebody_else_is_left_as_it_is(tmp_path: Path) -> None:
     (tmp_path / "new" / "index.json.4194303-12.part").write_bytes(b"{")
     with create_index(tmp_path / "new", KIND) as index:
         Tiles.draw(50).add_to(index)
-    assert files_below(tmp_path / "new")[:2] == ["0000001", "0000001/checksums.json"]
+    assert files_below(tmp_path / "new")[:2] == ["0000001", "0000001/names.json"]
     assert not list((tmp_path / "new").glob("*.part"))
 
 
@@ -80,7 +73,7 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
     (tmp_path / "elsewhere" / "vectors.npy").write_bytes(b"not ours")
     with ExactIndex.create(place, KIND) as index:
         index.add(tiles.names[:10], tiles.descriptors[:10], tiles.positions[:10])
-        own = ["0000003/photo.jpg", "0000004/keys.npy/photo.jpg", "0000001/photo.jpg", "0000001/dead-x.npy"]
+        own = ["0000003/photo.jpg", "0000004/names.json/photo.jpg", "0000001/photo.jpg"]
         own += ["0000005", "00007/vectors.npy", "index.json.mine.part", "notes.txt"]
         for name in own:
             (place / name).parent.mkdir(parents=True, exist_ok=True)
@@ -89,32 +82,31 @@ def test_what_somebody_puts_into_an_index_is_never_deleted(tmp_path: Path) -> No
         (place / "0000007").mkdir()
         (place / "0000007" / "vectors.npy").symlink_to(tmp_path / "elsewhere" / "vectors.npy")
         # This is the folder of an add that was killed.
-        shutil.copytree(place / "0000001", place / "0000009", ignore=shutil.ignore_patterns("photo.jpg", "dead-*"))
-        (place / "0000009" / "checksums.json.4194303-12.part").write_bytes(b"{")
+        shutil.copytree(place / "0000001", place / "0000009", ignore=shutil.ignore_patterns("photo.jpg"))
         for start in range(10, 300, 10):
             some = slice(start, start + 10)
             index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
+        index.add(tiles.names[:10], tiles.descriptors[:10], tiles.positions[:10])  # so that the first part is replaced
         query = tiles.descriptors[17]
         tiles.check(index.search(query, None, 300), query, None, 300, None)
     assert [name for name in own if (place / name).read_bytes() != b"not ours"] == []
     assert all((place / name / "vectors.npy").read_bytes() == b"not ours" for name in ("0000006", "0000007"))
-    named = {entry["name"] for entry in json.loads((place / "index.json").read_text())["segments"]}
+    named = {entry["name"] for entry in json.loads((place / "index.json").read_text())["parts"]}
     assert "0000001" not in named
     left = {path.name for path in place.iterdir()} - named
     assert left == {"index.json", "0000006", "0000007", *(name.partition("/")[0] for name in own)}
 
 
-@pytest.mark.usefixtures("unmerged")
 def test_an_add_opens_only_what_is_new(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     index, tiles = regions(tmp_path / "index", 6)
     opened: list[str] = []
-    original = folder.Segment
+    original = folder.Part
 
     def watched(place: Path, *given: Any) -> Any:
         opened.append(place.name)
         return original(place, *given)
 
-    monkeypatch.setattr(folder, "Segment", watched)
+    monkeypatch.setattr(folder, "Part", watched)
     with index, ExactIndex(tmp_path / "index") as other:
         assert sorted(opened) == [f"{i:07d}" for i in range(1, 7)]
         del opened[:]
@@ -125,15 +117,13 @@ def test_an_add_opens_only_what_is_new(tmp_path: Path, monkeypatch: pytest.Monke
         assert other.count() == 9 * EACH
         assert opened[3:] == ["0000007", "0000008", "0000009"]
         del opened[:]
-        # A tile of the second segment, which has another list of replaced ones now.
+        # A tile of the second part, which stays open.
         index.add(tiles.names[EACH : EACH + 1], more.descriptors[:1])
-        assert sorted(set(opened)) == ["0000002", opened[-1]]
-        assert len(opened) == 2
+        assert opened == ["0000010"]
         assert index.search(more.descriptors[0], None, 1).scores[0] == pytest.approx(1, abs=1e-6)
         assert index.count() == other.count() == 9 * EACH
 
 
-@pytest.mark.usefixtures("unmerged")
 def test_an_index_made_anew_in_the_same_place_is_read_anew(tmp_path: Path) -> None:
     index, _ = regions(tmp_path / "index", 2)
     other = Tiles.draw(2 * EACH, seed=8)
@@ -162,12 +152,11 @@ except StoreError as error:
 """
 
 
-@pytest.mark.usefixtures("unmerged")
 def test_more_files_than_may_be_open_are_allowed_or_told_as_that(tmp_path: Path) -> None:
-    regions(tmp_path / "index", 12)[0].close()
+    regions(tmp_path / "index", 35)[0].close()
     command = [sys.executable, "-c", LIMITED, str(tmp_path / "index")]
     count, said = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout.splitlines()
-    assert int(count) == 12 * EACH
+    assert int(count) == 35 * EACH
     assert said.startswith(str(tmp_path / "index" / "00000"))
     assert said.endswith("cannot be read (Too many open files); let more files be open at once (ulimit -n).")
 
@@ -200,57 +189,21 @@ def test_a_limit_that_cannot_be_raised_is_left(monkeypatch: pytest.MonkeyPatch) 
 def test_what_cannot_be_read_is_not_called_damaged(tmp_path: Path) -> None:
     with ExactIndex.create(tmp_path / "index", KIND) as index:
         Tiles.draw(50).add_to(index)
-        index.add(["0/tile 0.jpg"], Tiles.draw(1).descriptors)
-    (dead,) = (tmp_path / "index").glob("*/dead-*.npy")
-    files = [*dead.parent.iterdir(), tmp_path / "index" / "index.json"]
-    assert len(files) == 9
+    (part,) = (path for path in (tmp_path / "index").iterdir() if path.is_dir())
+    files = [*part.iterdir(), tmp_path / "index" / "index.json"]
+    assert len(files) == 4
     for file in files:
         whole = file.read_bytes()
         file.unlink()
         file.mkdir()  # which nobody can read as a file, also where permissions do not bind
         sentence = f"{file} cannot be read (Is a directory); check its permissions and its disk."
-        if file.name != "checksums.json":
-            with pytest.raises(StoreError) as told:
-                open_index(tmp_path / "index")
-            # A folder's time is that of no file, so that it is only its array that is looked at.
-            assert str(told.value) == sentence
+        with pytest.raises(StoreError) as told:
+            open_index(tmp_path / "index").holds(["any"])
+        assert str(told.value) == sentence
         assert [verdict.message for verdict in verify(tmp_path / "index")] == [sentence]
         file.rmdir()
         file.write_bytes(whole)
     open_index(tmp_path / "index").close()
-
-
-@pytest.mark.usefixtures("unmerged")
-def test_a_box_reads_the_positions_of_segments_on_its_border_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    index, tiles = regions(tmp_path / "index", 6)
-    read: list[int] = []
-    original = segments.within
-    monkeypatch.setattr(segments, "within", lambda *given: read.append(1) or original(*given))
-    query = tiles.descriptors[3]
-    boxes: list[tuple[DegreeBox, int]] = [
-        ((39, -171, 43, -147), 0),  # three whole segments
-        ((41, -171, 43, -117), 6),  # half of each
-        ((39, -161, 43, -149), 1),  # one whole, and part of the next
-        ((50, -171, 60, -117), 0),
-        ((39, 100, 43, -155), 0),  # across the antimeridian
-        ((39, -130, 43, -149), 1),
-        ((-90, -180, 90, 179), 0),
-    ]
-    with index:
-        for box, count in boxes:
-            del read[:]
-            tiles.check(index.search(query, None, 40, box), query, None, 40, box)
-            assert len(read) == count
-        # One that has no position is in no box, and one that was replaced is not found where it was.
-        index.add(["nowhere", "somewhere"], query[None].repeat(2, 0), [(np.nan, np.nan), (0, 100)])
-        assert index.search(query, None, 200, (-1, 99, 1, 101)).ids == ["somewhere"]
-        index.add(tiles.names[:1], tiles.descriptors[:1], [(0, 0)])
-        tiles.positions[0] = 0
-        for box, _ in boxes:
-            if box[0] != -90:  # which has "somewhere" in it
-                tiles.check(index.search(query, None, 200, box), query, None, 200, box)
 
 
 def test_the_windows_to_come_are_in_the_checksum(tmp_path: Path) -> None:
@@ -264,25 +217,3 @@ def test_the_windows_to_come_are_in_the_checksum(tmp_path: Path) -> None:
     manifest.write_text(kept.replace("0.25", "0.75"))
     with pytest.raises(StoreError, match="is damaged"):
         open_index(tmp_path / "index")
-
-
-def test_smallest_boxes_meet_and_lie_in_boxes_as_their_corners_do() -> None:
-    rng = np.random.default_rng(0)
-    met, lay = 0, 0
-    for _ in range(4000):
-        # Whole degrees, so that borders often touch.
-        south, north = np.sort(rng.integers(-4, 5, 2))
-        west, east = rng.integers(-4, 5, 2)
-        box: DegreeBox = (float(south), float(west), float(north), float(east))
-        positions = rng.integers(-4, 5, (int(rng.integers(1, 4)), 2)).astype(np.float64)
-        low, high = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
-        extent: DegreeBox = (*low, *high)
-        inside = within(positions, box)
-        assert overlaps(extent, box) or not inside.any()
-        assert not covers(box, extent) or inside.all()
-        met, lay = met + overlaps(extent, box), lay + covers(box, extent)
-        if len(positions) == 1:
-            assert overlaps(extent, box) == covers(box, extent) == bool(inside.all())
-    assert 0.1 < lay / 4000 < met / 4000 < 0.9
-    nowhere: DegreeBox = (np.nan, np.nan, np.nan, np.nan)
-    assert not overlaps(nowhere, (-90, -180, 90, 180))

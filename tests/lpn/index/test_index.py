@@ -6,7 +6,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -30,7 +29,6 @@ from lpn.index import (
     exact,
     folder,
     open_index,
-    segment_checksums,
 )
 from lpn.index.base import scores_of
 from lpn.models.base import normalise
@@ -282,59 +280,15 @@ def test_a_scan_scores_few_vectors_in_float64(tmp_path: Path, monkeypatch: pytes
     assert sum(read) < 10 * 400
 
 
-def test_a_search_holds_few_numbers_a_tile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(exact, "_BLOCK", 1 << 14)
-    tiles = Tiles.draw(100_000)
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
-        tiles.add_to(index, 50_000)
-        index.search(tiles.descriptors[0], None, 10)
-        tracemalloc.start()
-        try:
-            found = index.search(tiles.descriptors[1], None, 10)
-            _, peak = tracemalloc.get_traced_memory()
-        finally:
-            tracemalloc.stop()
-    tiles.check(found, tiles.descriptors[1], None, 10, None)
-    # One bound of each tile would take 8 bytes.
-    assert peak < 8 * 100_000
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
-def test_nothing_is_read_ahead_of_vectors_that_are_read_here_and_there(tmp_path: Path) -> None:
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
-        Tiles.draw(50).add_to(index, 50)
-        maps = Path("/proc/self/smaps").read_text()
-    at_random: dict[str, set[bool]] = {}
-    name = ""
-    for line in maps.splitlines():
-        if str(tmp_path) in line:
-            name = Path(line.split()[-1]).name
-        elif line.startswith("VmFlags:"):
-            at_random.setdefault(name, set()).add("rr" in line.split())
-            name = ""
-    assert at_random["vectors.npy"] == {True, False}
-
-
-def test_many_small_adds_leave_few_segments(tmp_path: Path) -> None:
-    tiles = Tiles.draw(120)
-    with ExactIndex.create(tmp_path / "index", KIND) as index:
-        for i in range(120):
-            index.add(tiles.names[i : i + 1], tiles.descriptors[i : i + 1], tiles.positions[i : i + 1])
-        held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
-        assert len(held) <= 7
-        assert len(list((tmp_path / "index").iterdir())) == len(held) + 1
-        query = tiles.descriptors[17]
-        tiles.check(index.search(query, None, 20), query, None, 20, None)
-
-
 def test_replaced_tiles_are_cleared_away(tmp_path: Path) -> None:
     tiles = Tiles.draw(400)
     with ExactIndex.create(tmp_path / "index", KIND) as index:
         tiles.add_to(index)
         for start in range(0, 400, 40):
             index.add(tiles.names[start : start + 40], tiles.descriptors[start : start + 40])
-        held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
-        assert sum(entry["rows"] for entry in held) <= 800
+        held = json.loads((tmp_path / "index" / "index.json").read_text())["parts"]
+        assert sum(entry["rows"] for entry in held) == 400  # the part of which each tile was replaced is gone
+        assert len(list((tmp_path / "index").iterdir())) == 11
         assert index.count() == 400
 
 
@@ -385,7 +339,7 @@ def test_an_add_killed_at_any_step_leaves_the_index_as_it_was(
         assert untouched >= 8
         assert index.count() == 61
         assert index.search(changed[1], [0, 0, 0, 1], 1).scores[0] == pytest.approx(1, abs=1e-6)
-        held = json.loads((tmp_path / "index" / "index.json").read_text())["segments"]
+        held = json.loads((tmp_path / "index" / "index.json").read_text())["parts"]
         assert sorted(file.name for file in (tmp_path / "index").iterdir()) == sorted(
             ["index.json", *(entry["name"] for entry in held)]
         )
@@ -439,8 +393,8 @@ def test_an_index_that_is_open_sees_what_another_adds(tmp_path: Path) -> None:
 def test_a_reader_finds_what_another_gathers_while_it_searches(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, codes: str
 ) -> None:
-    """The segment, whose codes are opened at the first search, is gone between its manifest and that."""
-    tiles, adder = Tiles.draw(9200), _faiss(tmp_path / "index", codes)
+    """The codes, which are opened at the first search, are gone between the manifest and that."""
+    tiles, adder = Tiles.draw(9400), _faiss(tmp_path / "index", codes)
     adder.add(tiles.names[:4600], tiles.descriptors[:4600], tiles.positions[:4600])
     reader = _faiss(tmp_path / "index", codes)
     current, waiting = reader._current, [True]  # type: ignore[attr-defined]
@@ -456,12 +410,14 @@ def test_a_reader_finds_what_another_gathers_while_it_searches(
     query = tiles.descriptors[5000]
     with adder, reader:
         tiles.check(reader.search(query, None, 10), query, None, 10, None)
-        (next(path for path in (tmp_path / "index").iterdir() if path.is_dir()) / "faiss.index").unlink()
-        with (
-            _faiss(tmp_path / "index", codes) as damaged,
-            pytest.raises(StoreError, match="missing or damaged; delete"),
+        (codes_file,) = (tmp_path / "index").glob("*.faiss")
+        for damage, said in (
+            (lambda: codes_file.write_bytes(b"none"), "is damaged"),
+            (codes_file.unlink, "is missing"),
         ):
-            damaged.search(query, None, 10)
+            damage()
+            with _faiss(tmp_path / "index", codes) as damaged, pytest.raises(StoreError, match=f"{said}; delete"):
+                damaged.search(query, None, 10)
 
 
 def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
@@ -490,21 +446,20 @@ def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
         create_index(tmp_path / "own", KIND)
     index = ExactIndex.create(tmp_path / "index", KIND)
     Tiles.draw(50).add_to(index)
-    segment = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
-    for file in sorted(path for path in segment.iterdir() if path.name != segment_checksums.NAME):
+    part = next(path for path in (tmp_path / "index").iterdir() if path.is_dir())
+    for file in sorted(part.iterdir()):
         whole = file.read_bytes()
-        for spoilt in (whole[:-8], b""):
-            file.write_bytes(spoilt)
-            with pytest.raises(StoreError, match="make it again"):
-                open_index(tmp_path / "index")
-        file.unlink()
-        with pytest.raises(StoreError, match="is missing"):
-            open_index(tmp_path / "index")
-        file.write_bytes(whole)
+        for spoilt in (whole[:-8], b"", None):
+            file.unlink()
+            if spoilt is not None:
+                file.write_bytes(spoilt)
+            with pytest.raises(StoreError, match="is missing; delete" if spoilt is None else "is damaged; delete"):
+                open_index(tmp_path / "index").holds(["any"])
+            file.write_bytes(whole)
     open_index(tmp_path / "index").close()
-    for text in ("", "[]", '{"format": "lpn-index/1"}', '{"format": "lpn-index/0", "precision": "int8"}'):
+    for text in ("", "[]", '{"format": "lpn-index/2"}', '{"format": "lpn-index/1", "precision": "int8"}'):
         (tmp_path / "index" / "index.json").write_text(text)
-        with pytest.raises(StoreError, match="not of the format lpn-index/1"):
+        with pytest.raises(StoreError, match="not of the format lpn-index/2"):
             open_index(tmp_path / "index")
 
 
@@ -517,7 +472,7 @@ def test_a_full_disk_is_told_in_a_sentence(tmp_path: Path, monkeypatch: pytest.M
             raise OSError(28, "No space left on device")
 
         with monkeypatch.context() as patch:
-            patch.setattr("lpn.index.segments._Array.write", full)
+            patch.setattr(np, "save", full)
             with pytest.raises(StoreError, match=r"cannot be written \(No space left on device\)"):
                 index.add(["more"], tiles.descriptors[:1])
 
