@@ -15,28 +15,27 @@ if TYPE_CHECKING:
     from lpn.descriptors import Store
     from lpn.models.base import Model
 
-_FOR_RAY = ("address", "workers", "threads", "shard", "positions")
+_FOR_RAY = ("address", "workers", "threads", "part", "positions")
 
 
 @dataclass(kw_only=True)
-class GatherShards:
-    """Make a store of descriptors on this machine from the shards that --engine ray wrote."""
+class GatherParts:
+    """Make a store of descriptors on this machine from the parts that --engine ray wrote."""
 
-    shards: str
-    """Folder or address of the shards."""
+    parts: str
+    """Folder or address of the parts."""
     out: Path
     """Folder of the store; its rows are in order of the pictures' names."""
 
     def run(self) -> None:
-        from lpn.cluster.gather import open_shards, to_store
-        from lpn.cluster.shards import BROKEN
+        from lpn.cluster.parts import BROKEN, open_parts, to_store
 
-        shards = open_shards(self.shards)
-        store = to_store(shards, self.out)
+        parts = open_parts(self.parts)
+        store = to_store(parts, self.out)
         shape = " x ".join(map(str, store.descriptors.shape))
         print(f"{self.out} holds {shape} numbers: pictures x parts x dimensions.")
-        if shards.broken:
-            print(f"{len(shards.broken):,} pictures are broken and not in it; {BROKEN} in {self.shards} names them.")
+        if parts.broken:
+            print(f"{len(parts.broken):,} pictures are broken and not in it; {BROKEN} in {self.parts} names them.")
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
@@ -47,15 +46,15 @@ class GatherShards:
 class DescribeCommand(ModelOptions):
     """Describe pictures, or windows of a map, into descriptors on disk; resumable.
 
-    With --engine ray it describes on many machines, into shards, of which lpn describe --shards SHARDS --out STORE makes a store.
+    With --engine ray it describes on many machines, into parts, of which lpn describe --parts PARTS --out STORE makes a store.
     """
 
-    MODES: ClassVar[dict[str, type[GatherShards]]] = {"--shards": GatherShards}
+    MODES: ClassVar[dict[str, type[GatherParts]]] = {"--parts": GatherParts}
 
     model: Path = field()  # no default, unlike that of `ModelOptions`
     """Trained LPN: .onnx, .safetensors, or .pth; with --engine ray an .onnx, which is sent to the workers."""
     out: str
-    """Folder of the store; with --engine ray folder or address of the shards, which every machine must see."""
+    """Folder of the store; with --engine ray folder or address of the parts, which every machine must see."""
     images: str | None = None
     """Folder of pictures, searched with all folders below it; with --engine ray also an address such as s3://bucket/tiles."""
     map: Path | None = None
@@ -80,15 +79,14 @@ class DescribeCommand(ModelOptions):
     """With --engine ray: number of workers; by default as many as the cores allow."""
     threads: Advanced[int | None] = None
     """With --engine ray: cores of one worker, 1 by default; each worker holds the model once, so more cores save memory."""
-    shard: Advanced[int | None] = None
-    """With --engine ray: pictures of one shard, on average at most, which a killed worker loses; by default that of the last run,
-    else 256. If there are more pictures now, shards are split without computing any picture again."""
+    part: Advanced[int | None] = None
+    """With --engine ray: pictures of one part, which a killed worker loses; 256 by default."""
     positions: Advanced[str | None] = None
     """With --engine ray: file of positions in the format of geo.csv, with paths relative to --images or a folder above it; by
     default geo.csv among the pictures, if any."""
 
     def run(self) -> int:
-        return self._shards() if self.engine == "ray" else self._store()
+        return self._parts() if self.engine == "ray" else self._store()
 
     def resume_hint(self) -> str:
         """Return how to resume after a stop."""
@@ -147,9 +145,9 @@ class DescribeCommand(ModelOptions):
             raise InputError("Pictures have no windows; give --size and --overlap with --map only.")
         return self.images, self.view
 
-    def _shards(self) -> int:
-        from lpn.cluster.driver import describe_shards
-        from lpn.cluster.shards import BROKEN
+    def _parts(self) -> int:
+        from lpn.cluster.driver import describe_parts
+        from lpn.cluster.parts import BROKEN
 
         if self.map is not None:
             raise InputError("Windows of a map are described on one machine; leave --engine ray out.")
@@ -160,8 +158,8 @@ class DescribeCommand(ModelOptions):
             option = "kind" if self.kind is not None else "pooling"
             raise InputError(f"Ray's workers take an .onnx, which contains its {option}; leave --{option} out.")
         if self.precision == "int8":
-            raise InputError("Shards hold float32 or float16; give one of these as --precision.")
-        summary = describe_shards(
+            raise InputError("Parts hold float32 or float16; give one of these as --precision.")
+        summary = describe_parts(
             self.model,
             images,
             view,
@@ -170,7 +168,7 @@ class DescribeCommand(ModelOptions):
             address=self.address,
             workers=self.workers,
             threads=1 if self.threads is None else self.threads,
-            shard=self.shard,
+            size=self.part,
             positions=self.positions,
             role=self.role,
             say=lambda line: print(line, flush=True),

@@ -22,7 +22,7 @@ class DoctorCommand:
     """Check this machine, files, a data set, or a model: what it holds and what is broken; ends with status 1 if something is."""
 
     paths: Annotated[tuple[Path, ...], tyro.conf.Positional] = ()
-    """Stores, indexes, shards, models, and trainings, or folders of them, to compare with their checksums."""
+    """Stores, indexes, parts, models, and trainings, or folders of them, to compare with their checksums."""
     data: Path | None = None
     """Data set in any layout of docs/data.md; without it and paths, machine, packages, and demo are checked."""
     model: Path | None = None

@@ -28,7 +28,7 @@ class IndexCommand:
     out: str
     """Folder of the index, or milvus://host:port/collection; tiles are added to an existing index."""
     descriptors: str | None = None
-    """Store of tiles written by lpn describe, or folder or address of shards written by describe --engine ray."""
+    """Store of tiles written by lpn describe, or folder or address of parts written by describe --engine ray."""
     map: Path | None = None
     """Map whose windows are described straight into the index, block by block, for more than memory holds; needs --model."""
     model: Path | None = None
@@ -46,11 +46,11 @@ class IndexCommand:
     """With --map: provider: auto (LPN_PROVIDER, else a GPU if one works, else the CPU), cpu, cuda, or, for an .onnx, any
     of ONNX Runtime's, such as coreml."""
     data: Path | None = None
-    """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in shards."""
+    """Folder with the tiles' positions, in geo.csv or as its data set gives them; they replace those in parts."""
     engine: Literal["exact", "faiss", "milvus"] | None = None
     """exact finds every match; faiss is for millions of tiles on one machine, milvus for a server; by default that of --out."""
-    structure: Literal["flat", "ivf", "hnsw"] | None = None
-    """For milvus: flat (default) compares every vector; ivf and hnsw are approximate, and faster on many tiles."""
+    structure: Literal["flat", "hnsw"] | None = None
+    """For milvus: flat (default) compares every vector; hnsw is approximate, and faster on many tiles."""
     replace: bool = False
     """Add all tiles again, also existing names, for example after pictures or positions have changed."""
 
@@ -86,7 +86,7 @@ class IndexCommand:
                 f"{there} were there already and were left as they are; give --replace where pictures or positions changed."
             )
         if tiles.broken:
-            print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the shards names them.")
+            print(f"{tiles.broken} pictures are broken and not in it; broken.csv beside the parts names them.")
 
     def _index_map(self, where: Path) -> None:
         from lpn.flight.locate.retrieval import pyramid_sizes

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,11 @@ class Storage:
             raise OutputError(
                 f"{name} cannot be written to {self.where} ({_first_line(error)}); check its space and your rights there."
             ) from error
+
+    def delete(self, name: str) -> None:
+        """Delete a file, if it is there."""
+        with suppress(FileNotFoundError):
+            self._files.delete_file(self._path(name))
 
     def _listed(self, suffixes: tuple[str, ...]) -> Iterator[Row]:
         for info in self._files.get_file_info(fs.FileSelector(self._root, recursive=True)):

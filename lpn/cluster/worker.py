@@ -1,4 +1,4 @@
-"""A worker of distributed inference (`lpn.cluster.driver`) describes one partition at a time. It needs the extra `cluster`."""
+"""A worker of distributed inference (`lpn.cluster.driver`) writes one part at a time. It needs the extra `cluster`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from lpn.cluster.shards import FailedPicture, Plan, ShardItem, read_shard, unpacked, write_shard
+from lpn.cluster.parts import FailedPicture, PartItem, Plan, unpacked, write_part
 from lpn.cluster.storage import Storage
 from lpn.core import images
 from lpn.core.arrays import Float32Array
@@ -25,12 +25,12 @@ from lpn.models.onnx_engine import Engine
 
 
 @dataclass(frozen=True)
-class PartitionTask:
+class WorkerTask:
     """The settings of all workers.
 
     Attributes:
-        images, out: addresses of the pictures and of the shards, see `lpn.cluster.storage.Storage`.
-        plan: of the shards.
+        images, out: addresses of the pictures and of the parts, see `lpn.cluster.storage.Storage`.
+        plan: of the parts.
         model: name of the model's first file.
         threads: of one worker.
     """
@@ -43,14 +43,14 @@ class PartitionTask:
 
 
 class DescribeWorker:
-    """Describes partitions one at a time with one loaded model.
+    """Describes pictures with one loaded model.
 
     Args:
         task: the settings of all workers.
         files: Ray's reference to the contents of the model's files by name, so that other machines need no copy.
     """
 
-    def __init__(self, task: PartitionTask, files: Any) -> None:
+    def __init__(self, task: WorkerTask, files: Any) -> None:
         import cv2
         import ray
 
@@ -63,48 +63,29 @@ class DescribeWorker:
             self.model = model.in_role(cast(View, task.plan.view), task.plan.role)
 
     def __call__(self, batch: Mapping[str, Any]) -> dict[str, list[Any]]:
-        """Process Ray Data's batch of one partition; the result is one row, in which an error is a sentence."""
-        partition = int(batch["partition"][0])
+        """Describe the pictures of Ray Data's batch of one row; the result is one row, in which an error is a sentence."""
         try:
-            items = unpacked(str(batch["items"][0]))
-            computed, described, broken = self.describe(partition, items, int(batch["source"][0]))
+            described, broken = self.describe(unpacked(str(batch["items"][0])))
         except LPNError as error:
-            return {"partition": [partition], "computed": [0], "described": [0], "broken": [0], "error": [str(error)]}
-        counts = {"computed": [computed], "described": [described], "broken": [broken]}
-        return {"partition": [partition], **counts, "error": [""]}
+            return {"described": [0], "broken": [0], "error": [str(error)]}
+        return {"described": [described], "broken": [broken], "error": [""]}
 
-    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
-        """Write a partition's shard.
-
-        Args:
-            items: the pictures of the partition.
-            source: the partition whose shard has their descriptors so far.
-
-        Returns:
-            The numbers of pictures that were computed, are described, and are broken.
-        """
+    def describe(self, items: list[PartItem]) -> tuple[int, int]:
+        """Write a part of some pictures, and return how many are described, and how many are broken."""
         plan = self.task.plan
-        before = read_shard(self.out, plan, source)
-        rows = {item.row: row for item, row in zip(before.items, before.descriptors, strict=True)} if before else {}
-        known = {one.item.row: one for one in before.notes.broken if one.settled} if before else {}
-        missing = [item for item in items if item.row not in rows and item.row not in known]
-        broken = [known[item.row]._replace(item=item) for item in items if item.row in known]
-        streams = describe_each(self.model, missing, self._prepare, cast(View, plan.view), self.task.threads + 1)
-        computed = 0
-        for some in streams:
-            computed += len(some.items)
-            for i, row in zip(some.items, some.descriptors, strict=True):
-                rows[missing[i].row] = row
+        rows: dict[int, Float32Array] = {}
+        broken: dict[int, FailedPicture] = {}
+        view = cast(View, plan.view)
+        for some in describe_each(self.model, items, self._prepare, view, self.task.threads + 1):
+            rows |= dict(zip(some.items, some.descriptors, strict=True))
             for i, error in some.broken:
-                broken.append(FailedPicture(missing[i], str(error), not isinstance(error, _UnreadError)))
-        described = [item for item in items if item.row in rows]
-        numbers = np.zeros((len(described), plan.n_parts, plan.embedding), np.float32)
-        for i, item in enumerate(described):
-            numbers[i] = rows[item.row]
-        write_shard(self.out, plan, partition, described, numbers, broken)
-        return computed, len(described), len(broken)
+                broken[i] = FailedPicture(items[i], str(error), not isinstance(error, _UnreadError))
+        order = sorted(rows)
+        numbers = np.array([rows[i] for i in order], np.float32).reshape(-1, plan.n_parts, plan.embedding)
+        write_part(self.out, plan, [items[i] for i in order], numbers, [broken[i] for i in sorted(broken)])
+        return len(rows), len(broken)
 
-    def _prepare(self, item: ShardItem) -> Float32Array:
+    def _prepare(self, item: PartItem) -> Float32Array:
         try:
             data = self.images.read(item.row.file)
         except OSError as error:

@@ -1,4 +1,4 @@
-"""Compare written files with their checksums: stores, indexes, shards, models, and trainings, read in full."""
+"""Compare written files with their checksums: stores, indexes, parts, models, and trainings, read in full."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class VerifiedFile:
 
 
 def verify(path: Path) -> Iterator[VerifiedFile]:
-    """Compare a model file, store, index, or folder of shards, or all of these below a folder, with their checksums.
+    """Compare a model file, store, index, or folder of parts, or all of these below a folder, with their checksums.
 
     Raises:
         InputError: if there is none.
@@ -49,7 +49,7 @@ def verify(path: Path) -> Iterator[VerifiedFile]:
     files = [path] if path.is_file() else sorted({*_find(path)})
     if not files:
         raise InputError(
-            f"{path} holds no store, no index, no shards, and no model; give one of these, or a folder of them."
+            f"{path} holds no store, no index, no parts, and no model; give one of these, or a folder of them."
         )
     for file in files:
         try:
@@ -75,9 +75,9 @@ def _verify_index(folder: Path) -> VerifiedFile:
 def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
         name = file.name
-        shards = name == "plan.json" and any(file.parent.glob("*.parquet"))
+        parts = name == "plan.json" and any(file.parent.glob("part-*.zip"))
         # "planned.json" is of a store whose making was interrupted.
-        if shards or name in ("manifest.json", "planned.json") or is_manifest(name):
+        if parts or name in ("manifest.json", "planned.json") or is_manifest(name):
             yield file.parent
         elif file.suffix in _MODELS and file.is_file():
             yield file
@@ -85,7 +85,7 @@ def _find(folder: Path) -> Iterator[Path]:
 
 def _verify(path: Path) -> str:
     if path.is_dir():
-        return _verify_shards(path) if (path / "plan.json").exists() else _verify_store(open_store(path), path)
+        return _verify_parts(path) if (path / "plan.json").exists() else _verify_store(open_store(path), path)
     if path.suffix in (".onnx", ".safetensors") and check_seal(path, _AGAIN):
         return "is what was written"
     if path.suffix in (".pth", ".pt") and check_entries(path, _AGAIN):
@@ -115,11 +115,10 @@ def _verify_store(store: Store, folder: Path) -> str:
     return "is what was written" if store.manifest.checksums else "has no checksums: an earlier version wrote it"
 
 
-def _verify_shards(folder: Path) -> str:
-    from lpn.cluster.gather import open_shards
+def _verify_parts(folder: Path) -> str:
+    from lpn.cluster.parts import open_parts
 
-    shards = open_shards(folder)
-    for partition in range(shards.plan.partitions):
-        if not np.isfinite(shards.read(partition).descriptors).all():
-            raise StoreError(f"{folder} holds values that are not finite; {_DESCRIBE}.")
-    return "can be read, and what has checksums is what was written"
+    opened = open_parts(folder)
+    if not all(np.isfinite(opened.vectors(part)).all() for part in opened.parts):
+        raise StoreError(f"{folder} holds values that are not finite; {_DESCRIBE}.")
+    return "is what was written"

@@ -5,7 +5,7 @@
     milvus    a collection on a server or a cluster (`lpn.index.milvus`, the extra `cluster`)
 
 All implement the protocol `Index`, and `open_index` detects which one it opens. The package imports `retrieval` and the
-packages below it; `lpn.index.tiles` also reads shards of `cluster`. `doctor` and `cli` import it.
+packages below it; `lpn.index.tiles` also reads parts of `cluster`. `doctor` and `cli` import it.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def open_index(
     Args:
         where: its folder, or milvus://host:port/collection.
         fingerprint: fingerprint of the model that describes the queries, checked against the index; None skips the check.
-        effort: for approximate searches, the number of lists (faiss; ivf of milvus) or neighbours (hnsw) to visit, 1 or more;
+        effort: for approximate searches, the number of lists (faiss) or neighbours (hnsw of milvus) to visit, 1 or more;
             None means 64 (faiss) or 128 (milvus).
         depth: for faiss, the number of candidates to score as a multiple of k, 1 or more; None means 16.
 

@@ -3,16 +3,12 @@
 A collection has the fields id (primary key: a 128-bit hash of the tile's name in hexadecimal, which needs no escaping in
 expressions), name, vector (n D numbers, inner product), latitude, and longitude. Its description holds the format.
 
-Every call sees the writes of this index, and those of others before it was opened. Searches may miss what others wrote in the
-last five seconds ("bounded" consistency); "strong" consistency takes Milvus 0.4 to 0.8 s a search. When `add` returns, the
-tiles are in the server's log and survive its death. A lost connection is retried for a while; `add` is an upsert, so a
-repeated attempt loses and duplicates nothing.
+A search sees the writes of this process; what others wrote in the last seconds may be missing. When `add` returns, the tiles
+are in the server's log and survive its death. A lost connection is tried again for a while; `add` is an upsert, so a repeated
+attempt loses and duplicates nothing.
 
-Every structure returns as many tiles as requested, if there are as many. Milvus itself returns fewer if the visited lists hold
-too few, for large k or in a box; then all lists are visited. In growing segments Milvus visits lists of its own choice (16 of
-128); if that leaves a result short, tiles are read and scored here.
-
-Milvus returns ties in any order; they are sorted by name.
+`flat` compares every vector. `hnsw` is approximate, and may return fewer tiles than are asked for, as in a box. Milvus returns
+ties in any order; they are sorted by name.
 """
 
 from __future__ import annotations
@@ -22,11 +18,10 @@ import json
 import logging
 import re
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from importlib import import_module
-from itertools import chain, repeat
 from typing import Any, Literal, TypeVar, cast, get_args
 from urllib.parse import unquote, urlsplit
 
@@ -52,38 +47,27 @@ from lpn.index.base import (
 
 FORMAT = "lpn-milvus/1"
 SCHEME = "milvus"
-Structure = Literal["flat", "ivf", "hnsw"]
+Structure = Literal["flat", "hnsw"]
 
 # Latitude and longitude of a tile without a position, outside of every box, as Milvus 2.3 has no null.
 _NOWHERE = 1000.0
-_NAME_BYTES = 4 * ID_LENGTH
-# Maximum size of a message's vectors, far below a server's limit of 64 MB (`proxy.grpc.serverMaxSendSize`).
-_BYTES = 8 << 20
-_ROWS = 1000
+# Bytes of a message's vectors at most, far below a server's limit of 64 MB, and its rows.
+_BYTES, _ROWS = 8 << 20, 1000
 _CALL = 30.0
-# Seconds after which a bounded search certainly sees a write; Milvus's own bound is five.
-_RECENT = 10.0
-# Maximum number of lists of a segment; smaller segments have one for 39 tiles.
-_LISTS = 1024
-# If at most this many tiles are in a box, all are compared, whatever the effort; one segment holds about as many.
-_FEW = 50_000
 _EFFORT, _MOST_EFFORT = 128, 32768
-_PAUSES = (0.2, 0.5, 1.0, 2.0)
+# Seconds between two attempts to reach a server.
+_PAUSE = 1.0
 _BUILD: dict[Structure, dict[str, Any]] = {
     "flat": {"index_type": "FLAT", "params": {}},
-    "ivf": {"index_type": "IVF_FLAT", "params": {"nlist": _LISTS}},
     "hnsw": {"index_type": "HNSW", "params": {"M": 32, "efConstruction": 200}},
 }
 # Milvus's codes of permanent errors: a missing collection, or an invalid parameter.
 _REFUSED = {65, 100, 1100, 1101}
-# Codes of a collection that is not loaded.
-_RELEASED = {101, 103}
 _FORBIDDEN = {1400, 1401, 1800}
 # The names of the gRPC errors that 2.3 sends in place of these codes.
 _FORBIDDEN_NAMES = {"PERMISSION_DENIED", "UNAUTHENTICATED"}
 _COLLECTION = re.compile(r"[A-Za-z_][A-Za-z0-9_]{0,254}")
-_FIELDS = ("name", "vector", "latitude", "longitude")
-_Level = Literal["Strong", "Bounded"]
+_FIELDS = ["name", "vector", "latitude", "longitude"]
 _T = TypeVar("_T")
 
 
@@ -92,10 +76,8 @@ class MilvusIndex(Index):
 
     Args:
         url: milvus://host:port/collection, or milvus://user:password@host:port/collection.
-        patience: seconds for which an unreachable server is retried.
-        effort: lists of each segment's 1,024 (ivf) or neighbours (hnsw) to visit, 1 to 32,768; more miss fewer tiles and take
-            longer. With a box, ivf visits enough lists to compare as many tiles as without one, or all in the box, if these
-            are 50,000 or fewer. The effort applies once Milvus has built its index.
+        patience: seconds for which an unreachable server is tried again.
+        effort: neighbours that hnsw visits, 1 to 32,768; more miss fewer tiles and take longer.
 
     Raises:
         StoreError: when there is no such server or collection, or lpn did not make it.
@@ -105,15 +87,16 @@ class MilvusIndex(Index):
 
     engine = "milvus"
     most = 16384
+    _client: Any = None
 
     def __init__(self, url: str, patience: float = 60.0, effort: int = _EFFORT) -> None:
         self._open(url, patience, effort)
         try:
-            description = self._description()
+            description = self._call(self._description)
             if description is None:
                 raise StoreError(f"{self._url} has no such collection; make it with lpn index.")
             self.kind, self.structure = _read(description, self._url)
-            self._call(self._load)
+            self._call(lambda client: client.load_collection(self._name))
         except BaseException:
             self.close()
             raise
@@ -124,18 +107,15 @@ class MilvusIndex(Index):
     ) -> MilvusIndex:
         """Make an empty collection, or open an existing one of the same kind.
 
-        Args:
-            structure: flat compares every vector; ivf and hnsw are faster for many tiles, but approximate.
-
         Raises:
             StoreError: when there is no server, or the collection holds something else.
         """
         if structure not in get_args(Structure):
             raise InputError(f"The structure is {structure!r}; expected one of {', '.join(get_args(Structure))}.")
         made = cls.__new__(cls)
-        made._open(url, patience)
+        made._open(url, patience, _EFFORT)
         try:
-            made._make(kind, structure)
+            made._call(partial(made._make, kind, structure))
         finally:
             made.close()
         index = cls(url, patience)
@@ -149,20 +129,13 @@ class MilvusIndex(Index):
 
     def _add(self, names: list[str], vectors: Float32Array, places: Float64Array) -> None:
         """Add tiles; each message is atomic, so some of the tiles may be there after an error."""
-        places = np.where(np.isnan(places), _NOWHERE, places)
-        step = self._step
-        for start in range(0, len(names), step):
+        degrees = np.where(np.isnan(places), _NOWHERE, places).tolist()
+        for start in range(0, len(names), self._step):
             rows = [
-                {
-                    "id": key_of(names[i]),
-                    "name": names[i],
-                    "vector": vectors[i].tolist(),
-                    "latitude": float(places[i, 0]),
-                    "longitude": float(places[i, 1]),
-                }
-                for i in range(start, min(start + step, len(names)))
+                {"id": key_of(name), "name": name, "vector": vector.tolist(), "latitude": at[0], "longitude": at[1]}
+                for name, vector, at in list(zip(names, vectors, degrees, strict=True))[start : start + self._step]
             ]
-            self._call(partial(self._upsert, rows))
+            self._call(lambda client, rows=rows: client.upsert(self._name, rows, timeout=_CALL))  # type: ignore[misc]
 
     def search(
         self, query: npt.ArrayLike, weights: npt.ArrayLike | None, k: int, box: DegreeBox | None = None
@@ -172,198 +145,124 @@ class MilvusIndex(Index):
         k, box = check_count(k), check_box(box)
         if k > self.most:
             raise InputError(f"The number of tiles asked for is {k}; Milvus gives {self.most} at most.")
-        hits = self._call(partial(self._candidates, wanted, k, box))
-        vectors = np.array([hit["vector"] for hit in hits], np.float32).reshape(len(hits), self.kind.numbers)
-        names = [str(hit["name"]) for hit in hits]
-        scores = scores_of(vectors, wanted)
-        by_name = np.empty(len(hits), np.int64)
-        by_name[sorted(range(len(hits)), key=names.__getitem__)] = np.arange(len(hits))
-        chosen = best(scores, by_name, k)
-        places = np.array([[hit["latitude"], hit["longitude"]] for hit in hits], np.float64).reshape(-1, 2)
-        places[places == _NOWHERE] = np.nan
-        shaped = vectors[chosen].reshape(len(chosen), self.kind.n_parts, self.kind.embedding)
-        return SearchResult([names[i] for i in chosen], scores[chosen], shaped, places[chosen])
+        effort = {} if self.structure == "flat" else {"ef": max(self._effort, k)}
+
+        def searched(client: Any) -> list[str]:
+            hits = client.search(
+                self._name,
+                data=[wanted.astype(np.float32).tolist()],
+                filter="" if box is None else expression(box),
+                limit=k,
+                output_fields=["id"],
+                search_params={"metric_type": "IP", "params": effort},
+                anns_field="vector",
+                **_level("Session"),
+            )
+            return [str(hit["id"]) for hit in hits[0]]
+
+        rows = sorted(self._rows(self._call(searched), level="Session").values(), key=lambda row: str(row["name"]))
+        vectors, places = self._arrays(rows)
+        scores = scores_of(vectors.reshape(len(rows), -1), wanted)
+        chosen = best(scores, np.arange(len(rows)), k)
+        return SearchResult([str(rows[i]["name"]) for i in chosen], scores[chosen], vectors[chosen], places[chosen])
 
     def read(self, ids: Sequence[str]) -> tuple[Float32Array, Float64Array]:
         """See `Index.read`."""
         keys = [key_of(name) for name in ids]
-        rows: dict[str, dict[str, Any]] = {}
-        for some in _chunks(keys, self._step):
-            read_rows = self._call(partial(self._read, keys=some, level="Strong"))
-            rows |= {key_of(str(row["name"])): row for row in read_rows}
+        rows = self._rows(keys)
         if missing := [name for name, key in zip(ids, keys, strict=True) if key not in rows]:
             raise no_such_tile(missing[0])
-        vectors = np.array([rows[key]["vector"] for key in keys], np.float32)
-        places = np.array([[rows[key]["latitude"], rows[key]["longitude"]] for key in keys], np.float64).reshape(-1, 2)
-        places[places == _NOWHERE] = np.nan
-        return vectors.reshape(len(ids), self.kind.n_parts, self.kind.embedding), places
+        return self._arrays([rows[key] for key in keys])
 
     def holds(self, ids: Sequence[str]) -> BoolArray:
         """See `Index.holds`."""
-        there: set[str] = set()
         keys = [key_of(name) for name in ids]
-        for some in _chunks(keys, _ROWS):
-            rows = self._call(partial(self._there, some))
-            there.update(str(row["id"]) for row in rows)
+        there = self._rows(keys, ["id"])
         return np.array([key in there for key in keys], np.bool_)
 
     def count(self) -> int:
         """See `Index.count`."""
-        return self._call(lambda client: self._counted(client, "", "Strong"))
+        rows = self._call(
+            lambda client: client.query(self._name, filter="", output_fields=["count(*)"], **_level("Strong"))
+        )
+        return int(rows[0]["count(*)"])
 
     def expect_windows(self, sizes: Sequence[float], overlap: float) -> None:
         """A collection keeps none: Milvus writes its description only once."""
 
     def close(self) -> None:
         """See `Index.close`."""
-        self._disconnect()
+        client, self._client = self._client, None
+        if client is not None:
+            with suppress(Exception):  # the connection may be lost already
+                client.close()
 
-    def _open(self, url: str, patience: float, effort: int = _EFFORT) -> None:
+    def _open(self, url: str, patience: float, effort: int) -> None:
         if int(effort) != effort or not 1 <= effort <= _MOST_EFFORT:
-            raise InputError(
-                f"The effort is {effort}; expected 1 to {_MOST_EFFORT} lists or neighbours to look through."
-            )
+            raise InputError(f"The effort is {effort}; expected 1 to {_MOST_EFFORT} neighbours to look through.")
         self._milvus = cast(Any, import_module("pymilvus"))
         # pymilvus logs a traceback of each attempt; we report a permanent error once.
         logging.getLogger("pymilvus").setLevel(logging.CRITICAL + 1)
         self._address, self._token, self._name = parse_url(url)
         self._url = f"{SCHEME}://{self._address}/{self._name}"
         self._patience, self._effort = patience, effort
-        self._client: Any = None
-        self._written = 0.0
 
     @property
     def _step(self) -> int:
         """Number of tiles in one message."""
         return max(1, min(_ROWS, _BYTES // (4 * self.kind.numbers)))
 
-    def _description(self) -> str | None:
-        def described(client: Any) -> str | None:
-            if not client.has_collection(self._name, timeout=_CALL):
-                return None
-            return str(client.describe_collection(self._name, timeout=_CALL).get("description", ""))
+    def _description(self, client: Any) -> str | None:
+        if not client.has_collection(self._name, timeout=_CALL):
+            return None
+        return str(client.describe_collection(self._name, timeout=_CALL).get("description", ""))
 
-        return self._call(described)
-
-    def _make(self, kind: DescriptorKind, structure: Structure) -> None:
+    def _make(self, kind: DescriptorKind, structure: Structure, client: Any) -> None:
         """Create the collection, with the description that identifies it, and then its index if it is missing."""
+        types = self._milvus.DataType
+        if not client.has_collection(self._name, timeout=_CALL):
+            description = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
+            schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=description)
+            schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
+            schema.add_field("name", types.VARCHAR, max_length=4 * ID_LENGTH)
+            schema.add_field("vector", types.FLOAT_VECTOR, dim=kind.numbers)
+            schema.add_field("latitude", types.DOUBLE)
+            schema.add_field("longitude", types.DOUBLE)
+            client.create_collection(self._name, schema=schema, consistency_level="Strong", timeout=_CALL)
+        _read(str(self._description(client)), self._url)
+        if not client.list_indexes(self._name):
+            parameters = client.prepare_index_params()
+            parameters.add_index("vector", metric_type="IP", **_BUILD[structure])
+            client.create_index(self._name, parameters, timeout=_CALL)
 
-        def make(client: Any) -> None:
-            types = self._milvus.DataType
-            if not client.has_collection(self._name, timeout=_CALL):
-                description = json.dumps({"format": FORMAT, **vars(kind), "structure": structure})
-                schema = client.create_schema(auto_id=False, enable_dynamic_field=False, description=description)
-                schema.add_field("id", types.VARCHAR, is_primary=True, max_length=32)
-                schema.add_field("name", types.VARCHAR, max_length=_NAME_BYTES)
-                schema.add_field("vector", types.FLOAT_VECTOR, dim=kind.numbers)
-                schema.add_field("latitude", types.DOUBLE)
-                schema.add_field("longitude", types.DOUBLE)
-                client.create_collection(self._name, schema=schema, consistency_level="Strong", timeout=_CALL)
-            _read(str(client.describe_collection(self._name, timeout=_CALL).get("description", "")), self._url)
-            if not client.list_indexes(self._name):
-                parameters = client.prepare_index_params()
-                parameters.add_index("vector", metric_type="IP", **_BUILD[structure])
-                client.create_index(self._name, parameters, timeout=_CALL)
+    def _rows(
+        self, keys: Sequence[str], fields: Sequence[str] = _FIELDS, level: str = "Strong"
+    ) -> dict[str, dict[str, Any]]:
+        """Read fields of the tiles of some keys that are there, by their keys, in messages of a bounded size."""
+        rows: dict[str, dict[str, Any]] = {}
+        for start in range(0, len(keys), self._step):
+            asked = {"ids": list(keys[start : start + self._step]), "output_fields": ["id", *fields], **_level(level)}
+            found = self._call(lambda client, asked=asked: client.query(self._name, **asked))  # type: ignore[misc]
+            rows |= {str(row["id"]): dict(row) for row in found}
+        return rows
 
-        self._call(make)
-
-    def _load(self, client: Any) -> None:
-        client.load_collection(self._name)
-        self._written = time.monotonic()  # others may have written while the collection was loading
-
-    def _upsert(self, rows: list[dict[str, Any]], client: Any) -> None:
-        client.upsert(self._name, rows, timeout=_CALL)
-        self._written = time.monotonic()
-
-    def _there(self, keys: list[str], client: Any) -> list[dict[str, Any]]:
-        return cast("list[dict[str, Any]]", client.query(self._name, ids=keys, output_fields=["id"], **_now()))
-
-    def _counted(self, client: Any, within: str, level: _Level) -> int:
-        rows = client.query(self._name, filter=within, output_fields=["count(*)"], **_now(level))
-        return int(rows[0]["count(*)"])
-
-    def _candidates(self, wanted: Float64Array, k: int, box: DegreeBox | None, client: Any) -> list[dict[str, Any]]:
-        """Return the fields of k tiles or more, fewer only if there are fewer."""
-        level: _Level = "Strong" if time.monotonic() - self._written < _RECENT else "Bounded"
-        within = "" if box is None else expression(box)
-        lists = self._lists(client, within)
-        hits = self._searched(client, wanted, k, within, lists, level)
-        if len(hits) < k and lists < _LISTS and self.structure == "ivf":
-            hits = self._searched(client, wanted, k, within, _LISTS, level)
-        if len(hits) < k and self.structure != "flat" and len(hits) < self._counted(client, within, level):
-            return self._all(client, wanted, k, within, level)
-        return hits
-
-    def _lists(self, client: Any, within: str) -> int:
-        """Return the number of lists to visit in each segment; its counts may be seconds old."""
-        lists = min(self._effort, _LISTS)
-        if not within or self.structure != "ivf":
-            return lists
-        inside = self._counted(client, within, "Bounded")
-        if inside <= _FEW:
-            return _LISTS
-        return min(_LISTS, -(-lists * self._counted(client, "", "Bounded") // inside))
-
-    def _searched(
-        self, client: Any, wanted: Float64Array, k: int, within: str, lists: int, level: _Level
-    ) -> list[dict[str, Any]]:
-        effort = {"flat": {}, "ivf": {"nprobe": lists}, "hnsw": {"ef": max(self._effort, k)}}[self.structure]
-        whole = k <= self._step
-        hits = client.search(
-            self._name,
-            data=[wanted.astype(np.float32).tolist()],
-            filter=within,
-            limit=k,
-            output_fields=list(_FIELDS) if whole else [],
-            search_params={"metric_type": "IP", "params": effort},
-            anns_field="vector",
-            **_now(level),
-        )
-        if whole:
-            return [dict(hit["entity"]) for hit in hits[0]]
-        keys = [str(hit["id"]) for hit in hits[0]]
-        return [row for some in _chunks(keys, self._step) for row in self._read(client, some, level)]
-
-    def _read(self, client: Any, keys: list[str], level: _Level) -> list[dict[str, Any]]:
-        rows = client.query(self._name, ids=keys, output_fields=list(_FIELDS), **_now(level))
-        return [dict(row) for row in rows]
-
-    def _all(self, client: Any, wanted: Float64Array, k: int, within: str, level: _Level) -> list[dict[str, Any]]:
-        """Read all tiles within the filter and return the k best, for when the index returns fewer than k."""
-        keys: list[str] = []
-        while True:  # page by key, because offsets are limited to 16,384
-            after = f'id > "{keys[-1] if keys else ""}"'
-            page = client.query(
-                self._name,
-                filter=f"({within}) and {after}" if within else after,
-                limit=self.most,
-                output_fields=["id"],
-                **_now(level),
-            )
-            if not page:  # a short page may only have had a duplicate key
-                break
-            keys += sorted({str(row["id"]) for row in page})
-        nearest: list[dict[str, Any]] = []
-        for some in _chunks(keys, self._step):
-            nearest += self._read(client, some, level)
-            scores = scores_of(np.array([row["vector"] for row in nearest], np.float32), wanted)
-            by_name = np.argsort(np.argsort([row["name"] for row in nearest]))
-            nearest = [nearest[i] for i in best(scores, by_name, k)]
-        return nearest
+    def _arrays(self, rows: Sequence[dict[str, Any]]) -> tuple[Float32Array, Float64Array]:
+        """Return the descriptors (B, n, D) and positions (B, 2) of rows."""
+        vectors = np.array([row["vector"] for row in rows], np.float32)
+        places = np.array([(row["latitude"], row["longitude"]) for row in rows], np.float64).reshape(-1, 2)
+        places[places == _NOWHERE] = np.nan
+        return vectors.reshape(len(rows), self.kind.n_parts, self.kind.embedding), places
 
     def _call(self, task: Callable[[Any], _T]) -> _T:
-        """Run a task with a connected client, retrying for a while if the server does not answer."""
-        until = time.monotonic() + self._patience
-        released = False
-        for pause in chain(_PAUSES, repeat(_PAUSES[-1])):
+        """Run a task with a connected client, trying again for a while if the server does not answer."""
+        until, again = time.monotonic() + self._patience, False
+        while True:
             try:
                 if self._client is None:
-                    self._written = time.monotonic()  # others may have written
-                    self._client = self._milvus.MilvusClient(
-                        uri=f"http://{self._address}", token=self._token, timeout=_CALL
-                    )
-                if released:
-                    self._load(self._client)
+                    uri = f"http://{self._address}"
+                    self._client = self._milvus.MilvusClient(uri=uri, token=self._token, timeout=_CALL)
+                if again and hasattr(self, "kind"):
+                    self._client.load_collection(self._name)  # a server that was started again has loaded none
                 return task(self._client)
             except (StoreError, InputError):
                 raise
@@ -373,33 +272,16 @@ class MilvusIndex(Index):
                         f"{self._url} denies access ({message}); give a user with the right to do this "
                         f"({SCHEME}://user:password@host:port/collection)."
                     ) from error
-                if not self._is_temporary(error):
+                if _is_permanent(error):
                     raise StoreError(f"{self._url} refuses: {_short(error)}.") from error
-                released = getattr(error, "code", None) in _RELEASED
-                if not released:
-                    self._disconnect()
-                if time.monotonic() + pause > until:
+                self.close()
+                if time.monotonic() + _PAUSE > until:
                     raise StoreError(
                         f"{self._url} does not answer after {self._patience:g} s ({_short(error)}); start the server, "
                         "or check the address."
                     ) from error
-                time.sleep(pause)
-        raise AssertionError
-
-    def _is_temporary(self, error: Exception) -> bool:
-        """Return whether an error may be temporary, as while a server starts."""
-        errors = import_module("pymilvus.exceptions")
-        refused = isinstance(error, (errors.ParamError, errors.DataNotMatchException)) or getattr(
-            error, "is_input_error", False
-        )
-        mine = isinstance(error, (TypeError, KeyError, AttributeError))
-        return not refused and not mine and getattr(error, "code", None) not in _REFUSED
-
-    def _disconnect(self) -> None:
-        if self._client is not None:
-            with suppress(Exception):  # the connection may be lost already
-                self._client.close()
-            self._client = None
+            again = True
+            time.sleep(_PAUSE)
 
 
 def parse_url(url: str) -> tuple[str, str, str]:
@@ -456,13 +338,17 @@ def _describe(kind: DescriptorKind) -> str:
     return f"{kind.n_parts} x {kind.embedding} numbers of model {kind.fingerprint}"
 
 
-def _now(consistency: _Level = "Strong") -> dict[str, Any]:
-    """Return the options of a call; "Strong" sees all earlier writes, "Bounded" may miss those of the last seconds."""
+def _level(consistency: str) -> dict[str, Any]:
+    """Return the options of a call that sees all earlier writes ("Strong"), or those of this process ("Session")."""
     return {"consistency_level": consistency, "timeout": _CALL}
 
 
-def _chunks(keys: list[str], size: int) -> Iterator[list[str]]:
-    return (keys[start : start + size] for start in range(0, len(keys), size))
+def _is_permanent(error: Exception) -> bool:
+    errors = import_module("pymilvus.exceptions")
+    ours = (TypeError, KeyError, AttributeError, errors.ParamError, errors.DataNotMatchException)
+    return (
+        isinstance(error, ours) or getattr(error, "is_input_error", False) or getattr(error, "code", None) in _REFUSED
+    )
 
 
 def _denied(error: Exception) -> str | None:

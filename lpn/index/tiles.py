@@ -1,4 +1,4 @@
-"""Read the tiles to be indexed, with their positions if known, from a store of descriptors or from shards."""
+"""Read the tiles to be indexed, with their positions if known, from a store of descriptors or from the parts of many workers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lpn.models.contract import Role
 
 # Size of the descriptors that are added at once, in bytes; a killed run repeats at most this much.
 _CHUNK_BYTES = 64 << 20
-# The name in `lpn.cluster.shards`, which needs an extra and is imported for shards only.
+# The name in `lpn.cluster.parts`, which needs an extra and is imported for parts only.
 _PLAN = "plan.json"
 
 
@@ -40,12 +40,12 @@ class TileChunk:
 
 @dataclass(frozen=True)
 class TileSource:
-    """Tiles to be added to an index; only one chunk of shards is in memory at a time.
+    """Tiles to be added to an index; only one chunk of descriptors is in memory at a time.
 
     Attributes:
         kind: kind of the descriptors.
         count: number of tiles.
-        chunks: all tiles in order, in chunks; raises StoreError if a shard is damaged or was rewritten meanwhile.
+        chunks: all tiles in order, in chunks; raises StoreError if a part is damaged or was removed meanwhile.
         broken: number of pictures that could not be described and are left out.
     """
 
@@ -56,21 +56,21 @@ class TileSource:
 
 
 def open_tiles(where: str, data: Path | None = None) -> TileSource:
-    """Open a store or shards of descriptors. Windows of a map have the positions in their names.
+    """Open a store or parts of descriptors. Windows of a map have the positions in their names.
 
     Args:
-        where: folder of a store, or folder or address of shards.
-        data: folder whose geo.csv replaces the positions of shards, by `lpn.datasets.geo.Positions.match`. Without one, it is a
+        where: folder of a store, or folder or address of parts.
+        data: folder whose geo.csv replaces the positions of parts, by `lpn.datasets.geo.Positions.match`. Without one, it is a
             data set that tells positions otherwise.
 
     Raises:
-        StoreError: when there is neither a complete store nor complete shards.
+        StoreError: when there is neither a complete store nor complete parts.
         DataError: when `data` tells no positions, or they cannot be read.
         InputError: if an index cannot hold these tiles, or `data` has no position for any tile, or two for one.
     """
     folder = Path(where)
-    is_shards = "://" in where or ((folder / _PLAN).is_file() and not (folder / "manifest.json").is_file())
-    return _of_shards(where, data) if is_shards else _of_store(folder, data)
+    is_parts = "://" in where or ((folder / _PLAN).is_file() and not (folder / "manifest.json").is_file())
+    return _of_parts(where, data) if is_parts else _of_store(folder, data)
 
 
 def _of_store(folder: Path, data: Path | None) -> TileSource:
@@ -100,63 +100,24 @@ def _check_role(role: Role | None, where: str) -> None:
         )
 
 
-def _of_shards(where: str, data: Path | None) -> TileSource:
-    from lpn.cluster.gather import open_shards
-    from lpn.cluster.shards import each
+def _of_parts(where: str, data: Path | None) -> TileSource:
+    from lpn.cluster.parts import PartContents, open_parts
 
-    shards = open_shards(where)
-    _check_role(shards.plan.role, shards.storage.where)
-    kind = DescriptorKind(shards.plan.fingerprint, shards.plan.n_parts, shards.plan.embedding)
+    opened = open_parts(where)
+    plan = opened.plan
+    _check_role(plan.role, opened.storage.where)
+    kind = DescriptorKind(plan.fingerprint, plan.n_parts, plan.embedding)
+    names = [one.row.file for part in opened.parts for one in part.items]
+    check_names(names, len(names))
+    positions = None if data is None else _positions(data, names)
+    starts = np.cumsum([0, *(len(part.items) for part in opened.parts)]).tolist()
 
-    def checked(partition: int) -> list[str]:
-        # A name determines its partition, so no tile is in two of them.
-        names = shards.tiles(partition).names
-        return check_names(names, len(names))
+    def chunk(part: PartContents, start: int) -> TileChunk:
+        some = slice(start, start + len(part.items))
+        places = part.positions if positions is None else positions[some]
+        return TileChunk(names[some], places, lambda rows: opened.vectors(part)[rows])
 
-    partitions = range(shards.plan.partitions)
-    positions: Float64Array | None = None
-    if data is None:
-        seen = list(each(lambda partition: _identity(checked(partition)), partitions))
-    else:
-        # The paths of geo.csv are matched against all names at once.
-        parts = list(each(checked, partitions))
-        seen = [_identity(names) for names in parts]
-        positions = _positions(data, [name for names in parts for name in names])
-    starts = np.cumsum([0, *(count for count, _ in seen)])
-
-    def chunk(group: range) -> TileChunk:
-        tiles = list(each(shards.tiles, group))
-        for partition, part in zip(group, tiles, strict=True):
-            # A shard of the same digest may have other broken pictures by now.
-            if _identity(part.names) != seen[partition]:
-                raise shards.written_anew(partition)
-        names = [name for part in tiles for name in part.names]
-        first = starts[group.start]
-        own = np.concatenate([part.positions for part in tiles])
-        places = own if positions is None else positions[first : first + len(names)]
-
-        def rows(at: Int64Array) -> Float32Array:
-            owners = np.searchsorted(starts, first + at, "right") - 1
-            read = [
-                shards.descriptors(int(p), tiles[p - group.start].names)[(first + at)[owners == p] - starts[p]]
-                for p in np.unique(owners)
-            ]
-            return np.concatenate(read)
-
-        return TileChunk(names, places, rows)
-
-    groups: list[range] = []
-    for partition in partitions:
-        start = partition
-        if groups and starts[partition + 1] - starts[groups[-1].start] <= _step(kind):
-            start = groups.pop().start
-        groups.append(range(start, partition + 1))
-    return TileSource(kind, int(starts[-1]), map(chunk, groups), len(shards.broken))
-
-
-def _identity(names: list[str]) -> tuple[int, int]:
-    """Identify the tiles of a shard in little memory."""
-    return len(names), hash(tuple(names))
+    return TileSource(kind, len(names), map(chunk, opened.parts, starts), len(opened.broken))
 
 
 def _step(kind: DescriptorKind) -> int:

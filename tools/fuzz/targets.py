@@ -109,10 +109,9 @@ def pictures(_: Path) -> list[FuzzCase]:
 
 
 def stores(folder: Path) -> list[FuzzCase]:
-    """Descriptors: a store, one that was interrupted, shards with their plan, and an index."""
+    """Descriptors: a store, one that was interrupted, parts with their plan, and an index."""
     from lpn import descriptors, index
-    from lpn.cluster.gather import open_shards
-    from lpn.cluster.shards import Plan, ShardItem, contents, read_notes, shard_name, write_shard
+    from lpn.cluster.parts import PartItem, Plan, contents_of, open_parts, write_part
     from lpn.cluster.storage import Storage
     from lpn.descriptors.partial_store import PartialStore
     from lpn.descriptors.transforms import UNCHANGED
@@ -140,15 +139,14 @@ def stores(folder: Path) -> list[FuzzCase]:
         store = descriptors.open_store(folder / "store")
         _ = store.float32, store.damaged(), store.manifest.damaged, store.manifest.change.describe()
 
-    storage, plan = Storage(folder / "shards"), Plan("0" * 16, "drone", 2, 8, "float32", 1)
-    write_shard(storage, plan, 0, [ShardItem(row, (46.0, 7.0)) for row in rows], raw)
-    written = contents([notes for notes in read_notes(storage, plan, [0]) if notes is not None])
-    storage.write("plan.json", replace(plan, finished=True, contents=written).to_json())
+    (folder / "parts").mkdir()
+    storage, plan = Storage(folder / "parts"), Plan("0" * 16, "drone", 2, 8, "float32")
+    written = write_part(storage, plan, [PartItem(row, (46.0, 7.0)) for row in rows], raw)
+    storage.write("plan.json", replace(plan, contents=contents_of([written])).to_json())
 
     def gathered() -> None:
-        found = open_shards(folder / "shards")
-        for partition in range(found.plan.partitions):
-            _ = found.items(partition), found.descriptors(partition, found.tiles(partition).names)
+        found = open_parts(folder / "parts")
+        _ = [(part.positions, found.vectors(part)) for part in found.parts]
 
     index.create_index(folder / "index", index.DescriptorKind("0" * 16, 2, 8)).add([row.file for row in rows], raw)
     files = [file for file in sorted((folder / "index").rglob("*")) if file.is_file() and file.stat().st_size]
@@ -156,7 +154,7 @@ def stores(folder: Path) -> list[FuzzCase]:
         in_file(manifest, opened, manifest.read_bytes(), plain.to_json()),
         in_file(array, opened),
         *map(interrupted, left),
-        *(in_file(folder / "shards" / name, gathered) for name in ("plan.json", shard_name(0))),
+        *(in_file(folder / "parts" / name, gathered) for name in ("plan.json", written)),
         *(in_file(file, lambda: index.open_index(folder / "index").search(raw[0], None, 3)) for file in files),
     ]
 

@@ -29,10 +29,9 @@ pytest.importorskip("pyarrow", reason="the extra cluster is not installed")
 from lpn import descriptors
 from lpn.cli import main
 from lpn.cluster import session
-from lpn.cluster.driver import Summary, describe_shards
-from lpn.cluster.gather import open_shards, to_store
+from lpn.cluster.driver import Summary, describe_parts
+from lpn.cluster.parts import PartItem, open_parts, to_store
 from lpn.cluster.session import ray_session
-from lpn.cluster.shards import ShardItem
 from lpn.cluster.storage import Storage
 from lpn.cluster.worker import DescribeWorker
 from lpn.core.errors import DataError, InputError, LPNError, StoreError
@@ -71,14 +70,14 @@ def _ray() -> Iterator[None]:
 
 @pytest.fixture(scope="module")
 def described(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Summary, list[str]]:
-    """Pictures, their shards, and what was said; no test may change them."""
+    """Pictures, their parts, and what was said; no test may change them."""
     root, lines = tmp_path_factory.mktemp("described"), []
     for i in range(PICTURES):
         small_worlds.write(root / "pictures" / f"{i % 3}" / f"{i:02d}.png", small_worlds.place(i))
-    out = root / "shards"
+    out = root / "parts"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        summary = describe_shards(model_file, root / "pictures", "drone", out, workers=2, shard=8, say=lines.append)
+        summary = describe_parts(model_file, root / "pictures", "drone", out, workers=2, size=8, say=lines.append)
     return root / "pictures", out, summary, lines
 
 
@@ -90,13 +89,13 @@ def folder(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> 
 
 @pytest.fixture
 def done(described: tuple[Path, Path, Summary, list[str]], tmp_path: Path) -> Path:
-    """Their shards, for one test."""
-    return shutil.copytree(described[1], tmp_path / "shards")
+    """Their parts, for one test."""
+    return shutil.copytree(described[1], tmp_path / "parts")
 
 
 def describe(model_file: Path, folder: Path, out: Path, workers: int = 1, **given: object) -> Summary:
     """By one worker, as each takes seconds to start, where not two are what is tested."""
-    return describe_shards(model_file, folder, "drone", out, workers=workers, shard=8, say=lambda _: None, **given)  # type: ignore[arg-type]
+    return describe_parts(model_file, folder, "drone", out, workers=workers, size=8, say=lambda _: None, **given)  # type: ignore[arg-type]
 
 
 def expected(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
@@ -105,10 +104,10 @@ def expected(model_file: Path, folder: Path, out: Path) -> descriptors.Store:
 
 def held(out: Path) -> dict[str, np.ndarray]:
     """Descriptors by name, each name once."""
-    shards = open_shards(out)
-    names = [shards.tiles(partition).names for partition in range(shards.plan.partitions)]
-    parts = [(some, shards.descriptors(partition, some)) for partition, some in enumerate(names)]
-    found = [both for names, descriptors in parts for both in zip(names, descriptors, strict=True)]
+    parts = open_parts(out)
+    found = [
+        (one.row.file, row) for part in parts.parts for one, row in zip(part.items, parts.vectors(part), strict=True)
+    ]
     assert len(dict(found)) == len(found)
     return dict(found)
 
@@ -124,7 +123,7 @@ def test_workers_take_the_branch_of_a_role(tmp_path: Path) -> None:
     files = descriptors.pictures_below(tmp_path / "pictures")
     alone = descriptors.describe(bound, files, "drone", tmp_path / "alone", root=tmp_path / "pictures")
     describe(model, tmp_path / "pictures", tmp_path / "gallery", role="gallery")
-    store = to_store(open_shards(tmp_path / "gallery"), tmp_path / "store")
+    store = to_store(open_parts(tmp_path / "gallery"), tmp_path / "store")
     assert store.manifest == alone.manifest
     assert store.manifest.role == "gallery"
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
@@ -142,69 +141,69 @@ def test_two_workers_say_what_one_machine_says(
     assert "40 of 40 pictures" in lines[-1]
     assert "per second" in lines[-1]
     alone = expected(model_file, pictures, tmp_path / "alone")
-    store = to_store(open_shards(out), tmp_path / "store")
+    store = to_store(open_parts(out), tmp_path / "store")
     assert store.manifest == alone.manifest
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
     found = held(out)
     for row, descriptor in zip(alone.manifest.rows, alone.descriptors, strict=True):
         np.testing.assert_allclose(found[row.file], descriptor, atol=1e-6)
     assert (out / "broken.csv").read_text() == "name,reason\n"
-    before = {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")}
+    before = {path.name: path.stat().st_mtime_ns for path in out.glob("part-*.zip")}
     assert describe(model_file, pictures, out).computed == 0
-    assert {path.name: path.stat().st_mtime_ns for path in out.glob("*.parquet")} == before
+    assert {path.name: path.stat().st_mtime_ns for path in out.glob("part-*.zip")} == before
 
 
 class Killed(DescribeWorker):
-    """Is killed once, in the middle of its second partition; writes its process and the partitions it begins to a file."""
+    """Is killed once, in the middle of its second part; writes its process and the first picture of each part to a file."""
 
-    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
+    def describe(self, items: list[PartItem]) -> tuple[int, int]:
         with (Path(self.task.out).parent / "begun").open("a") as begun:
-            begun.write(f"{os.getpid()} {partition}\n")
+            begun.write(f"{os.getpid()} {items[0].row.file}\n")
         fuse = Path(self.task.out).parent / "killed"
         seen = getattr(self, "seen", 0)
         self.seen = seen + 1
         if seen == 1:
             try:
                 with fuse.open("x") as killed:
-                    killed.write(f"{os.getpid()} {partition}")
+                    killed.write(f"{os.getpid()} {items[0].row.file}")
             except FileExistsError:
                 pass
             else:
                 os.kill(os.getpid(), signal.SIGKILL)
-        return super().describe(partition, items, source)
+        return super().describe(items)
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_its_own_partitions_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "shards"
+def test_a_killed_worker_costs_its_own_parts_alone(model_file: Path, folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "parts"
     summary = describe(model_file, folder, out, workers=2, worker=Killed)
     assert (summary.pictures, summary.computed, summary.broken) == (PICTURES, PICTURES, [])
     begun = [line.split() for line in (tmp_path / "begun").read_text().splitlines()]
     process, lost = (tmp_path / "killed").read_text().split()
-    times = Counter(int(partition) for _, partition in begun)
-    assert sorted(times) == list(range(open_shards(out).plan.partitions))
-    repeated = {partition for partition, count in times.items() if count > 1}
-    # Its partition before the last is lost too if the driver had not heard of that yet.
-    assert int(lost) in repeated
-    assert repeated <= {int(partition) for by, partition in begun if by == process}
+    times = Counter(first for _, first in begun)
+    assert len(times) == 5
+    repeated = {first for first, count in times.items() if count > 1}
+    # Its part before the last is lost too if the driver had not heard of that yet.
+    assert lost in repeated
+    assert repeated <= {first for by, first in begun if by == process}
     assert max(times.values()) == 2
     alone = expected(model_file, folder, tmp_path / "alone")
-    store = to_store(open_shards(out), tmp_path / "store")
+    store = to_store(open_parts(out), tmp_path / "store")
     assert store.manifest == alone.manifest
     np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
 
 
 class Odd(DescribeWorker):
-    """Fails at every partition, as a fault of ours would make it."""
+    """Fails at every part, as a fault of ours would make it."""
 
-    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:  # noqa: ARG002
-        raise ZeroDivisionError(f"partition {partition} of {len(items)}")
+    def describe(self, items: list[PartItem]) -> tuple[int, int]:
+        raise ZeroDivisionError(f"part of {len(items)}")
 
 
 @pytest.mark.slow
 def test_what_workers_cannot_mend_is_one_sentence(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: partition .*run this again\.$"):
-        describe(model_file, folder, tmp_path / "shards", worker=Odd)
+    with pytest.raises(StoreError, match=r"^The workers failed \(ZeroDivisionError: part .*run this again\.$"):
+        describe(model_file, folder, tmp_path / "parts", worker=Odd)
 
 
 @pytest.mark.slow
@@ -227,36 +226,33 @@ def test_what_changed_alone_is_computed_and_what_is_broken_is_named(
     rows = list(csv.reader((done / "broken.csv").read_text().splitlines()))
     assert rows == [["name", "reason"], *map(list, zip(broken, reasons, strict=True))]
     assert set(held(done)) == set(names) - set(broken)
-    shards = open_shards(done)
-    assert all((shards.tiles(partition).positions == (46.5, 7.25)).all() for partition in range(shards.plan.partitions))
+    assert all((part.positions == (46.5, 7.25)).all() for part in open_parts(done).parts)
     again = describe(model_file, folder, done)
     assert (again.computed, again.broken) == (0, summary.broken)
     for name in broken:
         (folder / name).unlink()
     alone = expected(model_file, folder, tmp_path / "alone")
-    np.testing.assert_allclose(
-        to_store(open_shards(done), tmp_path / "store").descriptors, alone.descriptors, atol=1e-6
-    )
+    np.testing.assert_allclose(to_store(open_parts(done), tmp_path / "store").descriptors, alone.descriptors, atol=1e-6)
 
 
 DRIVER = """
 import sys, time
 from pathlib import Path
-from lpn.cluster.driver import describe_shards
+from lpn.cluster.driver import describe_parts
 from lpn.cluster.worker import DescribeWorker
 
 class Slow(DescribeWorker):
-    def describe(self, partition, items, source):
+    def describe(self, items):
         time.sleep(1.0)
-        return super().describe(partition, items, source)
+        return super().describe(items)
 
-describe_shards(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, shard=8, worker=Slow)
+describe_parts(Path(sys.argv[1]), sys.argv[2], "drone", sys.argv[3], workers=2, size=8, worker=Slow)
 """
 
 
 @pytest.mark.slow
 def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "shards"
+    out = tmp_path / "parts"
     driver = subprocess.Popen(
         [sys.executable, "-c", DRIVER, str(model_file), str(folder), str(out)],
         stdout=subprocess.DEVNULL,
@@ -264,104 +260,22 @@ def test_a_killed_driver_leaves_what_was_done(model_file: Path, folder: Path, tm
     )
     try:
         end = time.monotonic() + 6000
-        while not list(out.glob("*.parquet")):
+        while not list(out.glob("part-*.zip")):
             assert driver.poll() is None, "the driver ended before it was killed"
             assert time.monotonic() < end
             time.sleep(0.02)
     finally:
         driver.kill()
         driver.wait()
-    with pytest.raises(StoreError, match="missing or damaged; run lpn describe --engine ray again"):
-        open_shards(out)
+    with pytest.raises(StoreError, match="has not ended; wait for it, or run lpn describe --engine ray again"):
+        open_parts(out)
     summary = describe(model_file, folder, out)
     assert 0 < summary.computed < PICTURES
     assert len(held(out)) == PICTURES
 
 
-class Dying(DescribeWorker):
-    """Gives up at its second partition, as when the driver is killed there."""
-
-    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
-        if partition:
-            raise StoreError("The driver is gone.")
-        return super().describe(partition, items, source)
-
-
 @pytest.mark.slow
-def test_rows_of_an_ended_and_of_a_killed_run_are_not_mixed(
-    model_file: Path, folder: Path, done: Path, tmp_path: Path
-) -> None:
-    for file in descriptors.pictures_below(folder):
-        small_worlds.write(file, small_worlds.place(90))
-    with pytest.raises(StoreError, match="The driver is gone"):
-        describe(model_file, folder, done, worker=Dying)
-    with pytest.raises(StoreError, match="their run has not ended"):
-        open_shards(done)
-    assert main.main(["describe", f"--shards={done}", f"--out={tmp_path / 's'}"]) == 2
-    assert not (tmp_path / "s").exists()
-    assert describe(model_file, folder, done).computed > 0
-    rows = np.array(list(held(done).values()))
-    np.testing.assert_allclose(rows, rows[:1].repeat(PICTURES, 0), atol=1e-6)
-
-
-class Interrupted(DescribeWorker):
-    """Gives up at the partition that there was first, once: by then all others are there, if they are written before it."""
-
-    def describe(self, partition: int, items: list[ShardItem], source: int) -> tuple[int, int, int]:
-        fuse = Path(self.task.out).parent / "interrupted"
-        if not partition and not fuse.exists():
-            fuse.touch()
-            raise StoreError("The driver is gone.")
-        return super().describe(partition, items, source)
-
-
-@pytest.mark.slow
-def test_shards_of_a_folder_that_grows_stay_small(model_file: Path, folder: Path, tmp_path: Path) -> None:
-    """Twenty pictures join three: nothing is computed twice, also where the run that splits the shards is killed."""
-    out, pictures = tmp_path / "shards", tmp_path / "some"
-    # With these names none of eight partitions gets more than four, and the first more than the one of the first run.
-    numbers = [14, 11, 13, *(i for i in range(10, 33) if i not in (11, 13, 14))]
-    kept = [folder / f"{i % 3}" / f"{i:02d}.png" for i in numbers]
-
-    def run(worker: type[DescribeWorker] = DescribeWorker) -> Summary:
-        return describe_shards(
-            model_file, pictures, "drone", out, workers=1, shard=4, say=lambda _: None, worker=worker
-        )
-
-    def sizes() -> list[int]:
-        shards = open_shards(out)
-        return [len(shards.items(partition)) for partition in range(shards.plan.partitions)]
-
-    pictures.mkdir()
-    for file in kept[:3]:
-        shutil.copy2(file, pictures)
-    assert run().computed == 3
-    assert sizes() == [3]
-    before = held(out)
-    for file in kept[3:]:
-        shutil.copy2(file, pictures)
-    with pytest.raises(StoreError, match="The driver is gone"):
-        run(Interrupted)
-    with pytest.raises(StoreError, match="their run has not ended"):
-        open_shards(out)
-    assert run().computed == 3
-    assert len(sizes()) == 8
-    assert max(sizes()) == 4
-    found = held(out)
-    assert len(found) == 23
-    for name, row in before.items():
-        np.testing.assert_array_equal(found[name], row)
-    (pictures / kept[0].name).unlink()
-    small_worlds.write(pictures / kept[1].name, small_worlds.place(77))
-    assert run().computed == 1
-    alone = expected(model_file, pictures, tmp_path / "alone")
-    store = to_store(open_shards(out), tmp_path / "store")
-    assert store.manifest == alone.manifest
-    np.testing.assert_allclose(store.descriptors, alone.descriptors, atol=1e-6)
-
-
-@pytest.mark.slow
-def test_shards_are_indexed_with_their_positions(
+def test_parts_are_indexed_with_their_positions(
     model_file: Path, folder: Path, done: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Given to describe in a file above the pictures, and so named as `lpn index --data` takes them."""
@@ -430,7 +344,7 @@ def test_a_cluster_is_joined_by_its_address_and_one_that_is_not_there_is_told(
     model_file: Path, folder: Path, cluster: str, tmp_path: Path
 ) -> None:
     """In a process that has no Ray yet; one for all of these, as it takes seconds to load."""
-    out = tmp_path / "shards"
+    out = tmp_path / "parts"
     common = ["describe", "--engine", "ray", "--model", str(model_file), "--images", str(folder), "--view", "drone"]
     common += ["--out", str(out), "--address"]
     with socket.create_server(("127.0.0.1", 0)) as closed:
@@ -488,14 +402,14 @@ def test_commands_say_what_they_did(
     model_file: Path, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (folder / "1" / "text.jpg").write_bytes(b"no picture")
-    out = tmp_path / "shards"
+    out = tmp_path / "parts"
     common = ["describe", "--model", str(model_file), "--view", "drone", "--engine", "ray", "--workers", "1"]
     given = [*common, "--images", f"file://{folder}", "--out", str(out), "--precision", "float16"]
     assert main.main(given) == 1
     said = capsys.readouterr().out
     assert f"{out} holds 40 descriptors, 40 of them computed now." in said
     assert "1 pictures could not be described; broken.csv there names them" in said
-    assert main.main(["describe", "--shards", str(out), "--out", str(tmp_path / "store")]) == 0
+    assert main.main(["describe", "--parts", str(out), "--out", str(tmp_path / "store")]) == 0
     assert f"1 pictures are broken and not in it; broken.csv in {out} names them." in capsys.readouterr().out
     (folder / "1" / "text.jpg").unlink()
     store = descriptors.open_store(tmp_path / "store")
@@ -543,19 +457,7 @@ def test_bad_options_are_refused_in_words(model_file: Path, folder: Path, tmp_pa
     for kind, said, given in cases:
         options = {"model": model_file, "pictures": folder, "view": "drone", "out": tmp_path / "out"} | given
         with pytest.raises(kind, match=said):
-            describe_shards(**options)  # type: ignore[arg-type]
-    assert not list(tmp_path.glob("out/*.parquet"))
-    with pytest.raises(StoreError, match="no folder of shards"):
-        open_shards(tmp_path)
-
-
-@pytest.mark.slow
-def test_damaged_shards_are_computed_again(model_file: Path, folder: Path, done: Path) -> None:
-    lost = open_shards(done).read(1)
-    damaged = done / "000001.parquet"
-    damaged.write_bytes(damaged.read_bytes()[:-100])
-    (done / "000000.parquet").rename(done / "000002.parquet")
-    with pytest.raises(StoreError, match="3 of 5 shards"):
-        open_shards(done)
-    assert describe(model_file, folder, done).computed > len(lost.items)
-    assert len(held(done)) == PICTURES
+            describe_parts(**options)  # type: ignore[arg-type]
+    assert not list(tmp_path.glob("out/part-*.zip"))
+    with pytest.raises(StoreError, match="no folder of parts"):
+        open_parts(tmp_path)

@@ -18,7 +18,7 @@ from safetensors.torch import save_file
 
 import lpn
 from lpn import descriptors
-from lpn.cluster.shards import Plan
+from lpn.cluster.parts import Plan
 from lpn.cluster.storage import Storage
 from lpn.core.checksums import crc_of_values
 from lpn.core.errors import DataError, InputError, LPNError, ModelFileError, StoreError
@@ -167,8 +167,8 @@ def test_a_flipped_byte_is_found_in_every_file_of_an_index(index: Path, tmp_path
     assert [verdict.whole for verdict in verify(index)] == [False]
 
 
-def test_later_shards_are_named(tmp_path: Path) -> None:
-    (tmp_path / "plan.json").write_bytes(Plan("0123456789abcdef", "drone", 4, 512, "float32", 3).to_json())
+def test_later_parts_are_named(tmp_path: Path) -> None:
+    (tmp_path / "plan.json").write_bytes(Plan("0123456789abcdef", "drone", 4, 512, "float32").to_json())
     assert Plan.read(Storage(tmp_path)) is not None
     of_later(tmp_path / "plan.json")
     with pytest.raises(StoreError, match=r"plan\.json in .* was written " + LATER):

@@ -431,8 +431,8 @@ def test_an_index_of_another_model_or_kind_is_refused(tmp_path: Path) -> None:
         create_index(tmp_path / "other", KIND, "milvus")
     with pytest.raises(InputError, match="engine exact has no codes to choose; leave pq out, or use the engine faiss"):
         create_index(tmp_path / "other", KIND, codes="pq")
-    with pytest.raises(InputError, match="leave ivf out, or use the engine milvus"):
-        create_index(tmp_path / "other", KIND, "faiss", structure="ivf")
+    with pytest.raises(InputError, match="leave hnsw out, or use the engine milvus"):
+        create_index(tmp_path / "other", KIND, "faiss", structure="hnsw")
 
 
 def test_what_is_no_index_is_told_in_a_sentence(tmp_path: Path) -> None:
@@ -634,7 +634,7 @@ def test_codes_and_structure_can_be_chosen(
     with create_index(COLLECTION, KIND, structure="hnsw") as index:
         assert isinstance(index, MilvusIndex)
         assert index.structure == "hnsw"
-    assert main(["index", *store, *_options(out=COLLECTION, structure="ivf")]) == 2
+    assert main(["index", *store, *_options(out=COLLECTION, structure="flat")]) == 2
 
 
 def test_what_cannot_be_indexed_or_searched_is_told_in_a_sentence(

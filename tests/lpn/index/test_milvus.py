@@ -9,7 +9,7 @@ import pytest
 
 from lpn.core.errors import InputError, StoreError
 from lpn.index import MilvusIndex, create_index, open_index
-from tests.lpn.index.test_index import KIND, Tiles
+from tests.lpn.index.test_index import KIND
 from tools.fixtures.milvus_server import COLLECTION, FakeMilvusClient, pretend
 
 
@@ -54,38 +54,6 @@ def test_a_collection_that_is_gone_is_told_at_once(
         client.error = MilvusException(100, "collection not found[collection=tiles]")
         with pytest.raises(StoreError, match="refuses: collection not found"):
             index.count()
-
-
-def test_a_search_waits_for_what_was_just_written_and_for_nothing_later(
-    client: type[FakeMilvusClient], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    levels: list[str] = []
-    monkeypatch.setattr(
-        client, "search", lambda *_, consistency_level, **__: levels.append(consistency_level) or [[]], raising=False
-    )
-    monkeypatch.setattr(client, "upsert", lambda *_, **__: None, raising=False)
-    now = time.monotonic()
-
-    def load(*_: Any) -> None:
-        nonlocal now
-        now += 20
-
-    monkeypatch.setattr(client, "load_collection", load)
-    monkeypatch.setattr("lpn.index.milvus.time.monotonic", lambda: now)
-    query = Tiles.draw(1).descriptors[0]
-    with open_index(COLLECTION) as index:
-
-        def searched_after(seconds: float) -> str:
-            nonlocal now
-            now += seconds
-            index.search(query, None, 1)
-            return levels[-1]
-
-        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
-        index.add(["one"], query[None])
-        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
-        index._disconnect()  # type: ignore[attr-defined]
-        assert [searched_after(1), searched_after(11)] == ["Strong", "Bounded"]
 
 
 @pytest.mark.parametrize("code", [1400, 1401, 1800])

