@@ -1,133 +1,117 @@
 """A store that is being filled, and its folder after a kill.
 
-`descriptors.part` holds the rows, `planned.json` the future manifest, and `progress.json` the finished rows, as a list of
-ranges [first, end).
-
-If the list of files changes, all three are written anew under names that end in `.new`, `progress.json.new` last, and then
-replace the old ones, progress last. While `progress.json.new` exists, all new files are complete, with or without
-`.new`, and the next run finishes the replacement. A kill at any step loses no row.
+Finished rows are appended to `descriptors.log`, each with the file that it describes: a line of JSON with the store's kind, and
+for each row the lengths of the JSON of its file and of its numbers, these two, and their CRC-32. Rows are found again by their
+files, whatever else is to be described by now; a row that a kill cut off is left out. The log goes once the store is whole.
 """
 
 from __future__ import annotations
 
 import json
-import os
+import struct
 import time
-from collections.abc import Sequence
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 
 from lpn.core.arrays import AnyArray, BoolArray, Float32Array
 from lpn.core.errors import LPNError, NewerStoreError, StoreError
-from lpn.core.files import open_memmap, write_atomic
-from lpn.descriptors.store import FORMAT, Manifest, Store, encode, open_array
+from lpn.descriptors.store import FORMAT, Manifest, Row, Store, encode, float_box, open_array
 
+LOG = "descriptors.log"
 # A kill loses the work of this many seconds.
 _SAVE_SECONDS = 1.0
-# The files, in the order in which new ones replace old ones.
-_NAMES = ("descriptors.part", "planned.json", "progress.json")
-
-
-class _Progress(msgspec.Struct):
-    done: list[tuple[int, int]]
+_LENGTHS, _SUM = struct.Struct("<II"), struct.Struct("<I")
 
 
 class PartialStore:
-    """The rows of a future store; rows of an interrupted run or of an earlier store are reused.
-
-    Attributes:
-        good: the finished rows, (N,) bool.
-    """
+    """The rows of a future store; rows of an interrupted run or of an earlier store are reused."""
 
     def __init__(self, out: Path, manifest: Manifest, before: Store | None) -> None:
-        self._part, planned, self._progress = (out / name for name in _NAMES)
-        self._precision = manifest.precision
-        _replace_old(out)
-        interrupted = _interrupted(manifest, self._part, planned, self._progress)
-        known = {} if before is None else _known(manifest, before.manifest, before.descriptors, ~before.damaged())
-        if interrupted is not None and interrupted[0] == manifest:
-            self.good = interrupted[2]
-            self._array = np.lib.format.open_memmap(self._part, mode="r+")
-            self._copy(known)
-        else:
-            known |= {} if interrupted is None else _known(manifest, *interrupted)
-            self.good = np.zeros(len(manifest.rows), np.bool_)
-            shape = (len(manifest.rows), manifest.n_parts, manifest.embedding)
-            self._array = _allocate(_new(self._part), manifest.precision, shape)
-            self._copy(known)
-            self._array.flush()
-            write_atomic(_new(planned), manifest.to_json())
-            write_atomic(_new(self._progress), self._good_ranges())
-            _replace_old(out)
+        self._manifest, self._path = manifest, out / LOG
+        logged, end = _read(self._path, manifest)
+        # Where each row's numbers begin in the log; -1 for a row that is not finished.
+        self._places = np.array([logged.get(row, -1) for row in manifest.rows], np.int64)
+        self._file = self._path.open("r+b" if end else "wb")
+        try:
+            self._begin(end, before)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _begin(self, end: int, before: Store | None) -> None:
+        """Write what follows the end of the log's whole rows: its first line, and rows of a store that are reused."""
+        self._file.truncate(end)
+        self._file.seek(end)
+        if not end:
+            self._file.write(replace(self._manifest, rows=(), checksums=None).to_json() + b"\n")
+        if before is not None:
+            pairs = zip(before.manifest.rows, before.damaged(), strict=True)
+            whole = {row: place for place, (row, damaged) in enumerate(pairs) if not damaged}
+            for i, row in enumerate(self._manifest.rows):
+                if row in whole and self._places[i] < 0:
+                    self._append(i, before.descriptors[whole[row]])
         self.save()
+
+    @property
+    def good(self) -> BoolArray:
+        """The finished rows, (N,)."""
+        return self._places >= 0
 
     def put(self, rows: Sequence[int], descriptors: Float32Array) -> None:
         """Set rows from descriptors (B, n, D) float32; they are saved about once a second."""
-        self._array[rows] = encode(descriptors, self._precision)
-        self.good[rows] = True
+        for row, numbers in zip(rows, encode(descriptors, self._manifest.precision), strict=True):
+            self._append(row, numbers)
         if time.monotonic() - self._saved >= _SAVE_SECONDS:
             self.save()
 
-    def rows(self) -> AnyArray:
-        """Return a copy of all rows, (N, n, D); those that are not finished are 0."""
-        rows = np.array(self._array)
-        rows[~self.good] = 0
-        return rows
-
     def save(self) -> None:
-        """Write the rows to disk, then record them as finished."""
-        self._array.flush()
-        write_atomic(self._progress, self._good_ranges())
+        """Write all finished rows to the disk."""
+        self._file.flush()
         self._saved = time.monotonic()
 
-    def _good_ranges(self) -> bytes:
-        edges = np.flatnonzero(np.diff(self.good, prepend=False, append=False))
-        return json.dumps({"done": edges.reshape(-1, 2).tolist()}).encode()
+    def close(self) -> None:
+        """Save, and close the log."""
+        with self._file:
+            self.save()
 
-    def _copy(self, known: dict[int, AnyArray]) -> None:
-        for i, row in known.items():
-            if not self.good[i]:
-                self._array[i] = row
-                self.good[i] = True
+    def rows(self) -> AnyArray:
+        """Return all rows, (N, n, D); those that are not finished are 0."""
+        rows = np.zeros((len(self._places), *self._shape), self._manifest.precision)
+        for i, numbers in self._numbers():
+            rows[i] = np.frombuffer(numbers, rows.dtype).reshape(self._shape)
+        return rows
 
+    def write(self, array: Path) -> None:
+        """Write the array of a store whose rows are all finished."""
+        with array.open("wb") as file:
+            shape = (len(self._places), *self._shape)
+            descr = np.lib.format.dtype_to_descr(np.dtype(self._manifest.precision))
+            np.lib.format.write_array_header_1_0(file, {"descr": descr, "fortran_order": False, "shape": shape})
+            for _, numbers in self._numbers():
+                file.write(numbers)
 
-def _new(path: Path) -> Path:
-    return path.with_name(path.name + ".new")
+    @property
+    def _shape(self) -> tuple[int, int]:
+        return self._manifest.n_parts, self._manifest.embedding
 
+    def _append(self, row: int, numbers: AnyArray) -> None:
+        name, content = json.dumps(asdict(self._manifest.rows[row])).encode(), numbers.tobytes()
+        lengths = _LENGTHS.pack(len(name), len(content))
+        self._places[row] = self._file.tell() + len(lengths) + len(name)
+        self._file.write(lengths + name + content + _SUM.pack(zlib.crc32(name + content)))
 
-def _replace_old(out: Path) -> None:
-    """Replace the old files if all new ones are complete, else delete the new ones."""
-    files = [out / name for name in _NAMES]
-    complete = _new(files[-1]).exists()
-    for file in files:
-        if not complete:
-            _new(file).unlink(missing_ok=True)
-        elif _new(file).exists():
-            os.replace(_new(file), file)
-
-
-def _allocate(path: Path, precision: str, shape: tuple[int, ...]) -> np.memmap[Any, Any]:
-    """Create an array and reserve its disk space; a disk that fills up under a memory map kills the process."""
-    try:
-        array: np.memmap[Any, Any] = np.lib.format.open_memmap(path, mode="w+", dtype=precision, shape=shape)
-        if hasattr(os, "posix_fallocate"):
-            with path.open("r+b") as file:
-                os.posix_fallocate(file.fileno(), 0, path.stat().st_size)
-    except OSError:
-        path.unlink(missing_ok=True)
-        raise
-    return array
-
-
-def lacks_manifest_only(folder: Path) -> bool:
-    """Return whether a run was killed between renaming its array and writing its manifest."""
-    there = [
-        (folder / name).exists() for name in ("progress.json", "descriptors.npy", "descriptors.part", "manifest.json")
-    ]
-    return there == [True, True, False, False]
+    def _numbers(self) -> Iterator[tuple[int, bytes]]:
+        """Yield each finished row and its numbers."""
+        self.save()
+        length = np.dtype(self._manifest.precision).itemsize * self._shape[0] * self._shape[1]
+        with self._path.open("rb") as file:
+            for i in np.flatnonzero(self.good).tolist():
+                file.seek(self._places[i])
+                yield i, file.read(length)
 
 
 def reusable_store(out: Path, manifest: Manifest) -> Store | None:
@@ -168,41 +152,32 @@ def complete_store(folder: Path) -> Store | None:
             return open_array(folder, manifest, written)
         except StoreError:
             return None
-    if (folder / "descriptors.npy").exists() and not (folder / "planned.json").exists():
+    if (folder / "descriptors.npy").exists() and not (folder / LOG).exists():
         raise StoreError(
             f"{folder} has a descriptors.npy without a manifest.json, so lpn did not make it; choose another folder."
         )
     return None
 
 
-def _interrupted(
-    manifest: Manifest, part: Path, planned: Path, progress: Path
-) -> tuple[Manifest, AnyArray, BoolArray] | None:
-    """Return the planned manifest, the rows, and the finished rows of an interrupted run with comparable rows."""
+def _read(log: Path, manifest: Manifest) -> tuple[dict[Row, int], int]:
+    """Return where the numbers of each row begin in a log of comparable rows, and its end; nothing without such a log."""
+    places: dict[Row, int] = {}
     try:
-        plan = Manifest.from_json(planned.read_bytes(), planned.name)
-        array = open_memmap(part)
-        expected = (len(plan.rows), manifest.n_parts, manifest.embedding)
-        fits = array.shape == expected and array.dtype == np.dtype(manifest.precision)
-        if not fits or not manifest.comparable(plan):
-            return None
-        good = np.zeros(len(plan.rows), np.bool_)
-        for start, end in msgspec.json.decode(progress.read_bytes(), type=_Progress).done:
-            if not 0 <= start < end <= len(good):
-                return None
-            good[start:end] = True
-        return plan, array, good
+        with log.open("rb") as file:
+            if not manifest.comparable(Manifest.from_json(file.readline(), log.name)):
+                return {}, 0
+            end = file.tell()
+            while len(lengths := file.read(_LENGTHS.size)) == _LENGTHS.size:
+                of_name, of_content = _LENGTHS.unpack(lengths)
+                content = file.read(of_name + of_content)
+                if file.read(_SUM.size) != _SUM.pack(zlib.crc32(content)):
+                    break
+                values = json.loads(content[:of_name])
+                row = Row(values["file"], values["size"], values["time_ns"], float_box(values["box"]))
+                places[row] = end + _LENGTHS.size + of_name
+                end = file.tell()
+            return places, end
     except NewerStoreError:
         raise
-    except (OSError, ValueError, RecursionError, msgspec.MsgspecError, LPNError):
-        return None
-
-
-def _known(
-    manifest: Manifest, other: Manifest, descriptors: AnyArray, good: BoolArray | None = None
-) -> dict[int, AnyArray]:
-    """Return the good rows of another store's descriptors for files that did not change, by new row number."""
-    if not manifest.comparable(other):
-        return {}
-    have = {row: i for i, row in enumerate(other.rows) if good is None or good[i]}
-    return {i: descriptors[have[row]] for i, row in enumerate(manifest.rows) if row in have}
+    except (OSError, ValueError, LookupError, TypeError, RecursionError, LPNError):
+        return {}, 0

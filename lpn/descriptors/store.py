@@ -235,7 +235,9 @@ def open_store(folder: str | Path) -> Store:
     folder = Path(folder)
     if not (folder / "manifest.json").is_file():
         unfinished = (
-            " (its description was not finished; run lpn describe again)" if (folder / "planned.json").is_file() else ""
+            " (its description was not finished; run lpn describe again)"
+            if (folder / "descriptors.log").is_file()
+            else ""
         )
         raise StoreError(f"{folder} has no manifest.json, so it is not a store of descriptors{unfinished}.")
     written = (folder / "manifest.json").read_bytes()

@@ -15,7 +15,7 @@ from lpn.core.views import View
 from lpn.datasets import files_below, unread_below, warn_left_out
 from lpn.datasets.integrity import check_whole
 from lpn.descriptors.parallel_inference import describe_each
-from lpn.descriptors.partial_store import PartialStore, lacks_manifest_only, reusable_store
+from lpn.descriptors.partial_store import LOG, PartialStore, reusable_store
 from lpn.descriptors.store import CropBox, Manifest, Precision, Row, Store, open_store, row_of
 from lpn.descriptors.transforms import UNCHANGED, Change
 from lpn.models.base import Model
@@ -56,7 +56,7 @@ def describe(
     rows = tuple(row_of(file, root, box) for file, box in zip(files, boxes or [None] * len(files), strict=True))
     manifest = Manifest.for_model(model, view, change, rows, precision)
     before = reusable_store(out, manifest)
-    if before is not None and before.manifest == manifest:
+    if before is not None and before.manifest == manifest and not (out / LOG).exists():
         return before
     check_whole(files, "pictures")
 
@@ -100,21 +100,20 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
             # Another process may have described the same pictures while this one waited.
             before = reusable_store(out, manifest)
             if before is None or before.manifest != manifest:
-                if lacks_manifest_only(out):
-                    os.replace(out / "descriptors.npy", out / "descriptors.part")
                 partial = PartialStore(out, manifest, before)
                 try:
                     fill(partial)
+                    if not partial.good.all():
+                        if not whole:
+                            return Store(manifest, partial.rows())
+                        raise StoreError(
+                            f"{int((~partial.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; "
+                            "run this again to resume."
+                        )
+                    _finish(out, manifest, partial)
                 finally:
-                    partial.save()
-                if not partial.good.all():
-                    if not whole:
-                        return Store(manifest, partial.rows())
-                    raise StoreError(
-                        f"{int((~partial.good).sum())} of {len(manifest.rows)} rows of the store {out} were not written; run "
-                        "this again to resume."
-                    )
-                _finish(out, manifest)
+                    partial.close()
+            (out / LOG).unlink(missing_ok=True)
     except OSError as error:
         raise StoreError(
             f"The store {out} cannot be written ({error.strerror or error}); {space_remedy(error)}choose another folder."
@@ -122,14 +121,14 @@ def write_store(out: Path, manifest: Manifest, fill: Callable[[PartialStore], No
     return open_store(out)
 
 
-def _finish(out: Path, manifest: Manifest) -> None:
-    final = manifest.with_checksums(out / "descriptors.part")
+def _finish(out: Path, manifest: Manifest, partial: PartialStore) -> None:
+    array = out / "descriptors.part"
+    partial.write(array)
+    final = manifest.with_checksums(array)
     # Remove the old manifest first, so that it never describes the new rows, even after a kill.
     (out / "manifest.json").unlink(missing_ok=True)
-    os.replace(out / "descriptors.part", out / "descriptors.npy")
+    os.replace(array, out / "descriptors.npy")
     write_atomic(out / "manifest.json", final.to_json())
-    for name in ("progress.json", "planned.json"):
-        (out / name).unlink(missing_ok=True)
 
 
 def fill_store(

@@ -12,6 +12,7 @@ from lpn.core.checksums import check_entries, check_seal
 from lpn.core.errors import InputError, LPNError, StoreError
 from lpn.core.files import printable
 from lpn.descriptors import Store, open_store
+from lpn.descriptors.partial_store import LOG
 from lpn.index.folder import is_manifest
 from lpn.index.folder import verify as verify_index
 
@@ -76,8 +77,8 @@ def _find(folder: Path) -> Iterator[Path]:
     for file in folder.rglob("*"):
         name = file.name
         parts = name == "plan.json" and any(file.parent.glob("part-*.zip"))
-        # "planned.json" is of a store whose making was interrupted.
-        if parts or name in ("manifest.json", "planned.json") or is_manifest(name):
+        # The log is of a store whose making was interrupted.
+        if parts or name in ("manifest.json", LOG) or is_manifest(name):
             yield file.parent
         elif file.suffix in _MODELS and file.is_file():
             yield file

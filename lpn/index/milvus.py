@@ -162,7 +162,7 @@ class MilvusIndex(Index):
 
         rows = sorted(self._rows(self._call(searched), level="Session").values(), key=lambda row: str(row["name"]))
         vectors, places = self._arrays(rows)
-        scores = scores_of(vectors.reshape(len(rows), -1), wanted)
+        scores = scores_of(vectors.reshape(-1, self.kind.numbers), wanted)
         chosen = best(scores, np.arange(len(rows)), k)
         return SearchResult([str(rows[i]["name"]) for i in chosen], scores[chosen], vectors[chosen], places[chosen])
 

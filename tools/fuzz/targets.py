@@ -113,7 +113,7 @@ def stores(folder: Path) -> list[FuzzCase]:
     from lpn import descriptors, index
     from lpn.cluster.parts import PartItem, Plan, contents_of, open_parts, write_part
     from lpn.cluster.storage import Storage
-    from lpn.descriptors.partial_store import PartialStore
+    from lpn.descriptors.partial_store import LOG, PartialStore
     from lpn.descriptors.transforms import UNCHANGED
     from lpn.descriptors.writer import write_store
     from lpn.models.base import normalise
@@ -124,16 +124,13 @@ def stores(folder: Path) -> list[FuzzCase]:
     write_store(folder / "store", plain, lambda unfinished: unfinished.put(range(12), raw))
     manifest, array, part = folder / "store" / "manifest.json", folder / "store" / "descriptors.npy", folder / "part"
     part.mkdir()
-    left = {"planned.json": plain.to_json(), "progress.json": b'{"done": [[0, 5], [7, 12]]}'}
-    left["descriptors.part"] = array.read_bytes()
+    unfinished = PartialStore(part, plain, None)
+    unfinished.put(range(7), raw[:7])
+    unfinished.close()
 
-    def interrupted(name: str) -> FuzzCase:
-        def read(data: bytes) -> None:
-            for other, content in left.items():
-                (part / other).write_bytes(data if other == name else content)
-            PartialStore(part, plain, None)
-
-        return FuzzCase([left[name]], read)
+    def interrupted(data: bytes) -> None:
+        (part / LOG).write_bytes(data)
+        PartialStore(part, plain, None).close()
 
     def opened() -> None:
         store = descriptors.open_store(folder / "store")
@@ -153,7 +150,7 @@ def stores(folder: Path) -> list[FuzzCase]:
     return [
         in_file(manifest, opened, manifest.read_bytes(), plain.to_json()),
         in_file(array, opened),
-        *map(interrupted, left),
+        FuzzCase([(part / LOG).read_bytes()], interrupted),
         *(in_file(folder / "parts" / name, gathered) for name in ("plan.json", written)),
         *(in_file(file, lambda: index.open_index(folder / "index").search(raw[0], None, 3)) for file in files),
     ]

@@ -114,7 +114,7 @@ def test_a_description_goes_on_where_it_was_stopped(how: str, model_file: Path, 
         out,
     ]
     with Process(given, tmp_path / "cache", SLOW_DESCRIBING) as process:
-        process.until(lambda: (out / "progress.json").is_file() and "[" in (out / "progress.json").read_text()[10:])
+        process.until(lambda: (out / "descriptors.log").is_file() and (out / "descriptors.log").stat().st_size > 10_000)
         getattr(process, how)()
         assert process.ended()[0] == (130 if how == "interrupt" else 143)
         assert last_line(process) == f"lpn: Stopped. What {out} has by now is kept; the same command goes on."
@@ -211,7 +211,7 @@ def test_afterwards_signals_do_what_they_did(tmp_path: Path, monkeypatch: pytest
     ("arguments", "said"),
     [
         (["reproduce", "table1", "--data", "x", "--out", "OUT"], "Whole epochs and measurements in OUT are kept"),
-        (["describe", "--shards", "s", "--out", "OUT"], "What OUT has by now is kept; the same command goes on."),
+        (["describe", "--parts", "s", "--out", "OUT"], "What OUT has by now is kept; the same command goes on."),
         (["export", "--model", "m", "--out", "OUT"], "Nothing is half-written; give the same command again."),
     ],
 )

@@ -154,34 +154,35 @@ def test_a_removed_picture_costs_nothing_that_was_done(
     np.testing.assert_allclose(store.descriptors, expected, atol=1e-6)
 
 
-def test_a_kill_while_a_changed_list_is_taken_over_loses_no_row(
+def test_a_kill_while_a_store_is_finished_loses_no_row(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """At each step in turn that changes a name in the folder."""
+    """At each step in turn that changes a name in the folder, of a new store and of one whose list has changed."""
     files = descriptors.pictures_below(folder)
     rest = [*files[:3], *files[4:]]
-    with monkeypatch.context() as patch:
-        Counting(model, patch, die_after=16)
-        with pytest.raises(KeyboardInterrupt):
-            descriptors.describe(model, files, "drone", tmp_path / "left")
     expected = descriptors.describe(model, rest, "drone", tmp_path / "other").descriptors
-    count = Counting(model, monkeypatch, die_after=0)
-    for step in range(20):
-        out = shutil.copytree(tmp_path / "left", tmp_path / f"{step}")
-        with monkeypatch.context() as patch:
-            steps = iter(range(step))
-            for owner, name in ((os, "replace"), (Path, "unlink")):
-                patch.setattr(owner, name, _killed_after(steps, getattr(owner, name)))
-            with pytest.raises((Killed, KeyboardInterrupt)) as ended:
-                descriptors.describe(model, rest, "drone", out)
-        before, count.die_after = count.described, None
-        np.testing.assert_allclose(descriptors.describe(model, rest, "drone", out).descriptors, expected, atol=1e-6)
-        assert count.described - before == 4, step
-        assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
-        if ended.type is KeyboardInterrupt:  # it came as far as computing
-            break
-        count.die_after = 0
-    assert step > 5
+    descriptors.describe(model, files[:16], "drone", tmp_path / "before")
+    count = Counting(model, monkeypatch)
+    for there, missing in ((False, 19), (True, 4)):
+        for step in range(20):
+            out = tmp_path / f"{there} {step}"
+            if there:
+                shutil.copytree(tmp_path / "before", out)
+            before = count.described
+            try:
+                with monkeypatch.context() as patch:
+                    steps = iter(range(step))
+                    for owner, name in ((os, "replace"), (Path, "unlink")):
+                        patch.setattr(owner, name, _killed_after(steps, getattr(owner, name)))
+                    descriptors.describe(model, rest, "drone", out)
+                break
+            except Killed:
+                assert count.described - before == missing
+                again = descriptors.describe(model, rest, "drone", out)
+                assert count.described - before == missing
+                np.testing.assert_allclose(again.descriptors, expected, atol=1e-6)
+                assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
+        assert step == 4
 
 
 def test_an_error_that_the_system_has_no_name_for_is_told(
@@ -468,24 +469,31 @@ def test_cache_is_keyed_by_every_change_and_box(
     assert count.described == 26
 
 
-def test_rows_are_kept_in_whatever_order_they_were_done(
+def test_rows_of_a_cut_or_damaged_log_are_kept_up_to_there(
     model: Model, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rows 4 to 7 and the last are left by a killed run; the rest alone is computed, and not before the folder says so."""
     files, out = descriptors.pictures_below(folder), tmp_path / "store"
     whole = np.array(descriptors.describe(model, files, "drone", tmp_path / "whole").descriptors)
     with monkeypatch.context() as patch:
-        Counting(model, patch, die_after=4)
+        Counting(model, patch, die_after=16)
         with pytest.raises(KeyboardInterrupt):
-            descriptors.describe(model, files, "drone", out)
-    part = np.lib.format.open_memmap(out / "descriptors.part", mode="r+")
-    part[:] = 0
-    part[4:8], part[19] = whole[4:8], whole[19]
-    del part
-    (out / "progress.json").write_text(json.dumps({"done": [[4, 8], [19, 20]]}))
-    count = Counting(model, monkeypatch)
-    np.testing.assert_allclose(descriptors.describe(model, files, "drone", out).descriptors, whole, atol=1e-6)
-    assert count.described == 15
+            descriptors.describe(model, list(reversed(files)), "drone", out)
+    log = out / "descriptors.log"
+    kept = log.read_bytes()
+    row = (len(kept) - kept.index(b"\n") - 1) // 16  # each file's name has as many letters
+    for damaged, lost in (
+        (kept[:-7], 1),
+        (kept[: -3 * row], 3),
+        (kept[: -2 * row - 9] + b"x" + kept[-2 * row - 8 :], 3),
+    ):
+        shutil.rmtree(out)
+        out.mkdir()
+        log.write_bytes(damaged)
+        with monkeypatch.context() as patch:
+            count = Counting(model, patch)
+            np.testing.assert_allclose(descriptors.describe(model, files, "drone", out).descriptors, whole, atol=1e-6)
+        assert count.described == 4 + lost
+        assert sorted(path.name for path in out.iterdir()) == ["descriptors.npy", "manifest.json"]
 
 
 KILLED = """

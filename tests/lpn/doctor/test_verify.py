@@ -75,7 +75,7 @@ def test_an_index_whose_manifest_was_not_finished_is_named(tmp_path: Path) -> No
 
 def test_a_store_that_was_not_finished_is_named(tmp_path: Path) -> None:
     (tmp_path / "store").mkdir()
-    (tmp_path / "store" / "planned.json").write_bytes(b"{}")
+    (tmp_path / "store" / "descriptors.log").write_bytes(b"{}")
     (verdict,) = verify(tmp_path)
     assert not verdict.whole
     assert "its description was not finished; run lpn describe again" in verdict.message
