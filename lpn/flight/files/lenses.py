@@ -182,7 +182,9 @@ def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
     else:
         cameras = {str(name): camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
         if len(cameras) > 1:
-            raise ValueError(f"{len(cameras)} cameras ({first_few(list(cameras), 3)}), of which only that of these photos may stay")
+            raise ValueError(
+                f"{len(cameras)} cameras ({first_few(list(cameras), 3)}), of which only that of these photos may stay"
+            )
         (camera,) = cameras.values()
         width, height = float(camera["width"]), float(camera["height"])
         model = camera.get("projection_type", "brown")

@@ -81,6 +81,8 @@ _TEAL = "https://github.com/Theta-Limited/OpenAthenaIOS OpenAthenaIOS/examples/t
 _GPANO = "https://developers.google.com/streetview/spherical-metadata"
 _MINI_5 = "https://github.com/hotosm/drone-tm/issues/777"
 _EXIF = "XMP Specification Part 2, Exif schema"
+_DJI_CALIBRATION = "CalibratedFocalLength CalibratedOpticalCenterX CalibratedOpticalCenterY"
+_SKYDIO_CALIBRATION = "CalibratedFocalLength/X CalibratedOpticalCenter/X CalibratedOpticalCenter/Y"
 
 
 def _axes(name: str) -> str:
@@ -133,9 +135,8 @@ ROWS: tuple[Row, ...] = (
     Row("lens", "drone-dji", "DewarpData", "text", "", _DJI_MANUAL),
     Row("undistorted", "drone-dji", "DewarpFlag", "text", "", _DJI_MANUAL),
     Row("fov", "exif", "CameraHorizontalFOV", "degrees", "", _TEAL),
-    Row("calibration", "drone-dji", "CalibratedFocalLength CalibratedOpticalCenterX CalibratedOpticalCenterY", "pixels", "", _DJI),
-    Row("calibration", "drone-skydio", "CalibratedFocalLength/X CalibratedOpticalCenter/X CalibratedOpticalCenter/Y", "pixels", "",
-        _SKYDIO),
+    Row("calibration", "drone-dji", _DJI_CALIBRATION, "pixels", "", _DJI),
+    Row("calibration", "drone-skydio", _SKYDIO_CALIBRATION, "pixels", "", _SKYDIO),
     Row("perspective", "Camera", "PerspectiveFocalLength", "millimetres", "", _PIX4D),
     Row("perspective unit", "Camera", "PerspectiveFocalLengthUnits", "text", "", _PIX4D),
     Row("principal point", "Camera", "PrincipalPoint", "text", "", _PIX4D),
@@ -156,7 +157,9 @@ ROWS: tuple[Row, ...] = (
 )  # fmt: skip
 
 _KNOWN = frozenset((row.namespace, name.casefold()) for row in ROWS for name in row.names.split())
-_COINED = re.compile(r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude|digitalzoomratio")
+_COINED = re.compile(
+    r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude|digitalzoomratio"
+)
 # Heights in metres and angles in degrees beyond these come from wrong bytes.
 _MOST: Mapping[str, float] = {"degrees": 720.0, "metres": 1e5, "metres, 0 if unknown": 1e5}
 

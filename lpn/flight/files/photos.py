@@ -165,7 +165,16 @@ def _metadata(data: bytes) -> _Metadata:
                     exif = picture.getexif()
                     tags = dict(exif if directory is None else exif.get_ifd(directory))
                 # Pillow raises these on damaged EXIF.
-                except (OSError, ValueError, SyntaxError, TypeError, LookupError, struct.error, OverflowError, RecursionError):
+                except (
+                    OSError,
+                    ValueError,
+                    SyntaxError,
+                    TypeError,
+                    LookupError,
+                    struct.error,
+                    OverflowError,
+                    RecursionError,
+                ):
                     known.oddities.append("has damaged EXIF, which was not used")
                     continue
                 names: Any = ExifTags.GPSTAGS if directory is ExifTags.IFD.GPSInfo else ExifTags.TAGS
@@ -239,7 +248,7 @@ def _position(known: _Metadata) -> tuple[float | None, float | None]:
 
 
 def _signed(known: _Metadata, name: str, value: float | None, south: str) -> float | None:
-    """Return a coordinate of EXIF, whose reference has its sign; None where that is missing and the value has no sign of its own."""
+    """Return a coordinate of EXIF with the sign of its reference; None where neither reference nor value tells a sign."""
     reference = text_of(known.properties.raw(f"{name}Ref"))[:1].upper()
     if value is None or reference == south:
         return None if value is None else -abs(value)
@@ -288,12 +297,19 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
                 known.oddities.append("has camera angles that are all 0, which some cameras write for unknown ones")
             continue
         if convention == "on platform":
-            platform = [numbers for of, numbers in properties.rows("angles") if of.names.startswith("Platform")]
-            if not platform or None in (yaw, pitch, roll, *platform[0]):
+            platform = next(
+                (told for of, told in properties.rows("angles") if of.names.startswith("Platform")), (None,)
+            )
+            angles = [
+                a + b for a, b in zip((yaw, pitch, roll), platform, strict=False) if a is not None and b is not None
+            ]
+            if len(angles) < 3:
                 continue
-            yaw, pitch, roll = (a + b for a, b in zip((yaw, pitch, roll), platform[0], strict=True) if a is not None and b is not None)
+            yaw, pitch, roll = angles
         elif convention == "nadir" and pitch is not None and pitch < _MOST_BACK:
-            known.oddities.append(f"has a pitch of {pitch:g} where 0 is straight down, which was taken to count from the horizon")
+            known.oddities.append(
+                f"has a pitch below {_MOST_BACK:g} where 0 is straight down, which was taken to count from the horizon"
+            )
             convention = "gimbal"
         elif convention in ("nadir", "fixed") and pitch is not None:
             pitch -= 90.0
@@ -304,7 +320,10 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
         if convention in ("gimbal", "on platform") and yaw is not None and pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
         yield _Angles(
-            None if yaw is None else yaw % 360.0, pitch, None if roll is None else wrap_degrees(roll), _SOURCES[convention]
+            None if yaw is None else yaw % 360.0,
+            pitch,
+            roll if roll is None or abs(roll) <= 180 else wrap_degrees(roll),
+            _SOURCES[convention],
         )
 
 
@@ -352,7 +371,9 @@ def upright_values(
 def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
     """Return the lens, where its distortion is known and still there, and the horizontal field of view of the upright picture."""
     if projection := known.properties.text("projection"):
-        known.oddities.append(f"is a panorama ({printable(projection)[:40]}), whose ground has not the map's shape; leave it out")
+        known.oddities.append(
+            f"is a panorama ({printable(projection)[:40]}), whose ground has not the map's shape; leave it out"
+        )
         return None, None
     width, height = known.taken_size
     text = known.properties.text("lens")
@@ -366,14 +387,15 @@ def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
             known.oddities.append(f"has a DewarpData that was not used, because it has {printable(str(error))[:80]}")
         else:
             return lens, lens.fov
-    fov = _lens_fov(known, width, height)
+    if (fov := known.properties.first("fov")) is None:
+        fov = _lens_fov(known, width, height)
+        if fov is not None and known.zoom > 1:
+            known.oddities.append(
+                f"has a digital zoom of {known.zoom:g}, which narrows its field of view; if its maker's focal length counts the "
+                "zoom already, as that of some phones, it is too narrow"
+            )
     if fov is None:
         return None, None
-    if known.zoom > 1:
-        known.oddities.append(
-            f"has a digital zoom of {known.zoom:g}, by which its field of view was narrowed; give --fov if its maker's focal length "
-            "counts the zoom already"
-        )
     if abs(width / known.width - 1) > _SAME:
         known.oddities.append(
             f"is {known.width} x {known.height} pixels where its EXIF says {width:.0f} x {height:.0f}; "
@@ -390,8 +412,6 @@ def _lens_fov(known: _Metadata, width: float, height: float) -> float | None:
     An equivalent focal length tells that across the longer side.
     """
     properties = known.properties
-    if (fov := properties.first("fov")) is not None:
-        return fov
     if (ratio := _sensor_ratio(known, width, height)) is not None:
         return cameras.fov_of_sensor(ratio / known.zoom, 1.0)
     if not (equivalent := properties.first("equivalent")) or equivalent < 0:
@@ -420,7 +440,11 @@ def _sensor_ratio(known: _Metadata, width: float, height: float) -> float | None
     perspective = properties.first("perspective") or 0.0
     # The principal point is the middle of the sensor, but for some hundredths of its width.
     sensor = 2 * (number(properties.text("principal point").split(",")[0]) or 0.0)
-    if perspective > 0 and properties.text("perspective unit") in ("", "mm") and _SENSOR_WIDTHS[0] <= sensor <= _SENSOR_WIDTHS[1]:
+    if (
+        perspective > 0
+        and properties.text("perspective unit") in ("", "mm")
+        and _SENSOR_WIDTHS[0] <= sensor <= _SENSOR_WIDTHS[1]
+    ):
         return sensor / perspective
     return None
 
@@ -498,7 +522,8 @@ def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:
         start = min(known)
         notes.append("No photo has its time in UTC: times are seconds since the first photo.")
     frames = [
-        replace(photo.frame, time=None if time is None else time - start) for photo, time in zip(photos, times, strict=True)
+        replace(photo.frame, time=None if time is None else time - start)
+        for photo, time in zip(photos, times, strict=True)
     ]
     if len(known) < len(frames):
         notes.append(

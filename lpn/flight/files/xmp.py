@@ -21,7 +21,9 @@ _FRAME = ("{http://www.w3.org/1999/02/22-rdf-syntax-ns#}", "{adobe:ns:meta/}", "
 _MOST_LEVELS = 12
 _PREFIX = re.compile(r"""\bxmlns:([\w-]{1,40})="([^"<]{0,200})""")
 # An attribute with its value, or an element with its text. The bounds keep the search linear.
-_PROPERTY = re.compile(r'(?<![\w-])([\w-]{1,40}):(\w{1,60})(?:\s{0,9}=\s{0,9}"([^"<>]{0,2000})"|>([^<>]{0,2000})</\1:\2>)')
+_PROPERTY = re.compile(
+    r'(?<![\w-])([\w-]{1,40}):(\w{1,60})(?:\s{0,9}=\s{0,9}"([^"<>]{0,2000})"|>([^<>]{0,2000})</\1:\2>)'
+)
 
 
 class XmpProperty(NamedTuple):

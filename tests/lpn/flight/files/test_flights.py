@@ -121,6 +121,21 @@ def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
         assert [frame.width for frame in flight.frames] == [40, 30, 30]
 
 
+def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
+    write_photo(tmp_path / "odm" / "images" / "a.jpg", exif(47.0, 8.0))
+    folder = tmp_path / "odm" / "odm_orthophoto"
+    folder.mkdir()
+    for name, tags in (
+        ("odm_orthophoto.tif", {33550: (0.05, 0.05, 0.0)}),
+        ("odm_orthophoto.png", None),
+        ("b.tif", None),
+    ):
+        Image.new("RGB", (40, 30)).save(folder / name, **({} if tags is None else {"tiffinfo": tags}))
+    for flight in (open_flight(tmp_path / "odm"), make_flight([tmp_path / "odm"], tmp_path / "flight")):
+        assert [frame.name for frame in flight.frames] == ["a.jpg", "b.tif"]
+        assert "Left out, because they are maps, not photos: odm_orthophoto.png, odm_orthophoto.tif." in flight.notes
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

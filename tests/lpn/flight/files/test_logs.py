@@ -624,44 +624,6 @@ def test_what_cannot_be_read_for_certain_is_refused_with_its_reason(
     assert message in str(error.value)
 
 
-@pytest.mark.parametrize(
-    ("positioned", "latitude", "used"),
-    [
-        (True, 47.3, "the row nearest to the photo's own position was used"),
-        (False, 47.4, "the first row was used, as the photo has no position of its own"),
-    ],
-)
-def test_a_picture_listed_twice_is_said_and_never_silently_the_last(
-    tmp_path: Path, positioned: bool, latitude: float, used: str
-) -> None:
-    write_photo(tmp_path / "a.jpg", exif(47.30001, 8.5) if positioned else None)
-    log = written(tmp_path, "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.3,8.5\na.jpg,47.4,8.6\n")
-    flight = make_flight([tmp_path / "a.jpg", log], tmp_path / "flight")
-    assert flight.frames[0].latitude == latitude
-    assert any(
-        "1 of 1 photos are listed more than once in log.csv with different values, such as a.jpg in lines 2 and 3 and 4, up to "
-        "11 km apart"
-        in note and note.endswith(f"{used}.")
-        for note in flight.notes
-    )  # fmt: skip
-    # The same values twice are no oddity.
-    log = written(tmp_path, "filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.4,8.5\n")
-    assert not any(
-        "more than once" in note for note in make_flight([tmp_path / "a.jpg", log], tmp_path / "flight").notes
-    )
-
-
-def test_pictures_of_one_name_in_two_folders_have_their_own_rows(tmp_path: Path) -> None:
-    for folder in ("100MEDIA", "101MEDIA"):
-        write_photo(tmp_path / folder / "DJI_0001.JPG")
-    rows = "D:\\DCIM\\101MEDIA\\DJI_0001.JPG,47.2,8\nD:\\DCIM\\100MEDIA\\DJI_0001.JPG,47.1,8\n"
-    flight = make_flight([tmp_path, written(tmp_path, "file,lat,lon\n" + rows)], tmp_path / "flight")
-    assert {frame.name: frame.latitude for frame in flight.frames} == {
-        "100MEDIA/DJI_0001.JPG": 47.1, "101MEDIA/DJI_0001.JPG": 47.2,
-    }  # fmt: skip
-    assert not any("more than once" in note for note in flight.notes)
-
-
 def test_labels_without_an_ending_name_their_pictures(tmp_path: Path) -> None:
     write_photo(tmp_path / "DJI_0001.JPG")
     log = written(tmp_path, "#Label,X/Longitude,Y/Latitude\nDJI_0001,8.5,47.3\n")
@@ -685,15 +647,6 @@ def test_a_moment_listed_twice_is_said_and_fractions_of_seconds_come_from_the_el
     entries, note = moments(read_log(written(tmp_path, "time(millisecond),datetime(utc),lat,lon\n" + "\n".join(rows))))
     assert note is None
     assert [round(entry.time - 1714564800.0, 3) for entry in entries[:3]] == [0.3, 0.4, 0.5]
-
-
-def test_a_log_whose_columns_are_swapped_is_turned_where_the_photos_prove_it(tmp_path: Path) -> None:
-    write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
-    flight = make_flight(
-        [tmp_path / "a.jpg", written(tmp_path, "filename,lat,lon\na.jpg,8.5001,47.3001\n")], tmp_path / "flight"
-    )
-    assert (flight.frames[0].latitude, flight.frames[0].longitude) == (47.3001, 8.5001)
-    assert "Latitude and longitude of log.csv are swapped, as the photos' own positions say." in flight.notes
 
 
 def test_a_few_positions_that_are_none_are_left_out_and_many_refuse_the_log(tmp_path: Path) -> None:

@@ -71,7 +71,7 @@ def test_numbers_that_are_none_are_no_position_and_no_altitude() -> None:
         parse_track(gpx(0).replace("</trkseg>", point.format(147.3, 5, 1) + "</trkseg>").encode(), "a.gpx")
 
 
-def test_gpx_of_other_writers_is_read(tmp_path: Path) -> None:
+def test_gpx_of_other_writers_is_read() -> None:
     rows = parse_track(gpx(3).encode(), "a.gpx").rows
     prefixed = (
         gpx(3)
@@ -84,14 +84,6 @@ def test_gpx_of_other_writers_is_read(tmp_path: Path) -> None:
     assert parse_track(f"\u00ef\u00bb\u00bf{gpx(3)}".encode(), "a.gpx").rows == rows
     extended = gpx(3).replace("</ele>", "</ele><extensions><speed>3</speed></extensions>")
     assert parse_track(extended.encode(), "a.gpx").rows == rows
-    # Coordinates in the wrong order, which the photo's own position proves.
-    flipped = re.sub(r'lat="([^"]*)" lon="([^"]*)"', r'lat="\2" lon="\1"', gpx(3))
-    (tmp_path / "track.gpx").write_text(flipped, "utf-8")
-    clock = {ExifTags.GPS.GPSDateStamp: "2024:05:01", ExifTags.GPS.GPSTimeStamp: (12.0, 0.0, 1.0)}
-    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5, gps=clock))
-    flight = make_flight([photo, tmp_path / "track.gpx"], tmp_path / "flight")
-    assert (flight.frames[0].latitude, flight.frames[0].longitude) == pytest.approx((47.301, 8.5))
-    assert "Latitude and longitude of track.gpx are swapped, as the photos' own positions say." in flight.notes
 
 
 def test_a_track_whose_times_are_all_the_same_fits_nothing_and_says_so(tmp_path: Path) -> None:
