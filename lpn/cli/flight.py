@@ -34,7 +34,7 @@ class FlightCommand:
     pitch: float | None = None
     """Pitch in degrees, for photos whose files have none; -90 is straight down."""
     camera: Path | None = None
-    """File of the camera's lens, YAML or JSON of OpenCV, ROS, Kalibr, or ODM, whose distortion is taken out before photos are
+    """File of the camera's lens, YAML or JSON of OpenCV, ROS, or ODM, whose distortion is taken out before photos are
     matched; by default the one in DJI's photos."""
 
     def run(self) -> None:

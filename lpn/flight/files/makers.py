@@ -30,7 +30,7 @@ Convention = Literal["", "gimbal", "on platform", "nadir", "direction", "fixed",
 Unit = Literal["degrees", "metres", "metres, 0 if unknown", "pixels", "millimetres", "times", "text"]
 
 
-class Row(NamedTuple):
+class PropertyRow(NamedTuple):
     """The meaning of one property, or of two or three that belong together.
 
     Attributes:
@@ -89,71 +89,71 @@ def _axes(name: str) -> str:
     return " ".join(name.format(axis) for axis in ("Yaw", "Pitch", "Roll"))
 
 
-ROWS: tuple[Row, ...] = (
-    Row("position", "drone-dji", "GpsLatitude GpsLongitude", "degrees", "", _DJI),
-    Row("position", "drone-dji", "GpsLatitude GpsLongtitude", "degrees", "", _DJI),
-    Row("position", "drone-dji", "Latitude Longitude", "degrees", "", _DJI),
-    Row("position", "drone-skydio", "Latitude Longitude", "degrees", "", _SKYDIO),
-    Row("position", "sensefly", "Latitude Longitude", "degrees", "", _SENSEFLY),
-    Row("position", "exif", "GPSLatitude GPSLongitude", "degrees", "", _EXIF),
-    Row("rtk", "drone-dji", "RtkFlag", "times", "", _DJI_GUIDE),
-    Row("height_above_ground", "sensefly", "Height", "metres", "", _SENSEFLY),
-    Row("height_above_ground", "Camera", "AboveGroundAltitude", "metres", "", _PIX4D),
-    Row("height_above_ground", "Sentera", "AltimeterCalculatedAGL", "metres", "", _SENTERA),
-    Row("height_above_ground", "Sentera", "AltimeterCalcuatedAGL", "metres", "", _SENTERA),
-    Row("height_above_takeoff", "drone-dji", "RelativeAltitude", "metres", "", _DJI_GUIDE),
-    Row("height_above_takeoff", "drone-skydio", "RelativeAltitude", "metres", "", _SKYDIO_X10),
-    Row("height_above_takeoff", "drone-yuneec", "AboveHomeAltitude", "metres", "", _YUNEEC),
-    Row("height_above_takeoff", "FLIR", "MAVRelativeAltitude", "metres, 0 if unknown", "", _FLIR),
-    Row("altitude", "drone-dji", "AbsoluteAltitude", "metres", "", _DJI_GUIDE),
-    Row("altitude", "drone-skydio", "AbsoluteAltitude", "metres", "", _SKYDIO),
-    Row("altitude", "drone-skydio", "GpsMslHeight", "metres", "", _SKYDIO_X10),
-    Row("altitude", "drone-yuneec", "GPSAltitude", "metres", "", _YUNEEC),
-    Row("altitude", "sensefly", "AltitudeAMSL", "metres", "", _SENSEFLY),
-    Row("altitude", "sensefly", "AltitudeWGS84", "metres", "ellipsoid", _SENSEFLY),
-    Row("altitude", "exif", "GPSAltitude", "metres", "", _EXIF),
-    Row("altitude", "xmp", "GPSAltitude", "metres", "", _YUNEEC),
-    Row("altitude type", "drone-dji", "AltitudeType", "text", "", _DJI_GUIDE),
-    Row("altitude type", "Camera", "VertCS", "text", "", _PIX4D),
-    Row("angles", "drone-dji", _axes("Gimbal{}Degree"), "degrees", "gimbal", _DJI_GUIDE),
-    Row("angles", "drone-skydio", _axes("CameraOrientationNED/{}"), "degrees", "gimbal", _SKYDIO),
-    Row("angles", "drone-parrot", _axes("Camera{}Degree"), "degrees", "gimbal", _PARROT),
-    Row("angles", "drone-yuneec", _axes("Gimbal{}"), "degrees", "gimbal", _YUNEEC),
-    Row("angles", "xmp", _axes("Camera{}"), "degrees", "gimbal", _YUNEEC),
-    Row("angles", "exif", _axes("Camera{}"), "degrees", "on platform", _TEAL),
-    Row("angles", "Camera", _axes("{}"), "degrees", "nadir", _PIX4D_ANGLES),
-    Row("angles", "GPano", "PoseHeadingDegrees PosePitchDegrees PoseRollDegrees", "degrees", "direction", _GPANO),
-    Row("angles", "exif", "GPSImgDirection", "degrees", "direction", _EXIF),
-    Row("angles", "sensefly", "Heading PitchAngle RollAngle", "degrees", "fixed", _SENSEFLY),
-    Row("angles", "drone-dji", _axes("Flight{}Degree"), "degrees", "aircraft", _DJI_SDK),
-    Row("angles", "drone-dji", "FlightYaw", "degrees", "aircraft", _DJI_SDK),
-    Row("angles", "drone-skydio", _axes("VehicleOrientationNED/{}"), "degrees", "aircraft", _SKYDIO),
-    Row("angles", "drone-yuneec", _axes("Drone{}"), "degrees", "aircraft", _YUNEEC),
-    Row("angles", "exif", _axes("Platform{}"), "degrees", "aircraft", _TEAL),
-    Row("angles", "FLIR", _axes("MAV{}"), "degrees", "aircraft", _FLIR),
-    Row("projection", "GPano", "ProjectionType", "text", "", _GPANO),
-    Row("lens", "drone-dji", "DewarpData", "text", "", _DJI_MANUAL),
-    Row("undistorted", "drone-dji", "DewarpFlag", "text", "", _DJI_MANUAL),
-    Row("fov", "exif", "CameraHorizontalFOV", "degrees", "", _TEAL),
-    Row("calibration", "drone-dji", _DJI_CALIBRATION, "pixels", "", _DJI),
-    Row("calibration", "drone-skydio", _SKYDIO_CALIBRATION, "pixels", "", _SKYDIO),
-    Row("perspective", "Camera", "PerspectiveFocalLength", "millimetres", "", _PIX4D),
-    Row("perspective unit", "Camera", "PerspectiveFocalLengthUnits", "text", "", _PIX4D),
-    Row("principal point", "Camera", "PrincipalPoint", "text", "", _PIX4D),
-    Row("focal length", "exif", "FocalLength", "millimetres", "", _EXIF),
-    Row("equivalent", "exif", "FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
-    Row("resolution", "exif", "FocalPlaneXResolution FocalPlaneResolutionUnit", "pixels", "", _EXIF),
-    Row("size", "exif", "PixelXDimension PixelYDimension", "pixels", "", _EXIF),
-    Row("zoom", "exif", "DigitalZoomRatio", "times", "", _EXIF),
-    Row("zoom", "drone-dji", "DigitalZoomRatio", "times", "", _DJI),
-    Row("taken", "exif", "DateTimeOriginal", "text", "", _EXIF),
-    Row("taken", "exif", "DateTimeDigitized", "text", "", _EXIF),
-    Row("taken", "xmp", "CreateDate", "text", "", _MINI_5),
-    Row("taken", "exif", "DateTime", "text", "", _EXIF),
-    Row("zone", "exif", "OffsetTimeOriginal", "text", "", _EXIF),
-    Row("utc", "drone-dji", "UTCAtExposure", "text", "", _DJI_GUIDE),
-    Row("utc", "sensefly", "UTCTime", "text", "", _SENSEFLY),
-    Row("utc", "exif", "GPSTimeStamp", "text", "", _EXIF),
+ROWS: tuple[PropertyRow, ...] = (
+    PropertyRow("position", "drone-dji", "GpsLatitude GpsLongitude", "degrees", "", _DJI),
+    PropertyRow("position", "drone-dji", "GpsLatitude GpsLongtitude", "degrees", "", _DJI),
+    PropertyRow("position", "drone-dji", "Latitude Longitude", "degrees", "", _DJI),
+    PropertyRow("position", "drone-skydio", "Latitude Longitude", "degrees", "", _SKYDIO),
+    PropertyRow("position", "sensefly", "Latitude Longitude", "degrees", "", _SENSEFLY),
+    PropertyRow("position", "exif", "GPSLatitude GPSLongitude", "degrees", "", _EXIF),
+    PropertyRow("rtk", "drone-dji", "RtkFlag", "times", "", _DJI_GUIDE),
+    PropertyRow("height_above_ground", "sensefly", "Height", "metres", "", _SENSEFLY),
+    PropertyRow("height_above_ground", "Camera", "AboveGroundAltitude", "metres", "", _PIX4D),
+    PropertyRow("height_above_ground", "Sentera", "AltimeterCalculatedAGL", "metres", "", _SENTERA),
+    PropertyRow("height_above_ground", "Sentera", "AltimeterCalcuatedAGL", "metres", "", _SENTERA),
+    PropertyRow("height_above_takeoff", "drone-dji", "RelativeAltitude", "metres", "", _DJI_GUIDE),
+    PropertyRow("height_above_takeoff", "drone-skydio", "RelativeAltitude", "metres", "", _SKYDIO_X10),
+    PropertyRow("height_above_takeoff", "drone-yuneec", "AboveHomeAltitude", "metres", "", _YUNEEC),
+    PropertyRow("height_above_takeoff", "FLIR", "MAVRelativeAltitude", "metres, 0 if unknown", "", _FLIR),
+    PropertyRow("altitude", "drone-dji", "AbsoluteAltitude", "metres", "", _DJI_GUIDE),
+    PropertyRow("altitude", "drone-skydio", "AbsoluteAltitude", "metres", "", _SKYDIO),
+    PropertyRow("altitude", "drone-skydio", "GpsMslHeight", "metres", "", _SKYDIO_X10),
+    PropertyRow("altitude", "drone-yuneec", "GPSAltitude", "metres", "", _YUNEEC),
+    PropertyRow("altitude", "sensefly", "AltitudeAMSL", "metres", "", _SENSEFLY),
+    PropertyRow("altitude", "sensefly", "AltitudeWGS84", "metres", "ellipsoid", _SENSEFLY),
+    PropertyRow("altitude", "exif", "GPSAltitude", "metres", "", _EXIF),
+    PropertyRow("altitude", "xmp", "GPSAltitude", "metres", "", _YUNEEC),
+    PropertyRow("altitude type", "drone-dji", "AltitudeType", "text", "", _DJI_GUIDE),
+    PropertyRow("altitude type", "Camera", "VertCS", "text", "", _PIX4D),
+    PropertyRow("angles", "drone-dji", _axes("Gimbal{}Degree"), "degrees", "gimbal", _DJI_GUIDE),
+    PropertyRow("angles", "drone-skydio", _axes("CameraOrientationNED/{}"), "degrees", "gimbal", _SKYDIO),
+    PropertyRow("angles", "drone-parrot", _axes("Camera{}Degree"), "degrees", "gimbal", _PARROT),
+    PropertyRow("angles", "drone-yuneec", _axes("Gimbal{}"), "degrees", "gimbal", _YUNEEC),
+    PropertyRow("angles", "xmp", _axes("Camera{}"), "degrees", "gimbal", _YUNEEC),
+    PropertyRow("angles", "exif", _axes("Camera{}"), "degrees", "on platform", _TEAL),
+    PropertyRow("angles", "Camera", _axes("{}"), "degrees", "nadir", _PIX4D_ANGLES),
+    PropertyRow("angles", "GPano", "PoseHeadingDegrees PosePitchDegrees PoseRollDegrees", "degrees", "direction", _GPANO),
+    PropertyRow("angles", "exif", "GPSImgDirection", "degrees", "direction", _EXIF),
+    PropertyRow("angles", "sensefly", "Heading PitchAngle RollAngle", "degrees", "fixed", _SENSEFLY),
+    PropertyRow("angles", "drone-dji", _axes("Flight{}Degree"), "degrees", "aircraft", _DJI_SDK),
+    PropertyRow("angles", "drone-dji", "FlightYaw", "degrees", "aircraft", _DJI_SDK),
+    PropertyRow("angles", "drone-skydio", _axes("VehicleOrientationNED/{}"), "degrees", "aircraft", _SKYDIO),
+    PropertyRow("angles", "drone-yuneec", _axes("Drone{}"), "degrees", "aircraft", _YUNEEC),
+    PropertyRow("angles", "exif", _axes("Platform{}"), "degrees", "aircraft", _TEAL),
+    PropertyRow("angles", "FLIR", _axes("MAV{}"), "degrees", "aircraft", _FLIR),
+    PropertyRow("projection", "GPano", "ProjectionType", "text", "", _GPANO),
+    PropertyRow("lens", "drone-dji", "DewarpData", "text", "", _DJI_MANUAL),
+    PropertyRow("undistorted", "drone-dji", "DewarpFlag", "text", "", _DJI_MANUAL),
+    PropertyRow("fov", "exif", "CameraHorizontalFOV", "degrees", "", _TEAL),
+    PropertyRow("calibration", "drone-dji", _DJI_CALIBRATION, "pixels", "", _DJI),
+    PropertyRow("calibration", "drone-skydio", _SKYDIO_CALIBRATION, "pixels", "", _SKYDIO),
+    PropertyRow("perspective", "Camera", "PerspectiveFocalLength", "millimetres", "", _PIX4D),
+    PropertyRow("perspective unit", "Camera", "PerspectiveFocalLengthUnits", "text", "", _PIX4D),
+    PropertyRow("principal point", "Camera", "PrincipalPoint", "text", "", _PIX4D),
+    PropertyRow("focal length", "exif", "FocalLength", "millimetres", "", _EXIF),
+    PropertyRow("equivalent", "exif", "FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
+    PropertyRow("resolution", "exif", "FocalPlaneXResolution FocalPlaneResolutionUnit", "pixels", "", _EXIF),
+    PropertyRow("size", "exif", "PixelXDimension PixelYDimension", "pixels", "", _EXIF),
+    PropertyRow("zoom", "exif", "DigitalZoomRatio", "times", "", _EXIF),
+    PropertyRow("zoom", "drone-dji", "DigitalZoomRatio", "times", "", _DJI),
+    PropertyRow("taken", "exif", "DateTimeOriginal", "text", "", _EXIF),
+    PropertyRow("taken", "exif", "DateTimeDigitized", "text", "", _EXIF),
+    PropertyRow("taken", "xmp", "CreateDate", "text", "", _MINI_5),
+    PropertyRow("taken", "exif", "DateTime", "text", "", _EXIF),
+    PropertyRow("zone", "exif", "OffsetTimeOriginal", "text", "", _EXIF),
+    PropertyRow("utc", "drone-dji", "UTCAtExposure", "text", "", _DJI_GUIDE),
+    PropertyRow("utc", "sensefly", "UTCTime", "text", "", _SENSEFLY),
+    PropertyRow("utc", "exif", "GPSTimeStamp", "text", "", _EXIF),
 )  # fmt: skip
 
 _KNOWN = frozenset((row.namespace, name.casefold()) for row in ROWS for name in row.names.split())
@@ -187,7 +187,7 @@ class Properties:
         """Return the value of a property as the file has it; None without one."""
         return self._values.get((namespace, name.casefold()))
 
-    def rows(self, field: str) -> Iterator[tuple[Row, tuple[float | None, ...]]]:
+    def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[float | None, ...]]]:
         """Yield the rows of a field that have a number, best first, with three numbers each; None where unknown."""
         for row in ROWS:
             if row.field == field:
@@ -213,7 +213,7 @@ class Properties:
         """Note a property, as "exif:GPSAltitude", whose value cannot be read."""
         self.unreadable += [] if name in self.unreadable else [name]
 
-    def _number(self, row: Row, name: str) -> float | None:
+    def _number(self, row: PropertyRow, name: str) -> float | None:
         if (raw := self.raw(name, row.namespace)) is None:
             return None
         value = degrees(raw) if row.unit == "degrees" else number(raw)

@@ -250,8 +250,10 @@ def _position(known: _Metadata) -> tuple[float | None, float | None]:
 def _signed(known: _Metadata, name: str, value: float | None, south: str) -> float | None:
     """Return a coordinate of EXIF with the sign of its reference; None where neither reference nor value tells a sign."""
     reference = text_of(known.properties.raw(f"{name}Ref"))[:1].upper()
-    if value is None or reference == south:
-        return None if value is None else -abs(value)
+    if value is None:
+        return None
+    if reference == south:
+        return -abs(value)
     if reference not in ("N", "E") and value > 0 and not isinstance(known.properties.raw(name), str):
         known.properties.refuse(f"exif:{name}Ref")
         return None

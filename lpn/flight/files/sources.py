@@ -326,6 +326,8 @@ def _no_pictures(files: _Files) -> str:
     if files.logs:
         return f"No photo that {files.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
     others = f" ({printable(files.others[0].name)} is neither)" if files.others else ""
+    if files.maps:
+        others = f" ({printable(files.maps[0].name)} is a map, which lpn map takes)"
     return f"There is no photo and no video{others}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from lpn.flight.files.makers import NAMESPACES, ROWS, Properties, Row, degrees, number
+from lpn.flight.files.makers import NAMESPACES, ROWS, Properties, PropertyRow, degrees, number
 from lpn.flight.files.xmp import read_xmp
 from tools.fixtures.photos import xmp_packet
 
@@ -35,7 +35,7 @@ def forms(name: str, text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.namespace}:{row.names}:{row.convention}")
-def test_each_row_is_read_in_every_form(row: Row) -> None:
+def test_each_row_is_read_in_every_form(row: PropertyRow) -> None:
     assert row.source.strip()
     address = NAMESPACES[row.namespace][0]
     for uri in (f"http://www.{address}/1.0/", f"https://{address}/1.0", f"HTTP://{address.upper()}/2.1#"):
