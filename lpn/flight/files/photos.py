@@ -53,7 +53,7 @@ _SOURCES: Mapping[Convention, HeadingSource] = {
     "aircraft": "aircraft",
 }  # fmt: skip
 _RTK_FIXED = 50
-# Texts that say that an altitude counts from the ellipsoid: DJI's AltitudeType, and Pix4D's VertCS.
+# Texts that say that an altitude counts from the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
 _ELLIPSOIDAL = ("rtkalt", "ellipsoidal")
 # EXIF has colons between all numbers; programs write other marks, and blanks for zeros.
 _TIME = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T]+(\S.*)", re.ASCII)
@@ -271,8 +271,8 @@ def _altitude(known: _Metadata) -> float | None:
         # 1 is below the sea; 2 is above the ellipsoid, and 3 below it, in EXIF 3.0.
         kind = str(reference[0] if isinstance(reference, bytes) and reference else reference)
         altitude = -abs(altitude) if kind in ("1", "3") else altitude
-    types = [text.casefold() for _, text in known.properties.texts("altitude type")]
-    if row.convention == "ellipsoid" or kind in ("2", "3") or any(text in _ELLIPSOIDAL for text in types):
+    told = known.properties.text("altitude type").casefold() in _ELLIPSOIDAL or kind in ("2", "3")
+    if row.convention == "ellipsoid" or (told and row.convention != "sea"):
         known.oddities.append("has its altitude above the ellipsoid, not above the sea")
     return altitude
 
