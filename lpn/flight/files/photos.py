@@ -30,6 +30,8 @@ from lpn.flight.files.lenses import Lens, lens_of_dewarp_data
 from lpn.flight.files.makers import Convention, Properties, number, text_of
 from lpn.flight.files.xmp import read_xmp
 
+# Pillow raises these on damaged EXIF.
+DAMAGED = (OSError, ValueError, SyntaxError, TypeError, LookupError, struct.error, OverflowError, RecursionError)
 _XMP_TAG = 700
 # Quarter turns clockwise that make a picture upright, by EXIF orientation. Mirrored ones are un-mirrored before they are turned.
 _TURNS = {1: 0, 2: 0, 3: 2, 4: 2, 5: 3, 6: 1, 7: 1, 8: 3}
@@ -164,17 +166,7 @@ def _metadata(data: bytes) -> _Metadata:
                 try:
                     exif = picture.getexif()
                     tags = dict(exif if directory is None else exif.get_ifd(directory))
-                # Pillow raises these on damaged EXIF.
-                except (
-                    OSError,
-                    ValueError,
-                    SyntaxError,
-                    TypeError,
-                    LookupError,
-                    struct.error,
-                    OverflowError,
-                    RecursionError,
-                ):
+                except DAMAGED:
                     known.oddities.append("has damaged EXIF, which was not used")
                     continue
                 names: Any = ExifTags.GPSTAGS if directory is ExifTags.IFD.GPSInfo else ExifTags.TAGS

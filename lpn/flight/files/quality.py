@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -29,18 +29,12 @@ _FAR = 200.0
 _NAMED = 3
 
 
-def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[list[Frame], list[str]]:
-    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it.
-
-    Args:
-        unread: names of frames whose files have a heading that was not read, and which the course does not replace.
-    """
+def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
+    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it."""
     places, times = local_metres(degrees(frames)), _times(frames)
-    made, courses, left = [], 0, 0
+    made, courses = [], 0
     for i, frame in enumerate(frames):
         course = None if frame.heading is not None else _course(places, times, i)
-        if course is not None and frame.name in unread:
-            course, left = None, left + 1
         courses += course is not None
         made.append(frame if course is None else replace(frame, heading=course, heading_source="course"))
     missing, notes = sum(frame.heading is None for frame in frames), []
@@ -48,11 +42,6 @@ def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[
         notes.append(
             f"{missing} of {len(frames)} photos have no heading: {courses} got the course over ground, which is the camera's "
             "heading only if the drone flew forwards."
-        )
-    if left:
-        notes.append(
-            f"{left} of {len(frames)} photos have no heading, and did not get the course over ground: their files have a value "
-            "that looks like a heading and was not read."
         )
     return made, notes
 

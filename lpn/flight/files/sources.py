@@ -24,7 +24,7 @@ from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
 from lpn.flight.files.logs import Log
 from lpn.flight.files.photo_logs import with_log
-from lpn.flight.files.photos import Photo, natural, read_photo, set_times
+from lpn.flight.files.photos import DAMAGED, Photo, natural, read_photo, set_times
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.files.subtitles import GpsOrder, Subtitles
 from lpn.flight.files.telemetry import Telemetry
@@ -300,7 +300,7 @@ def _is_map(file: Path) -> bool:
             with Image.open(file) as picture:
                 tags = picture.getexif()
                 return any(tag in tags for tag in _GEOTIFF)
-    except (OSError, ValueError, SyntaxError, TypeError, LookupError, OverflowError, Image.DecompressionBombError):
+    except (*DAMAGED, Image.DecompressionBombError):
         return False  # its own reader tells why
 
 
