@@ -313,12 +313,8 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
             known.oddities.append("has a direction from magnetic north, which was not corrected")
         if convention in ("gimbal", "on platform") and yaw is not None and pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
-        yield _Angles(
-            None if yaw is None else yaw % 360.0,
-            pitch,
-            roll if roll is None or abs(roll) <= 180 else wrap_degrees(roll),
-            _SOURCES[convention],
-        )
+        pitch, roll = (angle if angle is None or abs(angle) <= 180 else wrap_degrees(angle) for angle in (pitch, roll))
+        yield _Angles(None if yaw is None else yaw % 360.0, pitch, roll, _SOURCES[convention])
 
 
 def turned_oddity(turns: int) -> str:
