@@ -220,7 +220,9 @@ class Properties:
             return None
         value = degrees(raw) if row.unit == "degrees" else number(raw)
         if value is None or abs(value) > _MOST.get(row.unit, math.inf):
-            self.refuse(f"{row.namespace}:{name}")
+            # A camera that did not zoom may write 0/0.
+            if row.field != "zoom":
+                self.refuse(f"{row.namespace}:{name}")
             return None
         return None if value == 0 and row.unit == "metres, 0 if unknown" else value
 
