@@ -2,7 +2,7 @@
 
 EXIF's tags are the properties of XMP's namespace exif, which copies them. Other namespaces are known by a part of their address,
 or by their prefix where that is not declared. Names are compared without regard to case. Names that DJI coined, and that other
-makers copy, count in every namespace. Rows of one field stand best first.
+makers copy, count in every namespace, as does EXIF's DigitalZoomRatio. Rows of one field stand best first.
 
 A **convention** says how angles are meant:
 
@@ -14,7 +14,7 @@ direction    a compass direction of the camera
 fixed        of an aircraft without a gimbal, whose camera looks straight down in level flight
 aircraft     of an aircraft whose camera may look elsewhere
 
-An altitude's convention is "ellipsoid" where its maker counts from there, and not from the sea.
+An altitude's convention is "sea" or "ellipsoid", from where it counts; without one its file may say it by an altitude type.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from typing import Any, Literal, NamedTuple
 
 from lpn.flight.files import values
 
-Convention = Literal["", "gimbal", "on platform", "nadir", "direction", "fixed", "aircraft", "ellipsoid"]
+Convention = Literal["", "gimbal", "on platform", "nadir", "direction", "fixed", "aircraft", "sea", "ellipsoid"]
 Unit = Literal["degrees", "metres", "metres, 0 if unknown", "pixels", "millimetres", "times", "text"]
 
 
@@ -68,11 +68,14 @@ _DJI = "https://github.com/exiftool/exiftool lib/Image/ExifTool/DJI.pm"
 _DJI_GUIDE = "Mavic 3M Image Processing Guide, https://ag.dji.com/mavic-3-m"
 _DJI_MANUAL = "Mavic 3M User Manual, page 90, https://www.easymanua.ls/dji/mavic-3m/manual?p=90"
 _DJI_SDK = "https://github.com/dji-sdk/Mobile-SDK-Android/issues/984"
+_DJI_P1 = "Zenmuse P1 User Manual, page 22, https://www.easymanua.ls/dji/zenmuse-p1/manual?p=22"
+_DJI_ALTITUDE = "https://developer.dji.com/onboard-sdk/documentation/guides/component-guide-altitude.html"
 _PARROT = "https://developer.parrot.com/docs/groundsdk-tools/photo-metadata.html"
 _PIX4D = "https://support.pix4d.com/hc/en-us/articles/360016450032"
 _PIX4D_ANGLES = "https://support.pix4d.com/hc/en-us/articles/202558969"
 _SKYDIO = "https://support.skydio.com/hc/en-us/articles/4417425974683"
 _SKYDIO_X10 = "https://support.skydio.com/hc/en-us/articles/20866347470491"
+_SKYDIO_RTK = "https://support.skydio.com/hc/en-us/articles/32887502774171"
 _YUNEEC = "https://github.com/h-elsner/EXIFupdate source/exifupdate_main.pas"
 _SENSEFLY = "https://github.com/OpenDroneMap/odm_data_seneca"
 _SENTERA = "https://github.com/SenteraLLC/py-image-metadata-parser tests/data"
@@ -96,7 +99,7 @@ ROWS: tuple[PropertyRow, ...] = (
     PropertyRow("position", "drone-skydio", "Latitude Longitude", "degrees", "", _SKYDIO),
     PropertyRow("position", "sensefly", "Latitude Longitude", "degrees", "", _SENSEFLY),
     PropertyRow("position", "exif", "GPSLatitude GPSLongitude", "degrees", "", _EXIF),
-    PropertyRow("rtk", "drone-dji", "RtkFlag", "times", "", _DJI_GUIDE),
+    PropertyRow("rtk", "drone-dji", "RtkFlag", "times", "", _DJI_P1),
     PropertyRow("height_above_ground", "sensefly", "Height", "metres", "", _SENSEFLY),
     PropertyRow("height_above_ground", "Camera", "AboveGroundAltitude", "metres", "", _PIX4D),
     PropertyRow("height_above_ground", "Sentera", "AltimeterCalculatedAGL", "metres", "", _SENTERA),
@@ -106,14 +109,15 @@ ROWS: tuple[PropertyRow, ...] = (
     PropertyRow("height_above_takeoff", "drone-yuneec", "AboveHomeAltitude", "metres", "", _YUNEEC),
     PropertyRow("height_above_takeoff", "FLIR", "MAVRelativeAltitude", "metres, 0 if unknown", "", _FLIR),
     PropertyRow("altitude", "drone-dji", "AbsoluteAltitude", "metres", "", _DJI_GUIDE),
+    PropertyRow("altitude", "drone-skydio", "GpsMslHeight", "metres", "sea", _SKYDIO_X10),
     PropertyRow("altitude", "drone-skydio", "AbsoluteAltitude", "metres", "", _SKYDIO),
-    PropertyRow("altitude", "drone-skydio", "GpsMslHeight", "metres", "", _SKYDIO_X10),
     PropertyRow("altitude", "drone-yuneec", "GPSAltitude", "metres", "", _YUNEEC),
-    PropertyRow("altitude", "sensefly", "AltitudeAMSL", "metres", "", _SENSEFLY),
+    PropertyRow("altitude", "sensefly", "AltitudeAMSL", "metres", "sea", _SENSEFLY),
     PropertyRow("altitude", "sensefly", "AltitudeWGS84", "metres", "ellipsoid", _SENSEFLY),
     PropertyRow("altitude", "exif", "GPSAltitude", "metres", "", _EXIF),
     PropertyRow("altitude", "xmp", "GPSAltitude", "metres", "", _YUNEEC),
-    PropertyRow("altitude type", "drone-dji", "AltitudeType", "text", "", _DJI_GUIDE),
+    PropertyRow("altitude type", "drone-dji", "AltitudeType", "text", "", _DJI_ALTITUDE),
+    PropertyRow("altitude type", "drone-skydio", "VertCS", "text", "", _SKYDIO_RTK),
     PropertyRow("altitude type", "Camera", "VertCS", "text", "", _PIX4D),
     PropertyRow("angles", "drone-dji", _axes("Gimbal{}Degree"), "degrees", "gimbal", _DJI_GUIDE),
     PropertyRow("angles", "drone-skydio", _axes("CameraOrientationNED/{}"), "degrees", "gimbal", _SKYDIO),
@@ -145,7 +149,6 @@ ROWS: tuple[PropertyRow, ...] = (
     PropertyRow("resolution", "exif", "FocalPlaneXResolution FocalPlaneResolutionUnit", "pixels", "", _EXIF),
     PropertyRow("size", "exif", "PixelXDimension PixelYDimension", "pixels", "", _EXIF),
     PropertyRow("zoom", "exif", "DigitalZoomRatio", "times", "", _EXIF),
-    PropertyRow("zoom", "drone-dji", "DigitalZoomRatio", "times", "", _DJI),
     PropertyRow("taken", "exif", "DateTimeOriginal", "text", "", _EXIF),
     PropertyRow("taken", "exif", "DateTimeDigitized", "text", "", _EXIF),
     PropertyRow("taken", "xmp", "CreateDate", "text", "", _MINI_5),
@@ -157,9 +160,7 @@ ROWS: tuple[PropertyRow, ...] = (
 )  # fmt: skip
 
 _KNOWN = frozenset((row.namespace, name.casefold()) for row in ROWS for name in row.names.split())
-_COINED = re.compile(
-    r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude|digitalzoomratio"
-)
+_COINED = re.compile(r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude")
 # Heights in metres and angles in degrees beyond these come from wrong bytes.
 _MOST: Mapping[str, float] = {"degrees": 720.0, "metres": 1e5, "metres, 0 if unknown": 1e5}
 
@@ -178,8 +179,9 @@ class Properties:
     def add(self, namespace: str, name: str, value: Any) -> None:
         """Add a value of EXIF, or a text of XMP; a blank one tells nothing."""
         key = namespace, name.casefold()
-        if key not in _KNOWN and _COINED.fullmatch(key[1]):
-            key = "drone-dji", key[1]
+        if key not in _KNOWN:
+            copied = {"digitalzoomratio": "exif"}.get(key[1], "drone-dji" if _COINED.fullmatch(key[1]) else namespace)
+            key = copied, key[1]
         if value is not None and value != "":
             self._values.setdefault(key, value)
 

@@ -30,6 +30,8 @@ from lpn.flight.files.lenses import Lens, lens_of_dewarp_data
 from lpn.flight.files.makers import Convention, Properties, number, text_of
 from lpn.flight.files.xmp import read_xmp
 
+# Pillow raises these on damaged EXIF.
+DAMAGED = (OSError, ValueError, SyntaxError, TypeError, LookupError, struct.error, OverflowError, RecursionError)
 _XMP_TAG = 700
 # Quarter turns clockwise that make a picture upright, by EXIF orientation. Mirrored ones are un-mirrored before they are turned.
 _TURNS = {1: 0, 2: 0, 3: 2, 4: 2, 5: 3, 6: 1, 7: 1, 8: 3}
@@ -53,7 +55,7 @@ _SOURCES: Mapping[Convention, HeadingSource] = {
     "aircraft": "aircraft",
 }  # fmt: skip
 _RTK_FIXED = 50
-# Texts that say that an altitude counts from the ellipsoid: DJI's AltitudeType, and Pix4D's VertCS.
+# Texts that say that an altitude counts from the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
 _ELLIPSOIDAL = ("rtkalt", "ellipsoidal")
 # EXIF has colons between all numbers; programs write other marks, and blanks for zeros.
 _TIME = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T]+(\S.*)", re.ASCII)
@@ -164,17 +166,7 @@ def _metadata(data: bytes) -> _Metadata:
                 try:
                     exif = picture.getexif()
                     tags = dict(exif if directory is None else exif.get_ifd(directory))
-                # Pillow raises these on damaged EXIF.
-                except (
-                    OSError,
-                    ValueError,
-                    SyntaxError,
-                    TypeError,
-                    LookupError,
-                    struct.error,
-                    OverflowError,
-                    RecursionError,
-                ):
+                except DAMAGED:
                     known.oddities.append("has damaged EXIF, which was not used")
                     continue
                 names: Any = ExifTags.GPSTAGS if directory is ExifTags.IFD.GPSInfo else ExifTags.TAGS
@@ -271,8 +263,8 @@ def _altitude(known: _Metadata) -> float | None:
         # 1 is below the sea; 2 is above the ellipsoid, and 3 below it, in EXIF 3.0.
         kind = str(reference[0] if isinstance(reference, bytes) and reference else reference)
         altitude = -abs(altitude) if kind in ("1", "3") else altitude
-    types = [text.casefold() for _, text in known.properties.texts("altitude type")]
-    if row.convention == "ellipsoid" or kind in ("2", "3") or any(text in _ELLIPSOIDAL for text in types):
+    told = known.properties.text("altitude type").casefold() in _ELLIPSOIDAL or kind in ("2", "3")
+    if row.convention == "ellipsoid" or (told and row.convention != "sea"):
         known.oddities.append("has its altitude above the ellipsoid, not above the sea")
     return altitude
 
@@ -321,12 +313,8 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
             known.oddities.append("has a direction from magnetic north, which was not corrected")
         if convention in ("gimbal", "on platform") and yaw is not None and pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
-        yield _Angles(
-            None if yaw is None else yaw % 360.0,
-            pitch,
-            roll if roll is None or abs(roll) <= 180 else wrap_degrees(roll),
-            _SOURCES[convention],
-        )
+        pitch, roll = (angle if angle is None or abs(angle) <= 180 else wrap_degrees(angle) for angle in (pitch, roll))
+        yield _Angles(None if yaw is None else yaw % 360.0, pitch, roll, _SOURCES[convention])
 
 
 def turned_oddity(turns: int) -> str:

@@ -24,7 +24,7 @@ from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
 from lpn.flight.files.logs import Log
 from lpn.flight.files.photo_logs import with_log
-from lpn.flight.files.photos import Photo, natural, read_photo, set_times
+from lpn.flight.files.photos import DAMAGED, Photo, natural, read_photo, set_times
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.files.subtitles import GpsOrder, Subtitles
 from lpn.flight.files.telemetry import Telemetry
@@ -149,7 +149,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
             raise InputError(
                 f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
             )
-        flight = flight_of_photos(photos, name, list(read.values()), options.clock_offset)
+        flight = _flight_of_photos(photos, name, list(read.values()), options.clock_offset)
     flight = _completed(flight, options)
     if camera is not None:
         flight = _with_lens(flight, *camera)
@@ -212,29 +212,8 @@ def _refuse(files: Sequence[Path]) -> None:
             )
 
 
-def flight_of_folder(folder: Path) -> Flight:
-    """Return the flight of the photos below a folder; a note names pictures of kinds that are not read.
-
-    Raises:
-        DataError: if there is no photo, or none can be read.
-    """
-    inputs = _sorted_files([folder])
-    if not inputs.photos and inputs.videos:
-        raise DataError(
-            f"{printable(str(folder))} has videos ({printable(inputs.videos[0].name)}) and no flight.json; make a flight of them "
-            f"with lpn flight {printable(str(folder))} --out FLIGHT, and give FLIGHT."
-        )
-    if not inputs.photos:
-        raise DataError(
-            f"{folder} has neither flight.json nor photos ({', '.join(PHOTOS)}); give a folder that lpn flight wrote, or one of "
-            "photos."
-        )
-    flight = flight_of_photos(inputs.photos, folder.resolve().name)
-    return replace(flight, notes=(*flight.notes, *inputs.notes))
-
-
 def photos_of(paths: Sequence[Path], name: str) -> Flight:
-    """Read photos as a flight, without writing it.
+    """Read photos as a flight, without writing it; a note names pictures of kinds that are not read.
 
     Args:
         paths: photos, and folders of photos.
@@ -242,14 +221,19 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
     Raises:
         DataError: if a path is not there, or none has a photo that can be read.
     """
-    photos = _sorted_files(paths).photos
-    if not photos:
+    inputs = _sorted_files(paths)
+    if not inputs.photos:
         where = ", ".join(printable(str(path)) for path in paths) or "what was named"
-        raise DataError(f"There is no photo in {where}; expected {', '.join(PHOTOS)}.")
-    return flight_of_photos(photos, name)
+        instead = f"expected {', '.join(PHOTOS)}, or a folder that lpn flight wrote"
+        if inputs.videos:
+            filmed = printable(inputs.videos[0].name)
+            instead = f"make a flight of its videos ({filmed}) with lpn flight {where} --out FLIGHT, and give FLIGHT"
+        raise DataError(f"There is no photo in {where}; {instead}.")
+    flight = _flight_of_photos(inputs.photos, name)
+    return replace(flight, notes=(*flight.notes, *inputs.notes))
 
 
-def flight_of_photos(
+def _flight_of_photos(
     files: Sequence[Path], name: str, flight_logs: Sequence[Log] = (), clock_offset: float | None = None
 ) -> Flight:
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
@@ -321,7 +305,7 @@ def _is_map(file: Path) -> bool:
             with Image.open(file) as picture:
                 tags = picture.getexif()
                 return any(tag in tags for tag in _GEOTIFF)
-    except (OSError, ValueError, SyntaxError, TypeError, LookupError, OverflowError, Image.DecompressionBombError):
+    except (*DAMAGED, Image.DecompressionBombError):
         return False  # its own reader tells why
 
 

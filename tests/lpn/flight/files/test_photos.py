@@ -22,7 +22,6 @@ from tools.fixtures.photos import (
     dji_xmp,
     exif,
     photo_bytes,
-    sensefly_xmp,
     tiff_exif,
     with_segment,
     write_photo,
@@ -46,55 +45,6 @@ def test_xmp_is_believed_before_exif(tmp_path: Path) -> None:
     assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (315.0, "gimbal", -89.9, 0.0)
     assert frame.flying_height == 39.8
     assert not photo.oddities
-
-
-def test_exif_is_used_where_xmp_says_nothing(tmp_path: Path) -> None:
-    told = exif(-33.85, 151.2, gps={GPS.GPSAltitude: 12.5, GPS.GPSAltitudeRef: b"\x01"})
-    frame = read_photo(write_photo(tmp_path / "a.jpg", told, dji_xmp(GpsLatitude="+0.0", GpsLongitude="-0.0"))).frame
-    assert (frame.latitude, frame.longitude) == (pytest.approx(-33.85), pytest.approx(151.2))
-    assert frame.altitude == -12.5
-    assert (frame.heading, frame.heading_source, frame.pitch, frame.fov, frame.time) == (None,) * 5
-
-
-@pytest.mark.parametrize("place", [(0.0, 0.0), (91.0, 10.0), (10.0, 181.0), (None, None)])
-def test_a_position_that_cannot_be_one_is_unknown(tmp_path: Path, place: tuple[float | None, float | None]) -> None:
-    frame = read_photo(write_photo(tmp_path / "a.jpg", exif(*place))).frame
-    assert (frame.latitude, frame.longitude) == (None, None)
-
-
-def test_gimbal_angles_that_are_all_zero_are_unknown(tmp_path: Path) -> None:
-    zero = {"GimbalYawDegree": "+0.00", "GimbalPitchDegree": "0.00", "GimbalRollDegree": "0"}
-    photo = read_photo(write_photo(tmp_path / "a.jpg", xmp=dji_xmp(**zero, FlightYawDegree="-90.0")))
-    assert (photo.frame.heading, photo.frame.heading_source, photo.frame.pitch) == (270.0, "aircraft", None)
-    assert "all 0" in photo.oddities[0]
-    assert read_photo(write_photo(tmp_path / "b.jpg", xmp=dji_xmp(**zero))).frame.heading is None
-    north = read_photo(write_photo(tmp_path / "c.jpg", xmp=dji_xmp(**zero | {"GimbalPitchDegree": "-90.0"}))).frame
-    assert (north.heading, north.heading_source, north.pitch) == (0.0, "gimbal", -90.0)
-
-
-def test_the_angles_of_an_aircraft_are_those_of_its_camera(tmp_path: Path) -> None:
-    told = {
-        "Heading": 70.0625,
-        "Height": 66.11,
-        "RollAngle": -2.9,
-        "PitchAngle": 2.5,
-        "AltitudeAMSL": 314,
-        "UTCTime": "2013-06-04T17:38:03",
-    }
-    packet = sensefly_xmp(**told, Latitude=41.03, Longitude=-83.3)
-    photo = read_photo(write_photo(tmp_path / "a.jpg", exif(camera=NOON), packet))
-    frame = photo.frame
-    assert (frame.heading, frame.heading_source, frame.pitch, frame.roll) == (70.0625, "aircraft", -87.5, -2.9)
-    assert (frame.height_above_ground, frame.height_above_takeoff, frame.altitude) == (66.11, None, 314)
-    assert (frame.latitude, frame.longitude) == (41.03, -83.3)
-    assert photo.utc == 1370367483.0
-
-
-def test_a_direction_in_exif_is_the_camera_s(tmp_path: Path) -> None:
-    told = exif(1.0, 2.0, gps={GPS.GPSImgDirection: 123.5, GPS.GPSImgDirectionRef: "M"})
-    photo = read_photo(write_photo(tmp_path / "a.jpg", told))
-    assert (photo.frame.heading, photo.frame.heading_source) == (123.5, "camera")
-    assert "magnetic" in photo.oddities[0]
 
 
 @pytest.mark.parametrize(("orientation", "heading"), [(1, 45.0), (3, 225.0), (6, 315.0), (8, 135.0)])
@@ -144,14 +94,6 @@ def test_the_sensor_s_width_is_that_of_the_picture_as_taken(tmp_path: Path) -> N
     assert whole.frame.fov is not None  # a sensor of 0.06 mm is impossible, so the equivalent length counts
     assert whole.frame.fov == pytest.approx(2 * math.degrees(math.atan(math.hypot(36, 24) * 0.8 / 2 / 99)), rel=1e-6)
     assert not whole.oddities
-
-
-def test_a_calibrated_focal_length_is_in_pixels_of_the_original(tmp_path: Path) -> None:
-    camera = {BASE.ExifImageWidth: 5472, BASE.ExifImageHeight: 4104}
-    frame = read_photo(
-        write_photo(tmp_path / "a.jpg", exif(camera=camera), dji_xmp(CalibratedFocalLength=3666.666))
-    ).frame
-    assert frame.fov == pytest.approx(73.46, abs=0.01)
 
 
 def test_times_are_utc_where_a_photo_tells_it(tmp_path: Path) -> None:
@@ -270,7 +212,7 @@ def test_a_photo_without_position_stays(tmp_path: Path) -> None:
 def test_photos_as_people_have_them(name: str) -> None:
     data, expected, note = FIELD[name]
     photo = photo_of(data, Path("a.jpg"))
-    found = {field: getattr(photo.frame, field) for field in expected}
+    found = {field: getattr(photo if field == "utc" else photo.frame, field) for field in expected}
     assert found == {
         field: pytest.approx(value, abs=1e-6) if isinstance(value, float) else value
         for field, value in expected.items()
@@ -286,26 +228,21 @@ def written(folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[list[dict
 
 
 @pytest.mark.parametrize(
-    ("name", "row", "notes"),
+    ("name", "row", "note"),
     [
-        ("Parrot Anafi", {"heading": "15.0", "heading_source": "gimbal", "pitch": "-90.0", "roll": "0.0"}, []),
-        ("Pix4D's Camera", {"heading": "319.0", "pitch": "-90.0", "height_above_ground": "61.25"}, []),
-        ("a letter of Latin-1", {"heading": "319.0", "pitch": "-90.0", "height_above_takeoff": "61.2"}, []),
-        ("seconds of 0/0 behind decimal minutes", {"latitude": "47.301234", "heading": ""}, []),
+        ("a letter of Latin-1", {"heading": "319.0", "heading_source": "gimbal", "height_above_takeoff": "61.2"}, ""),
         ("no references", {"latitude": "", "heading": ""},
-         ["3 of 3 photos: each has values that cannot be read: exif:GPSLatitudeRef, exif:GPSLongitudeRef."]),
+         "3 of 3 photos: each has values that cannot be read: exif:GPSLatitudeRef, exif:GPSLongitudeRef."),
     ],
 )  # fmt: skip
 def test_lpn_flight_writes_what_the_photos_say(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, row: dict[str, str], notes: list[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, row: dict[str, str], note: str
 ) -> None:
     for i in range(3):
         (tmp_path / f"{i}.jpg").write_bytes(FIELD[name][0])
     rows, printed = written(tmp_path, capsys)
     assert [{column: line[column] for column in row} for line in rows] == [row] * 3
-    assert not [note for note in notes if note not in printed]
-    assert "course over ground" not in printed
-    assert "codec" not in printed
+    assert note in printed
 
 
 def test_the_course_is_never_taken_where_a_photo_tells_a_heading(
@@ -373,13 +310,3 @@ def test_an_unknown_frame_has_every_field_of_the_table() -> None:
     empty = photo_of(photo_bytes(), Path("a.jpg"))
     assert empty.frame == Frame("a.jpg", Path("a.jpg"), 40, 30)
     assert empty.oddities == ()
-
-
-def test_a_stitched_panorama_is_named_and_has_no_field_of_view(tmp_path: Path) -> None:
-    uris = {"GPano": "http://ns.google.com/photos/1.0/panorama/"}
-    packet = xmp_packet("<GPano:ProjectionType>equirectangular</GPano:ProjectionType>", uris)
-    photo = read_photo(
-        write_photo(tmp_path / "a.jpg", exif(camera={ExifTags.Base.FocalLengthIn35mmFilm: 24}), packet, (60, 30))
-    )
-    assert photo.frame.fov is None
-    assert any(oddity.startswith("is a panorama (equirectangular)") for oddity in photo.oddities)
