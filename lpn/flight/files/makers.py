@@ -248,7 +248,7 @@ def number(value: Any) -> float | None:
     try:
         if isinstance(value, str | bytes):
             above, _, below = text_of(value).partition("/")
-            found = values.number(above)
+            found = values.number(above, comma=True)
             value = None if found is None else found / float(below or 1)
         value = float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):

@@ -20,14 +20,17 @@ from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 
 
-def with_log(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
+def with_log(photos: Sequence[Photo], log: Log, clock_offset: float | None = None) -> tuple[list[Photo], list[str]]:
     """Return photos with a log's values, and notes.
 
     Rows are matched by file name if the log has file names, else by time. The log's values replace those of the photos, except
     for a heading whose source is worse than the photo's, and the field of view of a photo whose lens is known.
+
+    Args:
+        clock_offset: seconds to add to the photos' clock for that of the log; None finds it out.
     """
     rows = logs.rows_by_name(log)
-    made, how, why_not, notes = _by_name(photos, log, rows) if rows else _by_time(photos, log)
+    made, how, why_not, notes = _by_name(photos, log, rows) if rows else _by_time(photos, log, clock_offset)
     used = sum(after is not before for after, before in zip(made, photos, strict=True))
     if used:
         said = f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files."
@@ -83,11 +86,11 @@ def _metres_apart(frame: Frame, entry: TelemetryEntry) -> float:
     return float(np.hypot(*local_metres(both)[1]))
 
 
-def _by_time(photos: Sequence[Photo], log: Log) -> _Matched:
+def _by_time(photos: Sequence[Photo], log: Log, clock_offset: float | None) -> _Matched:
     """Return photos with the log's values at their times, how the clocks fit, why they do not, and notes."""
     moments, note = logs.moments(log)
     telemetry = Telemetry(moments)
-    fit = fit_clocks(photos, telemetry, log.utc)
+    fit = fit_clocks(photos, telemetry, log.utc, clock_offset)
     notes = [] if note is None else [note]
     if fit.offset is None:
         return list(photos), f"by {fit.basis}", f": {fit.sentence}", notes

@@ -1,4 +1,4 @@
-"""Checks across the frames of a flight: headings from the course, and notes about gaps and jumps."""
+"""Checks across the frames of a flight: headings from the course, and notes about jumps and about missing values."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ _COURSE_SECONDS = 15.0
 _TURN = 45.0
 # A speed in m/s that no drone of this kind flies, and the factor of the median step that a jump exceeds.
 _FASTEST, _JUMP = 50.0, 8.0
-# A pause is longer than this many seconds, and this many usual ones.
-_PAUSE, _PAUSES = 30.0, 10.0
 # Without times, a jump is longer than this in metres.
 _FAR = 200.0
 _NAMED = 3
@@ -47,12 +45,12 @@ def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
 
 
 def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()) -> list[str]:
-    """Return notes about a flight: what is missing, jumps of the position, stale positions, pauses.
+    """Return notes about a flight: what is missing, jumps of the position.
 
     Args:
         oddities: of each frame: predicates whose subject is the frame.
     """
-    return [*_counted(oddities, len(frames)), *_missing(frames), *_jumps(frames), *_stale(frames), *_pauses(frames)]
+    return [*_counted(oddities, len(frames)), *_missing(frames), *_jumps(frames)]
 
 
 def _times(frames: Sequence[Frame]) -> Float64Array:
@@ -124,24 +122,3 @@ def _jumps(frames: Sequence[Frame]) -> Iterator[str]:
             f"The GPS tags jump {'once' if len(jumps) == 1 else f'{len(jumps)} times'}, first by {metres[first]:.0f} m after "
             f"{known[first].name}; tags about a jump are doubtful."
         )
-
-
-def _stale(frames: Sequence[Frame]) -> Iterator[str]:
-    known, metres, seconds = _steps(frames)
-    moving = len(metres) > 2 and np.median(metres) > _LEAST_STEP
-    names = [known[i + 1].name for i in np.flatnonzero((metres == 0) & ~(seconds == 0))] if moving else []
-    if names:
-        which = first_few(names, _NAMED)
-        yield f"{len(names)} photos of a moving flight repeat the GPS tag before theirs: {which}; the tag lags there."
-
-
-def _pauses(frames: Sequence[Frame]) -> Iterator[str]:
-    timed = [frame for frame in frames if frame.time is not None]
-    seconds = np.diff(_times(timed))
-    if len(seconds) < 2:
-        return
-    pauses = np.flatnonzero((seconds > _PAUSE) & (seconds > _PAUSES * np.median(seconds)))
-    if len(pauses):
-        longest = int(pauses[np.argmax(seconds[pauses])])
-        times = "once" if len(pauses) == 1 else f"{len(pauses)} times"
-        yield f"The flight pauses {times}, for up to {seconds[longest]:.0f} s after {timed[longest].name}."

@@ -64,6 +64,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
+        clock_offset: seconds to add to the photos' clock for that of a log; None finds it out.
     """
 
     every: float = 1.0
@@ -72,6 +73,7 @@ class FlightOptions:
     fov: float | None = None
     pitch: float | None = None
     camera: Path | None = None
+    clock_offset: float | None = None
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -79,6 +81,7 @@ class FlightOptions:
             ("every_metres", 0.1, 1e6),
             ("fov", *cameras.FOV_RANGE),
             ("pitch", -180, 90),
+            ("clock_offset", -1e10, 1e10),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -146,7 +149,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
             raise InputError(
                 f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
             )
-        flight = _flight_of_photos(photos, name, list(read.values()))
+        flight = _flight_of_photos(photos, name, list(read.values()), options.clock_offset)
     flight = _completed(flight, options)
     if camera is not None:
         flight = _with_lens(flight, *camera)
@@ -163,7 +166,7 @@ def read_any_log(file: Path) -> Log:
     """
     _refuse([file])
     suffix = file.suffix.lower()
-    if suffix in vehicle_logs.SUFFIXES:
+    if vehicle_logs.is_vehicle_log(file):
         return vehicle_logs.read_vehicle_log(file)
     return track_files.read_track(file) if suffix in track_files.SUFFIXES else logs.read_log(file)
 
@@ -230,11 +233,13 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
     return replace(flight, notes=(*flight.notes, *inputs.notes))
 
 
-def _flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log] = ()) -> Flight:
+def _flight_of_photos(
+    files: Sequence[Path], name: str, flight_logs: Sequence[Log] = (), clock_offset: float | None = None
+) -> Flight:
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
 
     Args:
-        flight_logs: their values replace those of the photos, see `lpn.flight.files.photo_logs.with_log`.
+        flight_logs, clock_offset: see `lpn.flight.files.photo_logs.with_log`.
 
     Raises:
         DataError: if no photo can be read, or one is given twice.
@@ -250,7 +255,7 @@ def _flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Lo
     photos = _with_names(photos)
     log_notes: list[str] = []
     for log in flight_logs:
-        photos, notes_of_log = with_log(photos, log)
+        photos, notes_of_log = with_log(photos, log, clock_offset)
         log_notes += [*log.notes, *notes_of_log]
     frames, is_utc, notes = set_times(photos)
     frames, course_notes = with_courses(frames)
