@@ -276,7 +276,7 @@ def _angles(known: _Metadata, turns: int) -> tuple[float | None, float | None, f
     pitch, roll = (None, None) if tilt is None else (tilt.pitch, tilt.roll)
     if best is not None and turns:
         known.oddities.append(turned_oddity(turns))
-    heading, pitch, roll = upright_angles(0.0 if best is None else best.heading or 0.0, pitch, roll, turns)
+    heading, pitch, roll = cameras.turned(0.0 if best is None else best.heading or 0.0, pitch, roll, turns)
     return (None, pitch, roll, None) if best is None else (heading, pitch, roll, best.source)
 
 
@@ -319,42 +319,6 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
 def turned_oddity(turns: int) -> str:
     """Return the oddity of a photo whose EXIF orientation turns picture and heading."""
     return f"is turned by {90 * turns}° by its EXIF orientation, and its heading with it"
-
-
-def upright_angles(
-    heading: float, pitch: float | None, roll: float | None, turns: int
-) -> tuple[float, float | None, float | None]:
-    """Return heading, pitch, and roll in degrees after quarter turns clockwise; see `lpn.flight.files.cameras.turned`."""
-    if not turns or pitch is None:
-        return (heading - 90.0 * turns) % 360.0, pitch, roll
-    return cameras.turned(heading, pitch, roll or 0.0, turns)
-
-
-def upright_values(
-    values: Mapping[str, Any], turns: int, frame: Frame, across_longer_side: bool = False
-) -> dict[str, Any]:
-    """Return telemetry of a frame with its angles turned as the picture is, and with the field of view across its width.
-
-    A frame whose lens is known keeps that one's field of view, with which its distortion is removed.
-
-    Args:
-        values: named as in `Frame`; None where unknown.
-        turns: quarter turns clockwise from the picture as it was taken to the frame.
-        across_longer_side: the field of view lies across the longer side, as subtitles tell it; else across the width of the
-            picture as it was taken.
-    """
-    upright = dict(values)
-    if turns and (heading := values.get("heading")) is not None:
-        angles = upright_angles(heading, values.get("pitch"), values.get("roll"), turns)
-        upright |= {
-            name: angle for name, angle in zip(("heading", "pitch", "roll"), angles, strict=True) if angle is not None
-        }
-    is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
-    if frame.lens is not None:
-        upright.pop("fov", None)
-    elif is_across_height and (fov := values.get("fov")) is not None:
-        upright["fov"] = cameras.fov_across(fov, frame.width / frame.height)
-    return upright
 
 
 def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
