@@ -20,7 +20,7 @@ _LENGTHS = {
     **dict.fromkeys(("ft", "feet", "foot"), FOOT), "mm": 0.001, "cm": 0.01, "km": 1000.0,
 }  # fmt: skip
 _ANGLES = {
-    **dict.fromkeys(("deg", "degree", "degrees", "°", "dd", "dms", "wgs84"), 1.0), "ddeg": 0.1, "cdeg": 0.01, "dege7": 1e-7,
+    **dict.fromkeys(("deg", "degree", "degrees", "°", "decimal", "dd", "wgs84"), 1.0), "ddeg": 0.1, "cdeg": 0.01, "dege7": 1e-7,
     **dict.fromkeys(("rad", "radian", "radians"), math.degrees(1)),
 }  # fmt: skip
 _TIMES = {
@@ -234,9 +234,11 @@ def _names(text: str) -> Iterator[_Name]:
         yield _Name(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())), True)
         return
     yield _Name(_plain(text))
-    body, _, last = re.sub(r"[\s/]", "_", text).rpartition("_")
-    if body and last.casefold() in _ALL_UNITS:
-        yield _Name(_plain(body), (last.casefold(),))
+    parts = re.split(r"[\s_/]+", text)
+    for count in (1, 2):
+        units = tuple(part.casefold() for part in parts[-count:])
+        if len(parts) > count and set(units) <= _ALL_UNITS.keys():
+            yield _Name(_plain("".join(parts[:-count])), units)
 
 
 def _best(

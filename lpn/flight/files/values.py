@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import NamedTuple
 
+from lpn.core.csv_cells import decode_text
 from lpn.core.errors import DataError
 from lpn.core.files import printable
 
@@ -92,19 +93,13 @@ def decoded(data: bytes, name: str) -> str:
     Raises:
         DataError: if it is no text.
     """
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        return data.decode("utf-16", "replace")
-    # Text in UTF-16 without a mark has a NUL in every second byte.
-    head = data[:4000]
-    for start, encoding in ((1, "utf-16-le"), (0, "utf-16-be")):
-        if len(head) >= 4 and head[start::2].count(0) > 0.7 * len(head[start::2]) and not head[1 - start :: 2].count(0):
-            return data.decode(encoding, "replace")
-    if head.count(0):
-        raise DataError(f"{printable(name)} is no text; expected lines of text, not a binary file.")
     try:
-        return data.decode("utf-8-sig")
+        text = decode_text(data)
     except UnicodeDecodeError:
-        return data.decode("cp1252", "replace")
+        text = data.decode("cp1252", "replace")
+    if "\x00" in text[:4000]:
+        raise DataError(f"{printable(name)} is no text; expected lines of text, not a binary file.")
+    return text
 
 
 def plain(text: str) -> str:

@@ -119,13 +119,14 @@ CASES = (
        **HERE, altitude=500.0, clock=1715335200.0),
     # Units that headers say
     by("a header", "units.csv",
-       "lat_degE7,lon [degE7],alt [mm],relative_alt (mm),hdg [cdeg]\n473010000,85010000,1500000,60000,120\n",
+       "lat_degE7,lon [degE7],alt mm AMSL,relative_alt (mm),hdg [cdeg]\n473010000,85010000,1500000,60000,120\n",
        **HERE, altitude=1500.0, height_above_takeoff=60.0, heading=1.2),
+    by("a header", "decimal.csv", "file,latitude_decimal_degrees,Longitude decimal\na.jpg,47.301,8.501\n", **HERE),
     by("a header", "words.csv",
        "file,Latitude (decimal degrees),Longitude (decimal degrees),Altitude (m),Rel Alt [ft],Yaw (rad),elapsed_ms\n"
        "a.jpg,47.301,8.501,500,100,3.14159265,1500\n",
        **HERE, altitude=500.0, height_above_takeoff=30.48, heading=180.0, time=1.5),
-    by("a header", "radians.csv", "file,lat (rad),lon (rad),gimbal yaw rad,gimbal pitch rad\n"
+    by("a header", "radians.csv", "file,lat (rad),longitude rad,gimbal yaw rad,gimbal pitch rad\n"
        "a.jpg,0.825558190,0.148370440,0.5235987756,-1.5707963268\n", **HERE, heading=30.0, pitch=-90.0),
     by("no header", "no_unit.csv", "file,lat,lon,yaw,gimbal_pitch\na.jpg,47.301,8.501,1.57,-1.5\n",
        "All values of yaw, gimbal_pitch in no_unit.csv lie within 3.14", **HERE, heading=1.57, pitch=-1.5),
