@@ -28,14 +28,16 @@ class FlightCommand:
     every_metres: float | None = None
     """Metres flown from one frame of a video to the next, in place of --every."""
     gps_order: Literal["lat-lon", "lon-lat"] | None = None
-    """Order of the first two values of GPS(a, b, c) in subtitles; by default found out, and a note tells of a guess."""
+    """Order of the first two values of GPS(a, b, c) in subtitles; by default told by the dialect, and a note tells of a guess."""
     fov: float | None = None
     """Horizontal field of view in degrees, for photos whose files have none."""
     pitch: float | None = None
     """Pitch in degrees, for photos whose files have none; -90 is straight down."""
     camera: Path | None = None
-    """File of the camera's lens, YAML or JSON of OpenCV, ROS, Kalibr, or ODM, whose distortion is taken out before photos are
+    """File of the camera's lens, YAML or JSON of OpenCV, ROS, or ODM, whose distortion is taken out before photos are
     matched; by default the one in DJI's photos."""
+    clock_offset: float | None = None
+    """Seconds to add to the photos' clock for that of a log; by default found out where it is a time zone."""
 
     def run(self) -> None:
         from lpn.core.errors import InputError
@@ -43,7 +45,9 @@ class FlightCommand:
 
         if not self.files:
             raise InputError("There are no files; give photos, videos, logs, tracks, or folders of them.")
-        options = FlightOptions(self.every, self.every_metres, self.gps_order, self.fov, self.pitch, self.camera)
+        options = FlightOptions(
+            self.every, self.every_metres, self.gps_order, self.fov, self.pitch, self.camera, self.clock_offset
+        )
         flight = make_flight(self.files, self.out, options)
         print(summary(flight))
         print(f"The flight is in {self.out}.")

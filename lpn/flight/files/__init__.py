@@ -16,14 +16,13 @@ from lpn.core.files import printable
 from lpn.flight.files.base import Flight, Frame, HeadingSource
 from lpn.flight.files.cameras import footprint, ground_width
 from lpn.flight.files.folder import is_flight, read_flight, write_flight
-from lpn.flight.files.sources import FlightOptions, flight_of_folder, flight_of_photos, make_flight, photos_of
+from lpn.flight.files.sources import FlightOptions, make_flight, photos_of
 
 __all__ = [
     "Flight",
     "FlightOptions",
     "Frame",
     "HeadingSource",
-    "flight_of_photos",
     "footprint",
     "ground_width",
     "make_flight",
@@ -49,4 +48,4 @@ def open_flight(folder: str | Path) -> Flight:
         raise DataError(f"There is no flight at {folder}; expected a folder that lpn flight wrote, or one of photos.")
     if is_flight(folder):
         return read_flight(folder)
-    return flight_of_folder(folder)
+    return photos_of([folder], folder.resolve().name)

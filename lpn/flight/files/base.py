@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from msgspec import Meta
 
 from lpn.core.arrays import Float64Array, UInt8Array
 from lpn.core.numbers import wrap_degrees
@@ -18,6 +19,12 @@ from lpn.datasets import geo
 from lpn.flight.files.lenses import Lens
 
 HeadingSource = Literal["gimbal", "camera", "aircraft", "course"]
+# The limits hold in a flight's folder.
+_Name = Annotated[str, Meta(min_length=1)]
+_Pixels = Annotated[int, Meta(gt=0, lt=1_000_000)]
+_Number = Annotated[float, Meta(ge=-1e12, le=1e12)]
+_Turn = Annotated[float, Meta(ge=-360, le=360)]
+_HalfTurn = Annotated[float, Meta(ge=-180, le=180)]
 
 
 @dataclass(frozen=True)
@@ -43,21 +50,21 @@ class Frame:
         lens: with its distortion, where a file tells it and the picture has it still.
     """
 
-    name: str
+    name: _Name
     file: Path
-    width: int
-    height: int
-    time: float | None = None
-    latitude: float | None = None
-    longitude: float | None = None
-    height_above_ground: float | None = None
-    height_above_takeoff: float | None = None
-    altitude: float | None = None
-    heading: float | None = None
+    width: _Pixels
+    height: _Pixels
+    time: _Number | None = None
+    latitude: Annotated[float, Meta(ge=-90, le=90)] | None = None
+    longitude: _HalfTurn | None = None
+    height_above_ground: _Number | None = None
+    height_above_takeoff: _Number | None = None
+    altitude: _Number | None = None
+    heading: Annotated[float, Meta(ge=0, le=360)] | None = None
     heading_source: HeadingSource | None = None
-    pitch: float | None = None
-    roll: float | None = None
-    fov: float | None = None
+    pitch: _Turn | None = None
+    roll: _HalfTurn | None = None
+    fov: Annotated[float, Meta(ge=0.1, le=170)] | None = None
     lens: Lens | None = None
 
     @property

@@ -8,13 +8,11 @@ front, see `lpn.core.csv_cells`.
 
 from __future__ import annotations
 
-import math
 import os
 from collections import Counter
-from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import msgspec
 
@@ -23,23 +21,13 @@ from lpn.core.errors import DataError, OutputError
 from lpn.core.files import first_few, json_bytes, printable, write_together
 from lpn.core.formats import decode_json, format_of
 from lpn.core.lists import read_rows
-from lpn.flight.files.base import Flight, Frame, HeadingSource
-from lpn.flight.files.cameras import FOV_RANGE
-from lpn.flight.files.lenses import Lens, lens_of_text
+from lpn.flight.files.base import Flight, Frame
+from lpn.flight.files.lenses import lens_of_text
 
 FORMAT = "lpn-flight/1"
 TABLE, HEADER, FRAMES = "flight.csv", "flight.json", "frames"
 _COLUMNS = tuple(field.name for field in fields(Frame))
 _FIRST_LINE = ",".join(_COLUMNS).encode() + b"\n"
-_NUMBERS = tuple(name for name in _COLUMNS if name not in ("name", "file", "width", "height", "heading_source", "lens"))
-_LIMITS: Mapping[str, tuple[float, float]] = {
-    "latitude": (-90, 90),
-    "longitude": (-180, 180),
-    "heading": (0, 360),
-    "pitch": (-360, 360),
-    "roll": (-180, 180),
-    "fov": FOV_RANGE,
-}
 
 
 class _Header(msgspec.Struct, forbid_unknown_fields=True):
@@ -56,23 +44,21 @@ def is_flight(folder: Path) -> bool:
 
 def check_folder(folder: Path) -> None:
     """Raise OutputError if the flight would replace a file that `lpn flight` did not write."""
-    try:
-        header = format_of(file.read_bytes()) if (file := folder / HEADER).exists() else FORMAT
-        begin = _FIRST_LINE
-        if (file := folder / TABLE).exists():
-            with file.open("rb") as table:
-                begin = table.readline(len(_FIRST_LINE))
-    except OSError as error:
-        raise OutputError(f"{printable(str(file))} cannot be read ({error.strerror or error}); check it.") from error
-    ours = {
-        HEADER: isinstance(header, str) and header.startswith(FORMAT.partition("/")[0] + "/"),
-        TABLE: begin == _FIRST_LINE,
-    }
-    for name, is_ours in ours.items():
+    for name in (HEADER, TABLE):
+        file = folder / name
+        try:
+            data = file.read_bytes() if file.exists() else None
+        except OSError as error:
+            raise OutputError(
+                f"{printable(str(file))} cannot be read ({error.strerror or error}); check it."
+            ) from error
+        is_ours = data is None or data.startswith(_FIRST_LINE)
+        if data is not None and name == HEADER:
+            is_ours = str(format_of(data)).startswith("lpn-flight/")
         if not is_ours:
             raise OutputError(
-                f"{printable(str(folder / name))} was not written by lpn flight and would be replaced; choose another folder for "
-                "the flight."
+                f"{printable(str(file))} was not written by lpn flight and would be replaced; choose another folder for the "
+                "flight."
             )
 
 
@@ -127,49 +113,21 @@ def _relative(file: Path, folder: Path) -> str:
 def _frame(values: list[str], folder: Path, line: str) -> Frame:
     if len(values) != len(_COLUMNS):
         raise DataError(f"{line} has {len(values)} values; expected {len(_COLUMNS)}.")
-    texts = dict(zip(_COLUMNS, map(unescape, values), strict=True))
-    numbers: dict[str, Any] = {name: _number(texts[name], name, line) for name in _NUMBERS}
-    source = texts["heading_source"] or None
-    if (source is not None and source not in get_args(HeadingSource)) or (source is None) != (
-        numbers["heading"] is None
-    ):
-        raise DataError(
-            f"{line} has the heading_source {printable(texts['heading_source'])!r}; expected one of "
-            f"{', '.join(get_args(HeadingSource))}, and none without a heading."
-        )
-    if (numbers["latitude"] is None) != (numbers["longitude"] is None):
-        raise DataError(f"{line} has one of latitude and longitude; expected both or none.")
-    if not texts["name"] or not texts["file"] or "\x00" in texts["file"]:
-        raise DataError(f"{line} has no name or no file; expected both.")
-    width, height = (_pixels(texts[name], name, line) for name in ("width", "height"))
-    file = Path(os.path.normpath(folder / texts["file"]))
-    lens = _lens(texts["lens"], line)
-    return Frame(texts["name"], file, width, height, heading_source=source, lens=lens, **numbers)  # type: ignore[arg-type]
+    told: dict[str, Any] = {name: text for name, cell in zip(_COLUMNS, values, strict=True) if (text := unescape(cell))}
 
+    def path(_: type, text: str) -> Path:
+        if "\x00" in text:
+            raise ValueError("Expected a path without NULs")
+        return Path(os.path.normpath(folder / text))
 
-def _lens(text: str, line: str) -> Lens | None:
     try:
-        return lens_of_text(text) if text.strip() else None
+        told |= {"lens": asdict(lens_of_text(told["lens"]))} if "lens" in told else {}
+        frame = msgspec.convert(told, Frame, strict=False, dec_hook=path)
+        if (frame.latitude is None) != (frame.longitude is None):
+            raise ValueError("Expected both or none of latitude and longitude")
+        if (frame.heading is None) != (frame.heading_source is None):
+            raise ValueError("Expected both or none of heading and heading_source")
     except ValueError as error:
-        raise DataError(
-            f"{line} has the lens {printable(text)[:80]!r} ({printable(str(error))[:80]}); expected nine numbers of a lens."
-        ) from error
-
-
-def _number(text: str, name: str, line: str) -> float | None:
-    if not text.strip():
-        return None
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    low, high = _LIMITS.get(name, (-1e12, 1e12))
-    if not low <= value <= high:
-        raise DataError(f"{line} has the {name} {printable(text)[:80]!r}; expected a number from {low:g} to {high:g}.")
-    return value
-
-
-def _pixels(text: str, name: str, line: str) -> int:
-    if not (text.isascii() and text.isdecimal() and 0 < len(text) < 7 and int(text)):
-        raise DataError(f"{line} has the {name} {printable(text)[:80]!r}; expected a number of pixels.")
-    return int(text)
+        found = printable(str(error))[:120].replace(" - at `$.", " in `")
+        raise DataError(f"{line} is not what lpn flight writes ({found}); write the flight again.") from error
+    return frame

@@ -22,6 +22,7 @@ from lpn.core.errors import DataError
 from lpn.core.files import first_few, printable
 from lpn.core.homography import middle_pixel
 from lpn.core.requirements import missing_package
+from lpn.flight.files.values import read_limited
 
 # Focal lengths in widths of the picture (170 to 3 degrees of view), how far the optical centre may be off the middle, and the
 # largest coefficient of distortion.
@@ -135,35 +136,26 @@ def lens_of_dewarp_data(text: str, width: float) -> Lens:
 def read_camera(file: Path) -> tuple[Lens, float]:
     """Read a camera's file: the lens, and the proportions (height over width) of its pictures.
 
-    It is YAML or JSON by OpenCV or ROS (`camera_matrix`, `distortion_coefficients`), by Kalibr (`cam0` with `intrinsics`,
-    `distortion_coeffs`, `resolution`), or by OpenDroneMap (cameras.json, `focal_x`), with the size of its pictures.
+    It is YAML or JSON by OpenCV or ROS (`camera_matrix`, `distortion_coefficients`), or by OpenDroneMap (cameras.json,
+    `focal_x`), with the size of its pictures.
 
     Raises:
         DataError: if it cannot be read, is another model than a pinhole with Brown's distortion, or has impossible numbers.
     """
     name = printable(str(file))
     try:
-        data = file.read_bytes()[: _MOST_BYTES + 1]
-        if len(data) > _MOST_BYTES:
-            raise DataError(f"{name} is larger than a camera's file, {_MOST_BYTES:,} bytes; give YAML or JSON.")
-        text = data.decode().removeprefix("\ufeff")
+        text = read_limited(file, _MOST_BYTES, "a camera's file").decode().removeprefix("\ufeff")
         content = json.loads(text) if text.lstrip().startswith("{") else _yaml(text)
-    except OSError as error:
-        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
-    except (ValueError, RecursionError) as error:
-        raise DataError(
-            f"{name} is neither YAML nor JSON; give a camera's file of OpenCV, ROS, Kalibr, or ODM."
-        ) from error
-    try:
-        return _camera(content)
-    except (KeyError, TypeError, IndexError, ZeroDivisionError, OverflowError) as error:
+        return _camera(content) if isinstance(content, dict) else _camera({})
+    except (KeyError, TypeError, IndexError, StopIteration, ZeroDivisionError, OverflowError) as error:
         raise DataError(
             f"{name} lacks what a camera needs ({printable(str(error))[:80]}); expected the size of its pictures with "
-            "camera_matrix and distortion_coefficients, or intrinsics and distortion_coeffs, or focal_x and k1."
+            "camera_matrix and distortion_coefficients, or focal_x and k1."
         ) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise DataError(
-            f"{name} has {printable(str(error))[:120]}; expected a pinhole with k1, k2, p1, p2, k3."
+            f"{name} has {printable(str(error))[:120]}; expected YAML or JSON by OpenCV, ROS, or ODM, of a pinhole with k1, k2, "
+            "p1, p2, k3."
         ) from error
 
 
@@ -178,50 +170,36 @@ def _yaml(text: str) -> Any:
     try:
         return yaml.safe_load(plain.replace("!!opencv-matrix", ""))
     except yaml.YAMLError as error:
-        raise ValueError(str(error)) from error
+        raise ValueError(f"no YAML ({error})") from error
 
 
-def _camera(content: Any) -> tuple[Lens, float]:
-    if not isinstance(content, dict) or not content:
-        raise TypeError("no names and values")
+def _camera(content: dict[str, Any]) -> tuple[Lens, float]:
     if "camera_matrix" in content:
         width, height = float(content["image_width"]), float(content["image_height"])
         model = content.get("distortion_model", "plumb_bob")
-        matrix = _numbers(content["camera_matrix"])
-        (fx, cx), (fy, cy) = (matrix[0], matrix[2]), (matrix[4], matrix[5])
+        fx, _, cx, _, fy, cy, *_ = _numbers(content["camera_matrix"])
         coefficients = _numbers(content.get("distortion_coefficients", []))
-    elif isinstance(inner := next(iter(content.values()), None), dict) and "intrinsics" in inner:
-        width, height = (float(value) for value in inner["resolution"])
-        model = inner.get("distortion_model", "radtan")
-        if inner.get("camera_model", "pinhole") != "pinhole":
-            model = inner["camera_model"]
-        fx, fy, cx, cy = _numbers(inner["intrinsics"])
-        coefficients = _numbers(inner.get("distortion_coeffs", []))
     else:
-        cameras = [str(name) for name, camera in content.items() if isinstance(camera, dict) and "width" in camera]
+        cameras = {str(name): camera for name, camera in content.items() if isinstance(camera, dict)} or {"": content}
         if len(cameras) > 1:
             raise ValueError(
-                f"{len(cameras)} cameras ({first_few(cameras, 3)}), of which only that of these photos may stay"
+                f"{len(cameras)} cameras ({first_few(list(cameras), 3)}), of which only that of these photos may stay"
             )
-        inner = content if "width" in content else next(iter(content.values()))
-        width, height = float(inner["width"]), float(inner["height"])
-        model = inner.get("projection_type", "brown")
+        (camera,) = cameras.values()
+        width, height = float(camera["width"]), float(camera["height"])
+        model = camera.get("projection_type", "brown")
         # OpenSfM divides by the longer side, and counts from the picture's middle.
         scale = max(width, height)
-        names = ("focal", "focal") if "focal" in inner else ("focal_x", "focal_y")
-        fx, fy = (scale * float(inner[name]) for name in names)
-        cx, cy = (
-            side + scale * float(inner.get(name, 0.0))
-            for name, side in (("c_x", (width - 1) / 2), ("c_y", (height - 1) / 2))
-        )
-        coefficients = [float(inner.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
-    if model not in ("plumb_bob", "radtan", "brown", "perspective", "none"):
+        fx, fy = (scale * float(camera["focal" if "focal" in camera else name]) for name in ("focal_x", "focal_y"))
+        cx = (width - 1) / 2 + scale * float(camera.get("c_x", 0.0))
+        cy = (height - 1) / 2 + scale * float(camera.get("c_y", 0.0))
+        coefficients = [float(camera.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
+    if model not in ("plumb_bob", "brown", "perspective", "none"):
         raise ValueError(f"the model {model}")
     if any(coefficients[5:]):
         raise ValueError(f"{len(coefficients)} coefficients of distortion")
-    middle = (width - 1) / 2, (height - 1) / 2
-    numbers = (fx / width, fy / width, (cx - middle[0]) / width, (cy - middle[1]) / width)
-    return Lens(*numbers, *coefficients[:5]), height / width
+    centre = (cx - (width - 1) / 2) / width, (cy - (height - 1) / 2) / width
+    return Lens(fx / width, fy / width, *centre, *coefficients[:5]), height / width
 
 
 def _numbers(values: Any) -> list[float]:

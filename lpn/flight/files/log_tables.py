@@ -1,27 +1,37 @@
-"""Text as the table of a flight log: the line of names is looked for, and the lines below it are split into cells."""
+"""Text as the table of a flight log: its line of names, known columns, and the rows below as numbers.
+
+The line of names is the first one, or one of the comments before. Two files have none: rows of pictures as Pix4D reads them, and
+geo.txt of OpenDroneMap. Any other file is refused with its first line.
+"""
 
 from __future__ import annotations
 
 import csv
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from lpn.core.errors import DataError, OtherKindError
+import numpy as np
+
+from lpn.core.arrays import Float64Array
+from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.flight.files import values
-from lpn.flight.files.log_columns import LogColumns, columns_of
+from lpn.flight.files.dialects import Columns, columns_of
 
-# The line of names is looked for among so many lines. DroneDeploy's has some thirty lines before it.
-_MOST_HEAD = 200
-_DELIMITERS = (",", ";", "\t", "|", None)
-# A second line with units, as in FlySight's files.
-_UNIT_CELL = re.compile(r"[(\[]?(?:deg|degrees|°|rad|dd|decimal degrees)[)\]]?", re.IGNORECASE)
-_COMMA_DECIMAL = re.compile(r"[^\d,.]*\d{1,3},\d+[^\d,.]*")
-# Names of WGS 84 in the first line of a geo.txt, whose positions are in degrees then.
-_GEOGRAPHIC = re.compile(r"EPSG:4326|longlat|WGS ?84", re.IGNORECASE)
+_DELIMITERS = (",", ";", "\t", None)
+# The first line of OpenDroneMap's lists: a projection. Degrees are these alone.
+_PROJECTION = re.compile(r"EPSG:\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
+_DEGREES = re.compile(r"EPSG:(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
+_GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
+_GEO_TXT_ANGLES = ["yaw", "pitch", "roll"]
+_PIX4D = ["imagename", "latitude", "longitude", "altitude"]
 _UNKNOWN = ("", "n/a", "na", "nan", "null", "none", "-", "--", "unknown")
 _PICTURE = re.compile(r"\S.*\.(?:jpe?g|png|tiff?|webp|dng|heic|arw|cr2)", re.IGNORECASE)
+# The end of a message about positions in a map's grid.
+GRID = "Eastings and northings of a map are not read; export degrees of WGS 84."
+_COORDINATES = ("latitude", "NS"), ("longitude", "EW")
 
 
 @dataclass(frozen=True)
@@ -31,22 +41,78 @@ class LogTable:
     Attributes:
         header: the names as they are written.
         rows: cells with the number of their line, from 1.
-        commas: a comma within a number is the decimal sign.
+        name: the file's, for messages.
         notes: sentences about what was odd.
     """
 
-    columns: LogColumns
+    columns: Columns
     header: tuple[str, ...]
     rows: list[tuple[int, list[str]]]
+    name: str
     commas: bool
-    notes: list[str]
+    notes: tuple[str, ...]
 
-    def text(self, cells: Sequence[str], what: str) -> str:
-        """Return the text of a value in a row, "" for one that is unknown."""
+    def texts(self, what: str) -> list[str]:
+        """Return the text of a value in each row, "" where it is unknown."""
         at = self.columns.places.get(what)
         # Programs that fear formulas write an apostrophe before a minus sign.
-        text = "" if at is None else cell_at(cells, at).removeprefix("'")
-        return "" if text.casefold() in _UNKNOWN else text
+        texts = [
+            cells[at].strip().removeprefix("'") if at is not None and at < len(cells) else "" for _, cells in self.rows
+        ]
+        return ["" if text.casefold() in _UNKNOWN else text for text in texts]
+
+    def numbers(self, what: str) -> Float64Array:
+        """Return a value of each row in metres, degrees, or seconds, (N,); NaN where it is unknown.
+
+        Raises:
+            DataError: if a text is no number; the message names its line.
+        """
+        return self._read(what, lambda text: values.number(text, self.commas), "a number")
+
+    def places(self) -> Float64Array:
+        """Return latitude and longitude of each row in degrees, (N, 2); NaN where one is unknown, or both are 0.
+
+        Raises:
+            DataError: if a text is no angle, or more than a tenth of the positions are not on the Earth.
+        """
+        if "position" in self.columns.places:
+            degrees = np.array([self._pair(i, text) for i, text in enumerate(self.texts("position"))], np.float64)
+        else:
+            degrees = np.stack([self._axis(what, letters) for what, letters in _COORDINATES], axis=1)
+        degrees[np.isnan(degrees).any(axis=1) | (degrees == 0).all(axis=1)] = np.nan
+        return degrees
+
+    def _axis(self, what: str, letters: str) -> Float64Array:
+        axis = self._read(what, lambda text: values.angle(text, letters, self.commas), "a number of degrees")
+        south_or_west = [text[:1].upper() == letters[1] for text in self.texts(f"{what}_letter")]
+        return np.where(south_or_west, -np.abs(axis), axis)
+
+    def _pair(self, row: int, text: str) -> tuple[float, float]:
+        """Return the latitude and longitude in one cell, with a comma between."""
+        if not text:
+            return math.nan, math.nan
+        parts = re.split(r",\s+", text) if "," in text else text.split()
+        pair = [values.angle(part, letters) for part, (_, letters) in zip(parts, _COORDINATES, strict=False)]
+        if len(pair) != 2 or pair[0] is None or pair[1] is None:
+            raise self._error(row, "position", text, "a latitude and a longitude")
+        return pair[0], pair[1]
+
+    def _read(self, what: str, read: Callable[[str], float | None], expected: str) -> Float64Array:
+        factor = self.columns.factors.get(what, 1.0)
+        numbers = np.full(len(self.rows), math.nan)
+        for i, text in enumerate(self.texts(what)):
+            if not text:
+                continue
+            number = read(text)
+            if number is None or not math.isfinite(number):
+                raise self._error(i, what, text, expected)
+            # A unit in the cell counts in place of the column's.
+            numbers[i] = number if text[-1].isalpha() or text[-1] == "°" else number * factor
+        return numbers
+
+    def _error(self, row: int, what: str, text: str, expected: str) -> DataError:
+        line, shown = self.rows[row][0], printable(text)[:80]
+        return DataError(f"Line {line} of {self.name} has the {what.replace('_', ' ')} {shown!r}; expected {expected}.")
 
 
 def table_of(text: str, name: str) -> LogTable:
@@ -56,7 +122,7 @@ def table_of(text: str, name: str) -> LogTable:
         name: the file's, for messages.
 
     Raises:
-        DataError: if there is no latitude and longitude, or no row; the message names a damaged line.
+        DataError: if it is of no known dialect, or has no row; the message shows its first line, or names a damaged one.
     """
     lines = [
         (number, line)
@@ -64,43 +130,39 @@ def table_of(text: str, name: str) -> LogTable:
         if line.strip() and not line.startswith("sep=")
     ]
     if not lines:
-        raise OtherKindError(f"{name} is empty; expected a log with a line of column names.")
+        raise DataError(f"{name} is empty; expected a log with a line of column names.")
     at, delimiter, header, notes = _header(lines, name)
-    lines = lines[at + 1 :]
     columns = columns_of(header, name)
-    lines = [(number, line) for number, line in lines if not line.startswith(("#", "%"))]
+    below = [(number, line) for number, line in lines[at + 1 :] if not _is_comment(line)]
     # Logs that were joined have the line of names again.
     rows = [
-        (line, cells) for line, cells in _cells(lines, delimiter, name) if [cell.strip() for cell in cells] != header
+        (line, cells) for line, cells in _cells(below, delimiter, name) if [cell.strip() for cell in cells] != header
     ]
-    if (
-        rows
-        and columns.places.keys() >= {"latitude"}
-        and _UNIT_CELL.fullmatch(cell_at(rows[0][1], columns.places["latitude"]))
-    ):
-        rows = rows[1:]
     if not rows:
         raise DataError(f"{name} has column names and no row; expected one row a picture or moment.")
-    if delimiter == ",":
-        rows = _with_whole_positions(rows, len(header), columns.places.get("position"))
-        rows = _rejoined(rows, header, columns, name, notes)
-    commas = any(
-        _COMMA_DECIMAL.fullmatch(cell_at(cells, columns.places[what]))
-        for _, cells in rows for what in ("latitude", "longitude") if what in columns.places
-    )  # fmt: skip
-    if commas:
-        notes.append(f"The commas within numbers of {name} count as decimal commas: 47,301 is 47.301.")
-    return LogTable(columns, tuple(header), rows, commas, notes)
+    longer = [(line, cells) for line, cells in rows if any(cells[len(header) :])]
+    if len(longer) * 2 > len(rows) and columns.dialect.program != "OpenDroneMap geo.txt" and at >= 0:
+        line, cells = longer[0]
+        raise DataError(
+            f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas give; "
+            "save it with decimal points, or with semicolons between the values."
+        )
+    return LogTable(columns, tuple(header), rows, name, delimiter != ",", (*columns.notes, *notes))
 
 
-def cell_at(cells: Sequence[str], at: int) -> str:
-    """Return the text of a cell, "" beyond the end of a short row."""
-    return cells[at].strip() if at < len(cells) else ""
+def picture_name(text: str) -> str | None:
+    """Return a text without spaces about it if it is the name of a picture, else None."""
+    text = text.strip()
+    return text if len(text) < 1000 and _PICTURE.fullmatch(text) else None
+
+
+def _is_comment(line: str) -> bool:
+    return line.startswith(("#", "%"))
 
 
 def _split(line: str, delimiter: str | None) -> list[str]:
     if delimiter is None:
-        return line.split()
+        return line.split() if not re.search("[,;\t]", line) else [line]
     try:
         return [cell.strip() for cell in next(csv.reader([line], delimiter=delimiter), [""])]
     except csv.Error:
@@ -108,79 +170,55 @@ def _split(line: str, delimiter: str | None) -> list[str]:
 
 
 def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | None, list[str], list[str]]:
-    """Return the index of the line of names, the delimiter, the names, and notes.
+    """Return the index of the line of names, the delimiter, the names, and notes; a file without names has those of its dialect.
 
-    Files of Pix4D and OpenDroneMap's geo.txt have none: the names are known, and the index is that of the line before the rows.
+    The index is -1 where the rows begin with the first line.
     """
-    for at, (_, line) in enumerate(lines[:_MOST_HEAD]):
+    first = next((i for i, (_, line) in enumerate(lines) if not _is_comment(line)), len(lines) - 1)
+    for at, (_, line) in enumerate(lines[: first + 1]):
         for delimiter in _DELIMITERS:
             header = _split(line, delimiter)
-            if len(header) < 2 or any(values.angle(cell) is not None for cell in header):
-                continue
             header = header[1:] if header[0] in ("#", "%") else header
-            if not columns_of(header, name).has_position:
+            if any(values.angle(cell) is not None for cell in header) or not columns_of(header, name).has_position:
                 continue
-            # RTKLIB writes a date and a time below one name.
+            # RTKLIB writes a date and a time of day below one name.
             if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):
-                header = [re.sub(r"^height\b", "ellipsoidal height", cell) for cell in header[1:]]
-                header = ["GPST" if "GPST" in line else "UTC", "time of day", *header]
+                header = [header[0], "time of day", *header[1:]]
             return at, delimiter, header, []
-    first = next((i for i, (_, line) in enumerate(lines[:_MOST_HEAD]) if not line.startswith("#")), 0)
+    line = lines[0][1].strip()
     for delimiter in _DELIMITERS:
-        if _is_picture_row(lines[first][1], delimiter):
-            if first and _names(lines[first - 1][1], delimiter) == len(_split(lines[first][1], delimiter)):
-                raise _no_position(lines[first - 1 :], name)
-            note = "latitude before longitude was taken, as in Pix4D's files"
-            return first - 1, delimiter, ["file", "lat", "lon", "alt"], [_without_names(name, note)]
-        if (
-            len(lines) > first + 1
-            and _is_picture_row(lines[first + 1][1], delimiter)
-            and _GEOGRAPHIC.search(lines[first][1])
-        ):
-            note = "longitude before latitude was taken, as in geo.txt of OpenDroneMap"
-            return first, delimiter, ["file", "lon", "lat", "alt"], [_without_names(name, note)]
-    raise _no_position(lines, name)
+        row, below = _split(line, delimiter), _split(lines[1][1], delimiter) if len(lines) > 1 else []
+        if _is_picture_row(row):
+            note = f"{name} has no line of column names; latitude before longitude was taken, as in Pix4D's files."
+            more = " Further numbers in it were not read." if len(row) > len(_PIX4D) else ""
+            return -1, delimiter, _PIX4D, [note + more]
+        if not _PROJECTION.fullmatch(line):
+            continue
+        if len(below) > 5 and picture_name(below[5]):
+            raise DataError(
+                f"{name} is a list of ground control points, which tells where points on the ground are seen, and not where "
+                "photos were taken; give a geo.txt, or a log with latitude and longitude."
+            )
+        if _is_picture_row(below):
+            if not _DEGREES.fullmatch(line):
+                raise DataError(f"{name} has positions in {printable(line)[:80]}. {GRID}")
+            return 0, delimiter, _GEO_TXT + _GEO_TXT_ANGLES * (len(below) > 6), []
+    raise _unknown(line, name)
 
 
-def _names(line: str, delimiter: str | None) -> int:
-    """Return the number of names in a line; 0 if one of its cells is a number or empty."""
-    cells = _split(line.lstrip("#% "), delimiter)
-    return len(cells) if all(cell and values.angle(cell) is None for cell in cells) else 0
+def _is_picture_row(cells: Sequence[str]) -> bool:
+    """Return whether cells are a picture's name and two numbers."""
+    is_named = len(cells) > 2 and picture_name(cells[0]) is not None
+    return is_named and all(values.angle(cell) is not None for cell in cells[1:3])
 
 
-def _without_names(name: str, note: str) -> str:
-    return f"{name} has no line of column names; {note}. Angles in it were not read."
-
-
-def _is_picture_row(line: str, delimiter: str | None) -> bool:
-    """Return whether a line has a picture's name and two numbers."""
-    cells = _split(line, delimiter)
-    return (
-        len(cells) > 2
-        and bool(_PICTURE.fullmatch(cells[0]))
-        and all(values.angle(cell) is not None for cell in cells[1:3])
-    )
-
-
-def _no_position(lines: Sequence[tuple[int, str]], name: str) -> DataError:
-    """Return the error about a file without a position; columns that may be one are named."""
-    delimiter = max(",;\t", key=lines[0][1].count)
-    header = _split(lines[0][1].lstrip("#% "), delimiter)
-    message = (
-        f"{name} has the columns {printable(', '.join(header))[:300]}; expected latitude and longitude among them."
-    )
-    if any(word in lines[0][1].casefold() for word in ("easting", "northing", "utm", "epsg")):
-        return DataError(f"{message} Eastings and northings of a map are not read; export degrees of WGS 84.")
-    second = _split(lines[1][1], delimiter) if len(lines) > 1 else []
-    likely = [
-        header[i]
-        for i, cell in enumerate(second[: len(header)])
-        if re.fullmatch(r"-?\d{1,3}\.\d{4,}", cell) and abs(float(cell)) <= 180
-    ]
-    if len(likely) < 2:
-        return OtherKindError(message)
+def _unknown(line: str, name: str) -> DataError:
+    """Return the error about a file of no known dialect."""
+    names = set(re.findall(r"[a-z]+", line.casefold()))
+    grid = f" {GRID}" if {"x", "y"} <= names or names & {"easting", "northing", "utm"} else ""
     return DataError(
-        f"{message} {printable(likely[0])} and {printable(likely[1])} look like degrees; if they are, name them so."
+        f"{name} begins with {printable(line.strip())[:200]!r}; expected a line of column names with latitude and "
+        f"longitude.{grid}"
     )
 
 
@@ -194,66 +232,5 @@ def _cells(lines: Sequence[tuple[int, str]], delimiter: str | None, name: str) -
         for cells in reader:
             yield lines[reader.line_num - 1][0], cells
     except csv.Error as error:
-        raise DataError(
-            f"Line {lines[min(reader.line_num, len(lines)) - 1][0]} of {name} is not comma-separated values; correct it."
-        ) from error
-
-
-def _with_whole_positions(
-    rows: list[tuple[int, list[str]]], columns: int, at: int | None
-) -> list[tuple[int, list[str]]]:
-    """Join a latitude and a longitude in one column that the comma between them splits, as FrSky's Ethos writes them."""
-    if at is None or any(
-        len(cells) != columns + 1 or values.angle(cell_at(cells, at + 1)) is None for _, cells in rows
-    ):
-        return rows
-    return [(line, [*cells[:at], f"{cells[at]}, {cells[at + 1]}", *cells[at + 2 :]]) for line, cells in rows]
-
-
-def _rejoined(
-    rows: list[tuple[int, list[str]]], header: Sequence[str], columns: LogColumns, name: str, notes: list[str]
-) -> list[tuple[int, list[str]]]:
-    """Join numbers whose decimal commas also separate the cells: 47,301,8,501 under lat,lon."""
-    places = [columns.places[what] for what in ("latitude", "longitude") if what in columns.places]
-    longer = [
-        (line, cells)
-        for line, cells in rows
-        if len(cells) > len(header)
-        and any(cells[len(header) :])
-        and all(re.fullmatch(r"[-+]?\d{1,3}", cell_at(cells, at)) for at in places[:1])
-    ]
-    if len(longer) * 2 <= len(rows) or not places:
-        return rows
-    joined = []
-    for line, cells in rows:
-        ways = _ways([cell.strip() for cell in cells], len(header))
-        if len(ways) != 1:
-            raise DataError(
-                f"Line {line} of {name} has {len(cells)} values below {len(header)} names, as decimal commas between commas "
-                "give; save it with decimal points, or with semicolons between the values."
-            )
-        joined.append((line, ways[0]))
-    notes.append(f"{name} has commas both within and between numbers; they were joined to one number a column.")
-    return joined
-
-
-def _ways(cells: Sequence[str], columns: int) -> list[list[str]]:
-    """Return the ways to join neighbouring whole numbers to decimals so that a row has a number of columns; two at most."""
-    ways: list[list[str]] = []
-    todo: list[tuple[int, list[str]]] = [(0, [])] if len(cells) <= 2 * columns else []
-    while todo and len(ways) < 2:
-        at, row = todo.pop()
-        left, wanted = len(cells) - at, columns - len(row)
-        if not left and not wanted:
-            ways.append(row)
-        elif left and wanted and wanted <= left <= 2 * wanted:
-            todo.append((at + 1, [*row, cells[at]]))
-            if left > 1 and re.fullmatch(r"[-+]?\d+", cells[at]) and cells[at + 1].isdecimal():
-                todo.append((at + 2, [*row, f"{cells[at]}.{cells[at + 1]}"]))
-    return ways
-
-
-def picture_name(text: str) -> str | None:
-    """Return a text without spaces about it if it is the name of a picture, else None."""
-    text = text.strip()
-    return text if len(text) < 1000 and _PICTURE.fullmatch(text) else None
+        number = lines[min(reader.line_num, len(lines)) - 1][0]
+        raise DataError(f"Line {number} of {name} is not comma-separated values; correct it.") from error

@@ -1,15 +1,7 @@
 """Logs of a flight as tables and tracks: one row a picture, or one row a moment.
 
-    Filename,Latitude,Longitude,Altitude,Gimball_Roll,Gimball_Yaw,Gimball_Pitch,...     wildnav's photo_metadata.csv
-    num,filename,date,lat,lon,height,Omega,Kappa,Phi1,Phi2                              UAV-VisLoc
-    time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),...   Airdata
-    #Label,X/Longitude,Y/Latitude,Z/Altitude,Yaw,Pitch,Roll                             Agisoft
-    SourceFile,GPSLatitude,GPSLongitude                                                 exiftool -csv: 47 deg 18' 4.44" N
-
-Columns are known by their names (`lpn.flight.files.log_columns`), in any order, and their values must be what the name says:
-degrees on the Earth. Lines of comment before the names, decimal commas, degrees and minutes, letters of hemispheres, degrees
-times 1e7, radians, and a latitude and longitude whose names are swapped are told from the file as a whole, and a note says
-so. Where nothing names a unit, metres, degrees, and seconds are meant. GPX is read by `lpn.flight.files.track_files`.
+`lpn.flight.files.dialects` has the tables that are read; GPX is read by `lpn.flight.files.track_files`. Values must be what the
+name of their column says: degrees on the Earth. Where nothing names a unit, metres, degrees, and seconds are meant.
 """
 
 from __future__ import annotations
@@ -17,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,32 +20,29 @@ from lpn.core.errors import DataError
 from lpn.core.files import printable
 from lpn.core.numbers import wrap_degrees
 from lpn.flight.files import cameras, values
-from lpn.flight.files.base import HeadingSource
-from lpn.flight.files.log_tables import LogTable, table_of
-from lpn.flight.files.log_times import clocks_of, elapsed_of
+from lpn.flight.files.log_tables import GRID, LogTable, table_of
 from lpn.flight.files.telemetry import TelemetryEntry
 
 SUFFIXES = (".csv", ".tsv", ".txt", ".pos", ".log")
 _MOST_BYTES = 200_000_000
-# The least and the largest angle in degrees. Headings may go on counting from turn to turn, but whole numbers that pass three
-# turns are more likely hundredths of degrees.
-_HEADINGS, _TILTS = ("heading", "gimbal_heading", "direction"), ("gimbal_pitch", "gimbal_roll", "nose", "bank")
-_TURNS, _WHOLE_TURNS, _TURN = (-3600.0, 3600.0), (-1080.0, 1080.0), (-360.0, 360.0)
-_RANGES = {**dict.fromkeys(_HEADINGS, _TURNS), **dict.fromkeys(_TILTS, _TURN), "fov": cameras.FOV_RANGE}
-# MAVLink's heading if unknown, in hundredths of degrees or in degrees.
-_NO_HEADING = (65535.0, 655.35)
-# A gimbal whose least pitch in a log is larger was told by another convention.
+_HEIGHTS = ("height_above_ground", "height_above_takeoff", "altitude")
+# The range of each angle in degrees. A gimbal's pitch that is larger throughout was told by another convention.
+_ANGLES = {
+    **dict.fromkeys(("heading", "gimbal_heading", "direction"), (-360.0, 360.0)),
+    **dict.fromkeys(("gimbal_pitch", "gimbal_roll", "nose", "bank"), (-180.0, 180.0)),
+    "fov": cameras.FOV_RANGE,
+}
+_TILTS = ("gimbal_pitch", "gimbal_roll", "nose", "bank")
 _LOOKS_UP = 30.0
-_SCALED = 1e7
-# The name of MAVLink's heading, which is in hundredths of degrees, also as GLOBAL_POSITION_INT.hdg.
-_MAVLINK_HEADING = re.compile(r"(?:.*[^a-z])?hdg", re.IGNORECASE | re.DOTALL)
+# The share of positions, or of a column's angles, beyond their range from which all of them are in doubt.
+_MOST_BEYOND = 0.1
 # A recording shorter than this, in seconds, marks only the beginning of a video.
 _LEAST_RECORDING = 1.5
-# A log is refused if a larger share of its positions is beyond latitude 90 or longitude 180. A column of angles is left out if
-# a larger share is beyond the limit, except for a single one of `_SEVERAL` or more.
-_MOST_BEYOND, _SEVERAL = 0.1, 3
-# Whole numbers below this are eastings and northings of a map, and no degrees times 1e7.
-_LEAST_SCALED = 2e7
+# Epochs in seconds; larger ones are in milli-, micro-, or nanoseconds. Smaller numbers count from a start.
+_EPOCHS = (1e9, 1e11)
+# Positions from here on are eastings and northings of a map, or degrees times 1e7.
+_LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
+_SCALED_HINT = " Another unit is named behind a column, as in lat (degE7)."
 
 
 @dataclass(frozen=True)
@@ -92,8 +81,8 @@ def read_log(file: Path) -> Log:
     """Read a log that is a table.
 
     Raises:
-        DataError: if it is no such file, has no latitude and longitude, or holds a value that is no number or no position; the
-            message names the line of such a value.
+        DataError: if it is of no known dialect, or holds a value that is no number or no position; the message shows its first
+            line, or names the line of such a value.
     """
     name = printable(file.name)
     data = values.read_limited(file, _MOST_BYTES, "a log of one flight")
@@ -101,18 +90,35 @@ def read_log(file: Path) -> Log:
         raise DataError(
             f"{name} is no text. A flight record of DJI's app is encrypted; convert it to .csv with Airdata or PhantomHelp."
         )
-    table = _with_hemispheres(table_of(values.decoded(data, name), name), name)
-    places, notes, is_scaled = _positions(table, name)
-    table = _with_possible_angles(_with_mavlink_units(table, name, is_scaled), name)
-    clocks, zoned, clock_notes = clocks_of(table, name)
-    times = elapsed_of(table)
+    table = table_of(values.decoded(data, name), name)
+    notes = list(table.notes)
+    places = _on_earth(table, notes)
+    columns = {what: table.numbers(what) for what in (*_HEIGHTS, *_ANGLES) if what in table.columns.places}
+    _clean_angles(table, columns, notes)
+    clocks, zoned = _clocks(table, notes)
+    times = _elapsed(table)
+    if "quality" in table.columns.places and (unfixed := sum(text != "1" for text in table.texts("quality"))):
+        notes.append(
+            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution (Q is not 1): their positions may be off by "
+            "metres."
+        )
+    below = [text == "1" or text.casefold().startswith("below") for text in table.texts("below")]
     rows = []
-    for i, (line, cells) in enumerate(table.rows):
-        entry = TelemetryEntry(times[i], clocks[i], *places[i])
-        rows.append(_row(entry, _Cells(table, cells, f"Line {line} of {name}"), line))
-    known = sum(row.entry.latitude is not None for row in rows)
-    missing = [] if known == len(rows) else [f"{len(rows) - known} of {len(rows)} rows of {name} have no position."]
-    notes = [*table.columns.notes, *table.notes, *notes, *clock_notes, *missing]
+    for i, (text, video, (line, _)) in enumerate(
+        zip(table.texts("file"), table.texts("is_video"), table.rows, strict=True)
+    ):
+        row = {what: None if math.isnan(column[i]) else float(column[i]) for what, column in columns.items()}
+        latitude, longitude = (None, None) if math.isnan(places[i, 0]) else places[i].tolist()
+        above_ground, above_takeoff, altitude = (row.get(what) for what in _HEIGHTS)
+        if below[i] and altitude is not None:
+            altitude = -abs(altitude)
+        entry = TelemetryEntry(
+            times[i], clocks[i], latitude, longitude, above_ground, above_takeoff, altitude, fov=row.get("fov")
+        )
+        entry = _with_angles(entry, row)
+        rows.append(LogRow(entry, text or None, video.casefold() in ("1", "true", "yes") if video else None, line))
+    if missing := int(np.isnan(places[:, 0]).sum()):
+        notes.append(f"{missing} of {len(rows)} rows of {name} have no position.")
     return Log(name, tuple(rows), table.columns.utc or zoned, tuple(notes))
 
 
@@ -228,245 +234,123 @@ def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]])
     return None, f"{log.name} does not say when the video began; its first row counts as the beginning."
 
 
-@dataclass(frozen=True)
-class _Cells:
-    """The cells of one row, with the place of the row for messages."""
+def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
+    """Return the rows' positions in degrees, (N, 2); those that are none on the Earth become NaN with a note.
 
-    table: LogTable
-    cells: Sequence[str]
-    where: str
-
-    def text(self, what: str) -> str:
-        """Return the text of a value, "" for one that is unknown."""
-        return self.table.text(self.cells, what)
-
-    def value(self, what: str) -> float | None:
-        """Return a value in metres or degrees, pitch and roll from -180 to 180; None if it is unknown."""
-        text = self.text(what)
-        if not text:
-            return None
-        value = values.number(text if text.isascii() else values.plain(text), self.table.commas)
-        if value is None or not math.isfinite(value):
-            raise DataError(
-                f"{self.where} has the {what.replace('_', ' ')} {printable(text)[:80]!r}; expected a number."
-            )
-        if what == "heading" and value in _NO_HEADING:
-            return None
-        # A unit in the cell counts in place of the column's.
-        value = value if text[-1].isalpha() or text[-1] == "°" else value * self.table.columns.factors[what]
-        return wrap_degrees(value) if what in _TILTS and 180 < abs(value) <= _TURN[1] else value
-
-    def value_or_nan(self, what: str) -> float:
-        """Return a value as `value` does; NaN if it is unknown or no number."""
-        try:
-            value = self.value(what)
-        except DataError:
-            return math.nan
-        return math.nan if value is None else value
-
-    def angle(self, what: str, letters: str) -> float | None:
-        """Return degrees of a coordinate, with the letter of its own column if it has one; None if it is unknown."""
-        text = self.text(what)
-        if not text:
-            return None
-        angle = values.angle(text, letters, self.table.commas)
-        if angle is None and "e" in text.casefold():
-            angle = values.number(text, self.table.commas)
-        if angle is None or not math.isfinite(angle):
-            raise DataError(f"{self.where} has the {what} {printable(text)[:80]!r}; expected a number of degrees.")
-        angle *= self.table.columns.factors.get(what, 1.0)
-        if what in self.table.columns.negative and not values.letter_of(text):
-            angle = -angle
-        letter = self.text(f"{what}_letter")[:1].upper()
-        return -abs(angle) if letter and letter == letters[1] else angle
-
-    def coordinates(self) -> tuple[float | None, float | None]:
-        """Return latitude and longitude; both None if either is unknown."""
-        if "position" not in self.table.columns.places:
-            latitude, longitude = self.angle("latitude", "NS"), self.angle("longitude", "EW")
-            return (None, None) if latitude is None or longitude is None else (latitude, longitude)
-        text = self.text("position")
-        if not text:
-            return None, None
-        parts = re.split(r"\s*;\s*|\s*,\s+|\s*,(?=\s*[-+]?\d)|(?<=[NS])\s+", text, maxsplit=1)
-        parts = parts if len(parts) == 2 else text.split()
-        angles = [values.angle(part, letters) for part, letters in zip(parts, ("NS", "EW"), strict=False)]
-        if len(parts) != 2 or angles[0] is None or angles[1] is None:
-            raise DataError(
-                f"{self.where} has the position {printable(text)[:80]!r}; expected a latitude and a longitude."
-            )
-        return angles[0], angles[1]
-
-
-def _with_hemispheres(table: LogTable, name: str) -> LogTable:
-    """Leave out of `negative` each column in which a number has a sign, or all have letters; a note names the others."""
-    negative = []
-    for what in sorted(table.columns.negative):
-        texts = [text for _, cells in table.rows if (text := table.text(cells, what))]
-        is_signed = any(values.plain(text).strip().startswith(("-", "+")) for text in texts)
-        if not is_signed and not all(map(values.letter_of, texts)):
-            negative.append(what)
-    notes = [
-        f"The numbers in the column {printable(table.header[table.columns.places[what]])} of {name} have no signs, and count as "
-        "negative, as its name says."
-        for what in negative
-    ]
-    columns = replace(table.columns, negative=frozenset(negative))
-    return replace(table, columns=columns, notes=[*table.notes, *notes])
-
-
-def _positions(table: LogTable, name: str) -> tuple[list[tuple[float | None, float | None]], list[str], bool]:
-    """Return the rows' positions in degrees, None where unknown, notes on how they were read, and whether they were scaled."""
-    rows = [_Cells(table, cells, f"Line {line} of {name}") for line, cells in table.rows]
-    degrees = np.array([row.coordinates() for row in rows], np.float64)
-    degrees[(degrees == 0).all(axis=1)] = np.nan
+    Raises:
+        DataError: if they are more than a tenth.
+    """
+    degrees = table.places()
     known = ~np.isnan(degrees[:, 0])
-    notes, is_scaled = [], False
-    latitudes, longitudes = degrees[known].T
-    size = np.abs(degrees[known]).max(axis=0) if known.any() else np.zeros(2)
-    whole = bool(known.any() and (degrees[known] == np.floor(degrees[known])).all())
-    texts = [row.text("latitude") for row, is_known in zip(rows, known, strict=True) if is_known]
-    if whole and size.max() > _LEAST_SCALED and size[0] <= 90 * _SCALED and size[1] <= 180 * _SCALED:
-        degrees, is_scaled = degrees / _SCALED, True
-        notes.append(f"The positions of {name} are whole numbers and count as degrees times 1e7, as in MAVLink.")
-    elif not whole and _are_minutes(latitudes, 90) and _are_minutes(longitudes, 180):
-        degrees = np.sign(degrees) * (np.abs(degrees) // 100 + np.abs(degrees) % 100 / 60)
-        notes.append(f"The positions of {name} count as degrees and minutes, ddmm.mmmm, as in NMEA.")
-    elif size[0] > 90 and size[1] <= 90 and size[0] <= 180 and len(latitudes) > 1 and (np.abs(latitudes) > 90).all():
-        degrees = degrees[:, ::-1]
-        notes.append(f"Latitude and longitude of {name} are swapped: its latitudes are beyond 90 degrees.")
-    elif values.seem_radians(latitudes, longitudes, texts):
-        degrees = np.degrees(degrees)
-        notes.append(f"The positions of {name} count as radians: as degrees they would be at sea, near 0, 0.")
     beyond = np.flatnonzero((np.abs(degrees) > (90, 180)).any(axis=1))
     if len(beyond) > _MOST_BEYOND * known.sum():
-        row, (latitude, longitude) = rows[beyond[0]], degrees[beyond[0]]
-        grid = " Eastings and northings of a map are not read; export degrees of WGS 84." if size.min() > 1000 else ""
+        line, (latitude, longitude) = table.rows[beyond[0]][0], degrees[beyond[0]]
+        largest = np.abs(degrees[beyond[0]]).max()
+        hint = "" if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED_HINT
         raise DataError(
-            f"{row.where} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to 90.{grid}"
+            f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to "
+            f"90.{hint}"
         )
     if len(beyond):
         degrees[beyond] = np.nan
         first = table.rows[beyond[0]][0]
         notes.append(
-            f"{len(beyond)} positions of {name} are none on the Earth and were not used, first in line {first}."
+            f"{len(beyond)} positions of {table.name} are none on the Earth and were not used, first in line {first}."
         )
-    places = [
-        (None, None) if math.isnan(latitude) else (latitude, longitude) for latitude, longitude in degrees.tolist()
+    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]})
+    return degrees
+
+
+def _radians_note(table: LogTable, columns: Mapping[str, Float64Array]) -> list[str]:
+    """Return a note, if any, about columns of no unit whose values may be radians, as all lie within half a turn of these."""
+    unsaid = [what for what in columns if what in table.columns.unsaid and what != "fov"]
+    known = np.concatenate([columns[what] for what in unsaid]) if unsaid else np.zeros(0)
+    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= math.pi:
+        return []
+    names = [printable(table.header[table.columns.places[what]]) for what in unsaid]
+    return [
+        f"All values of {', '.join(names)} in {table.name} lie within 3.14 of 0 and name no unit; they were read as degrees. If "
+        f"they are radians, say so in the header, as in {names[0]} (rad)."
     ]
-    return places, notes, is_scaled
 
 
-def _with_mavlink_units(table: LogTable, name: str, is_scaled: bool) -> LogTable:
-    """Read columns of whole numbers in MAVLink's units: heights in millimetres, headings in hundredths of degrees.
-
-    Where positions are not scaled, only a column `hdg` is read so, if half of its numbers exceed a turn; a note says so.
-    """
-    factors, notes = dict(table.columns.factors), list(table.notes)
-    header = table.header[table.columns.places["heading"]] if "heading" in table.columns.places else ""
-    is_hdg = _MAVLINK_HEADING.fullmatch(header) is not None
-    if is_scaled:
-        units = (
-            ("altitude", 1000.0, 0.001),
-            ("height_above_takeoff", 1000.0, 0.001),
-            ("heading", 0.0 if is_hdg else 360.0, 0.01),
-        )
-        factors |= {what: factor for what, most, factor in units if _share_of_large(table, what, most) > 0}
-    elif is_hdg and _share_of_large(table, "heading", 360.0) >= 0.5:
-        factors["heading"] = 0.01
-        notes.append(f"The column {printable(header)} of {name} counts as hundredths of degrees, as in MAVLink.")
-    return replace(table, columns=replace(table.columns, factors=factors), notes=notes)
-
-
-def _share_of_large(table: LogTable, what: str, most: float) -> float:
-    """Return the share of a column's numbers that are larger than `most`; 0 unless all are whole, and the column has no unit."""
-    if what not in table.columns.places or what in table.columns.with_unit:
-        return 0.0
-    numbers = _column(table, what)
-    known = numbers[~np.isnan(numbers)]
-    return float((np.abs(known) > most).mean()) if len(known) and (known == np.floor(known)).all() else 0.0
-
-
-def _column(table: LogTable, what: str) -> Float64Array:
-    """Return a column's values, (N,), as `_Cells.value` does; NaN for those that are unknown or no numbers."""
-    return np.array([_Cells(table, cells, "").value_or_nan(what) for _, cells in table.rows], np.float64)
-
-
-def _with_possible_angles(table: LogTable, name: str) -> LogTable:
-    """Leave out angles out of their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
-    columns = dict(table.columns.places)
-    notes, rows = list(table.notes), list(table.rows)
-    for what in [what for what in _RANGES if what in columns]:
-        angles = _column(table, what)
-        known = angles[~np.isnan(angles)]
-        whole = what in _HEADINGS and bool((known == np.floor(known)).all())
-        least, most = _WHOLE_TURNS if whole else _RANGES[what]
-        beyond, possible = np.flatnonzero((angles < least) | (angles > most)), known[(known >= least) & (known <= most)]
-        is_fov = what == "fov"
-        noun = f"field{{}} of view from {least:g} to {most:g} degrees" if is_fov else "angle{} in degrees"
-        column = f"column {printable(table.header[columns[what]])} of {name}"
-        if len(beyond) > max(_MOST_BEYOND * len(known), 1 if len(known) >= _SEVERAL else 0):
-            hint = "" if is_fov else "; another unit is named behind a column, as in [cdeg]"
-            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, which is no {noun.format('')}{hint}"
-        elif what == "gimbal_pitch" and len(possible) and possible.min() > _LOOKS_UP:
-            why = (
-                f"looks up by {possible.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
-            )
+def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
+    """Take out angles beyond their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
+    notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES})
+    for what in [what for what in _ANGLES if what in columns]:
+        angles = columns[what]
+        if what in _TILTS:
+            turned = (np.abs(angles) > 180.0) & (np.abs(angles) <= 360.0)
+            angles[turned] = wrap_degrees(angles[turned])
+        least, most = _ANGLES[what]
+        beyond = (angles < least) | (angles > most)
+        known, within = int((~np.isnan(angles)).sum()), angles[(angles >= least) & (angles <= most)]
+        column = f"column {printable(table.header[table.columns.places[what]])} of {table.name}"
+        expected = f"from {least:g} to {most:g} degrees"
+        if beyond.sum() > _MOST_BEYOND * known:
+            hint = "" if what == "fov" else "; another unit is named behind a column, as in (cdeg)"
+            why = f"holds {max(angles[beyond].tolist(), key=abs):g}, and expected are angles {expected}{hint}"
+        elif what == "gimbal_pitch" and len(within) and within.min() > _LOOKS_UP:
+            why = f"looks up by {within.min():g} degrees and more, where -90 should be straight down; --pitch tells it"
         else:
-            if len(beyond):
+            if beyond.any():
+                first = table.rows[int(beyond.argmax())][0]
                 notes.append(
-                    f"{len(beyond)} of {len(known)} values of the {column} are no {noun.format('s')} and were not used, first "
-                    f"in line {table.rows[beyond[0]][0]}."
+                    f"{beyond.sum()} of {known} values of the {column} are not {expected} and were not used, first in line "
+                    f"{first}."
                 )
-            for i in beyond:
-                line, cells = rows[i]
-                rows[i] = line, [*cells[: columns[what]], "", *cells[columns[what] + 1 :]]
+                angles[beyond] = np.nan
             continue
         notes.append(f"The {column} was left out: it {why}.")
         del columns[what]
-    return replace(table, columns=replace(table.columns, places=columns), rows=rows, notes=notes)
 
 
-def _are_minutes(degrees: Float64Array, most: int) -> bool:
-    """Return whether angles are degrees and minutes as ddmm.mmmm: beyond the degrees of the Earth, with minutes below 60."""
-    size = np.abs(degrees)
-    return bool(len(size) and size.max() > 180 and size.max() < 100 * most + 60 and (size % 100 < 60).all())
-
-
-def _row(entry: TelemetryEntry, cells: _Cells, line: int) -> LogRow:
-    entry = replace(
-        entry,
-        height_above_ground=cells.value("height_above_ground"),
-        height_above_takeoff=cells.value("height_above_takeoff"),
-        altitude=_signed(cells.value("altitude"), cells.text("below")),
-        fov=cells.value("fov"),
-    )
-    entry = _with_angles(entry, cells.value, cells.table.columns.nadir_zero)
-    return LogRow(entry, cells.text("file") or None, _flag(cells.text("is_video")), line)
-
-
-def _with_angles(entry: TelemetryEntry, value: Callable[[str], float | None], nadir_zero: bool) -> TelemetryEntry:
-    """Return an entry with the gimbal's angles; those that are all 0 are unknown, and the aircraft's heading counts."""
-    yaw, pitch, roll = value("gimbal_heading"), value("gimbal_pitch"), value("gimbal_roll")
+def _with_angles(entry: TelemetryEntry, row: Mapping[str, float | None]) -> TelemetryEntry:
+    """Return an entry with the angles of the gimbal, else of the camera, else of the aircraft. Three that are 0 are unknown."""
+    yaw, pitch, roll = (row.get(what) for what in ("gimbal_heading", "gimbal_pitch", "gimbal_roll"))
     if yaw is not None and (yaw or pitch or roll):
         if pitch is not None:
             yaw, pitch, roll = cameras.from_gimbal(yaw, pitch, roll or 0.0)
         return replace(entry, heading=yaw % 360.0, heading_source="gimbal", pitch=pitch, roll=roll)
-    flown, nose, bank = value("heading"), value("nose"), value("bank")
-    if (looked := value("direction")) is not None:
-        return replace(entry, heading=looked % 360.0, heading_source="camera", pitch=pitch or None)
-    if flown is None:
-        return replace(entry, pitch=pitch or None)
-    pitch = (pitch or None) if nose is None else nose - 90.0
-    source: HeadingSource = "camera" if nadir_zero else "aircraft"
-    return replace(entry, heading=flown % 360.0, heading_source=source, pitch=pitch, roll=bank)
+    looked, flown, nose, bank = (row.get(what) for what in ("direction", "heading", "nose", "bank"))
+    if nose is not None and looked is not None and not any((looked, nose, bank)):
+        looked = nose = bank = None
+    entry = replace(entry, pitch=(pitch or None) if nose is None else nose - 90.0, roll=bank)
+    if looked is not None:
+        return replace(entry, heading=looked % 360.0, heading_source="camera")
+    return entry if flown is None else replace(entry, heading=flown % 360.0, heading_source="aircraft")
 
 
-def _signed(altitude: float | None, reference: str) -> float | None:
-    """Return an altitude with the sign that EXIF's GPSAltitudeRef gives it: 1, or "Below Sea Level"."""
-    below = reference.strip() == "1" or reference.strip().casefold().startswith("below")
-    return -abs(altitude) if altitude is not None and below else altitude
+def _clocks(table: LogTable, notes: list[str]) -> tuple[list[float | None], bool]:
+    """Return seconds since 1970-01-01 of the rows' dates, None where unknown, and whether they have a zone."""
+    pairs = zip(table.texts("date"), table.texts("clock"), strict=True)
+    texts = [f"{date} {clock}" if date and clock and ":" not in date else date for date, clock in pairs]
+    numbers = _numbers(table, texts) * table.columns.factors.get("date", 1.0)
+    if not np.isnan(numbers).all():
+        least, most = _EPOCHS
+        while np.nanmax(np.abs(numbers)) > most:
+            numbers /= 1000.0
+        clocks = [float(number) if least < number < most else None for number in numbers]
+        return clocks, any(clock is not None for clock in clocks)
+    day_first = any(int(found[1]) > 12 for text in texts if (found := re.match(r"(\d{1,2})[-/]", text)))
+    parsed = [values.moment(text, day_first) for text in texts]
+    known = [moment for moment in parsed if moment is not None]
+    if known and all(moment.ambiguous for moment in known):
+        first = next(text for text in texts if text)
+        notes.append(f"The dates of {table.name}, such as {first}, count as month first; nothing in it rules that out.")
+    late = table.columns.dialect.before_utc or 0.0
+    if late:
+        notes.append(f"The times of {table.name} are GPS time; {late:g} s were taken off for UTC.")
+    return [None if one is None else one.seconds - late for one in parsed], any(moment.zoned for moment in known)
 
 
-def _flag(text: str) -> bool | None:
-    return None if not text else text.casefold() in ("1", "true", "yes")
+def _elapsed(table: LogTable) -> list[float]:
+    """Return the seconds of the column of time, NaN where unknown."""
+    seconds: list[float] = (_numbers(table, table.texts("time")) * table.columns.factors.get("time", 1.0)).tolist()
+    return seconds
+
+
+def _numbers(table: LogTable, texts: Sequence[str]) -> Float64Array:
+    """Return texts as numbers, (N,); NaN for those that are none."""
+    numbers = [values.number(text, table.commas) for text in texts]
+    return np.array([math.nan if number is None else number for number in numbers], np.float64)

@@ -1,82 +1,81 @@
-"""The properties of XMP that tell a camera's position, height, angles, and focal length, by maker.
+"""The properties of EXIF and XMP that tell a camera's position, height, angles, lens, and time, by maker.
 
-Namespaces are told apart by URI, whose scheme, version, and last slash differ between programs. A namespace whose URI is not
-declared is known by its prefix. DJI's names, which other makers copy, count in every namespace. Rows of one field stand best
-first. Names are compared without regard to case.
+EXIF's tags are the properties of XMP's namespace exif, which copies them. Other namespaces are known by a part of their address,
+or by their prefix where that is not declared. Names are compared without regard to case. Names that DJI coined, and that other
+makers copy, count in every namespace, as does EXIF's DigitalZoomRatio. Rows of one field stand best first.
 
-A **convention** says how angles are meant; angles are combined only within one:
+A **convention** says how angles are meant:
 
 gimbal       yaw, pitch, roll of the camera against north, east, down; pitch 0 looks at the horizon, -90 down; roll about the
              optical axis
+on platform  as gimbal, but against the aircraft, whose angles are added
 nadir        yaw, pitch, roll of a body whose camera looks straight down; pitch 0 looks down, 90 at the horizon
-on platform  as gimbal, but against the aircraft; its angles are to be added
-fixed        of an aircraft without a gimbal, whose camera looks straight down in level flight
 direction    a compass direction of the camera
+fixed        of an aircraft without a gimbal, whose camera looks straight down in level flight
 aircraft     of an aircraft whose camera may look elsewhere
+
+An altitude's convention is "sea" or "ellipsoid", from where it counts; without one its file may say it by an altitude type.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from typing import Literal, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, Literal, NamedTuple
 
-from lpn.flight.files.xmp import XmpProperty
+from lpn.flight.files import values
 
-Convention = Literal["", "gimbal", "nadir", "on platform", "fixed", "direction", "aircraft"]
-Unit = Literal["degrees", "degrees and minutes", "metres", "metres, 0 if unknown", "pixels", "millimetres", "text"]
-
-
-class Namespace(NamedTuple):
-    """A maker's namespace: its URIs without scheme, "www.", version, and last slash, and the prefixes that are its own."""
-
-    uris: tuple[str, ...]
-    prefixes: tuple[str, ...]
+Convention = Literal["", "gimbal", "on platform", "nadir", "direction", "fixed", "aircraft", "sea", "ellipsoid"]
+Unit = Literal["degrees", "metres", "metres, 0 if unknown", "pixels", "millimetres", "times", "text"]
 
 
-class XmpRow(NamedTuple):
-    """The meaning of one XMP property.
+class PropertyRow(NamedTuple):
+    """The meaning of one property, or of two or three that belong together.
 
     Attributes:
+        field: a field of `Frame`, or a value from which one is computed.
         namespace: a key of `NAMESPACES`.
-        name: of the property; "/" before the name of a nested one.
-        field: a field of `Frame`, or a value from which one is computed; "EXIF Tag" replaces that tag in files without it.
-        unit, convention: of the value.
+        names: of the properties, with blanks between them; "/" stands before the name of a nested one.
+        unit, convention: of the values.
         source: where this is documented, or a public file that has it.
     """
 
-    namespace: str
-    name: str
     field: str
+    namespace: str
+    names: str
     unit: Unit
     convention: Convention
     source: str
 
 
-NAMESPACES: Mapping[str, Namespace] = {
-    "drone-dji": Namespace(("dji.com/drone-dji",), ("drone-dji", "drone", "drone-autel")),
-    "drone-parrot": Namespace(("parrot.com/drone-parrot",), ("drone-parrot",)),
-    "drone-skydio": Namespace(("skydio.com/drone-skydio",), ("drone-skydio", "skydio")),
-    "drone-yuneec": Namespace(("yuneec.com/drone-yuneec",), ("drone-yuneec",)),
-    "Camera": Namespace(("pix4d.com/camera", "pix4d.com", "ns.sensefly.com/camera", "camera"), ("camera",)),
-    "sensefly": Namespace(("ns.sensefly.com/sensefly", "sensefly.com/sensefly"), ("sensefly",)),
-    "Sentera": Namespace(("ns.myname.com/sentera", "sentera.com/camera"), ("sentera",)),
-    "FLIR": Namespace(("ns.flir.com/xmp",), ("flir",)),
-    "GPano": Namespace(("ns.google.com/photos/1.0/panorama",), ("gpano",)),
-    "exif": Namespace(("ns.adobe.com/exif",), ("exif",)),
-    "xmp": Namespace(("ns.adobe.com/xap",), ("xmp", "xap")),
+# Parts of the addresses of each namespace in lower case.
+NAMESPACES: Mapping[str, tuple[str, ...]] = {
+    "drone-dji": ("drone-dji",),
+    "drone-parrot": ("drone-parrot",),
+    "drone-skydio": ("drone-skydio",),
+    "drone-yuneec": ("drone-yuneec",),
+    "sensefly": ("sensefly.com/sensefly",),
+    "Camera": ("pix4d.com", "sensefly.com/camera"),
+    "Sentera": ("sentera",),
+    "FLIR": ("ns.flir.com/xmp",),
+    "GPano": ("google.com/photos/1.0/panorama",),
+    "exif": ("ns.adobe.com/exif",),
+    "xmp": ("ns.adobe.com/xap/1.0",),
 }
 
 _DJI = "https://github.com/exiftool/exiftool lib/Image/ExifTool/DJI.pm"
 _DJI_GUIDE = "Mavic 3M Image Processing Guide, https://ag.dji.com/mavic-3-m"
 _DJI_MANUAL = "Mavic 3M User Manual, page 90, https://www.easymanua.ls/dji/mavic-3m/manual?p=90"
 _DJI_SDK = "https://github.com/dji-sdk/Mobile-SDK-Android/issues/984"
+_DJI_P1 = "Zenmuse P1 User Manual, page 22, https://www.easymanua.ls/dji/zenmuse-p1/manual?p=22"
+_DJI_ALTITUDE = "https://developer.dji.com/onboard-sdk/documentation/guides/component-guide-altitude.html"
 _PARROT = "https://developer.parrot.com/docs/groundsdk-tools/photo-metadata.html"
 _PIX4D = "https://support.pix4d.com/hc/en-us/articles/360016450032"
 _PIX4D_ANGLES = "https://support.pix4d.com/hc/en-us/articles/202558969"
 _SKYDIO = "https://support.skydio.com/hc/en-us/articles/4417425974683"
 _SKYDIO_X10 = "https://support.skydio.com/hc/en-us/articles/20866347470491"
+_SKYDIO_RTK = "https://support.skydio.com/hc/en-us/articles/32887502774171"
 _YUNEEC = "https://github.com/h-elsner/EXIFupdate source/exifupdate_main.pas"
 _SENSEFLY = "https://github.com/OpenDroneMap/odm_data_seneca"
 _SENTERA = "https://github.com/SenteraLLC/py-image-metadata-parser tests/data"
@@ -84,276 +83,188 @@ _FLIR = "https://github.com/MikeKovarik/exifr test/fixtures/issue-exif-js-124.ti
 _TEAL = "https://github.com/Theta-Limited/OpenAthenaIOS OpenAthenaIOS/examples/teal2_img_eo_00015.jpg"
 _GPANO = "https://developers.google.com/streetview/spherical-metadata"
 _MINI_5 = "https://github.com/hotosm/drone-tm/issues/777"
-_OSX = "https://github.com/RhetTbull/osxphotos/issues/269"
 _EXIF = "XMP Specification Part 2, Exif schema"
+_DJI_CALIBRATION = "CalibratedFocalLength CalibratedOpticalCenterX CalibratedOpticalCenterY"
+_SKYDIO_CALIBRATION = "CalibratedFocalLength/X CalibratedOpticalCenter/X CalibratedOpticalCenter/Y"
 
-ROWS: tuple[XmpRow, ...] = (
-    XmpRow("drone-dji", "GpsLatitude", "latitude", "degrees", "", _DJI),
-    XmpRow("drone-dji", "Latitude", "latitude", "degrees", "", _DJI),
-    XmpRow("drone-dji", "GpsLongitude", "longitude", "degrees", "", _DJI),
-    XmpRow("drone-dji", "GpsLongtitude", "longitude", "degrees", "", _DJI),
-    XmpRow("drone-dji", "Longitude", "longitude", "degrees", "", _DJI),
-    XmpRow("drone-dji", "RelativeAltitude", "height_above_takeoff", "metres", "", _DJI_GUIDE),
-    XmpRow("drone-dji", "AbsoluteAltitude", "altitude", "metres", "", _DJI_GUIDE),
-    XmpRow("drone-dji", "GimbalYawDegree", "heading", "degrees", "gimbal", _DJI_GUIDE),
-    XmpRow("drone-dji", "GimbalPitchDegree", "pitch", "degrees", "gimbal", _DJI_GUIDE),
-    XmpRow("drone-dji", "GimbalRollDegree", "roll", "degrees", "gimbal", _DJI_GUIDE),
-    XmpRow("drone-skydio", "CameraOrientationNED/Yaw", "heading", "degrees", "gimbal", _SKYDIO),
-    XmpRow("drone-skydio", "CameraOrientationNED/Pitch", "pitch", "degrees", "gimbal", _SKYDIO),
-    XmpRow("drone-skydio", "CameraOrientationNED/Roll", "roll", "degrees", "gimbal", _SKYDIO),
-    XmpRow("drone-parrot", "CameraYawDegree", "heading", "degrees", "gimbal", _PARROT),
-    XmpRow("drone-parrot", "CameraPitchDegree", "pitch", "degrees", "gimbal", _PARROT),
-    XmpRow("drone-parrot", "CameraRollDegree", "roll", "degrees", "gimbal", _PARROT),
-    XmpRow("drone-yuneec", "GimbalYaw", "heading", "degrees", "gimbal", _YUNEEC),
-    XmpRow("drone-yuneec", "GimbalPitch", "pitch", "degrees", "gimbal", _YUNEEC),
-    XmpRow("drone-yuneec", "GimbalRoll", "roll", "degrees", "gimbal", _YUNEEC),
-    XmpRow("xmp", "CameraYaw", "heading", "degrees", "gimbal", _YUNEEC),
-    XmpRow("xmp", "CameraPitch", "pitch", "degrees", "gimbal", _YUNEEC),
-    XmpRow("xmp", "CameraRoll", "roll", "degrees", "gimbal", _YUNEEC),
-    XmpRow("Camera", "Yaw", "heading", "degrees", "nadir", _PIX4D_ANGLES),
-    XmpRow("Camera", "Pitch", "pitch", "degrees", "nadir", _PIX4D_ANGLES),
-    XmpRow("Camera", "Roll", "roll", "degrees", "nadir", _PIX4D_ANGLES),
-    XmpRow("exif", "CameraYaw", "heading", "degrees", "on platform", _TEAL),
-    XmpRow("exif", "CameraPitch", "pitch", "degrees", "on platform", _TEAL),
-    XmpRow("exif", "CameraRoll", "roll", "degrees", "on platform", _TEAL),
-    XmpRow("sensefly", "Heading", "heading", "degrees", "fixed", _SENSEFLY),
-    XmpRow("sensefly", "PitchAngle", "pitch", "degrees", "fixed", _SENSEFLY),
-    XmpRow("sensefly", "RollAngle", "roll", "degrees", "fixed", _SENSEFLY),
-    XmpRow("GPano", "PoseHeadingDegrees", "heading", "degrees", "direction", _GPANO),
-    XmpRow("GPano", "PosePitchDegrees", "pitch", "degrees", "direction", _GPANO),
-    XmpRow("GPano", "PoseRollDegrees", "roll", "degrees", "direction", _GPANO),
-    XmpRow("GPano", "ProjectionType", "projection", "text", "", _GPANO),
-    XmpRow("exif", "GPSImgDirection", "heading", "degrees", "direction", _EXIF),
-    XmpRow("drone-dji", "FlightYawDegree", "heading", "degrees", "aircraft", _DJI_SDK),
-    XmpRow("drone-dji", "FlightYaw", "heading", "degrees", "aircraft", _DJI_SDK),
-    XmpRow("drone-dji", "FlightPitchDegree", "pitch", "degrees", "aircraft", _DJI_SDK),
-    XmpRow("drone-dji", "FlightRollDegree", "roll", "degrees", "aircraft", _DJI_SDK),
-    XmpRow("drone-skydio", "VehicleOrientationNED/Yaw", "heading", "degrees", "aircraft", _SKYDIO),
-    XmpRow("drone-skydio", "VehicleOrientationNED/Pitch", "pitch", "degrees", "aircraft", _SKYDIO),
-    XmpRow("drone-skydio", "VehicleOrientationNED/Roll", "roll", "degrees", "aircraft", _SKYDIO),
-    XmpRow("drone-yuneec", "DroneYaw", "heading", "degrees", "aircraft", _YUNEEC),
-    XmpRow("drone-yuneec", "DronePitch", "pitch", "degrees", "aircraft", _YUNEEC),
-    XmpRow("drone-yuneec", "DroneRoll", "roll", "degrees", "aircraft", _YUNEEC),
-    XmpRow("exif", "PlatformYaw", "heading", "degrees", "aircraft", _TEAL),
-    XmpRow("exif", "PlatformPitch", "pitch", "degrees", "aircraft", _TEAL),
-    XmpRow("exif", "PlatformRoll", "roll", "degrees", "aircraft", _TEAL),
-    XmpRow("FLIR", "MAVYaw", "heading", "degrees", "aircraft", _FLIR),
-    XmpRow("FLIR", "MAVPitch", "pitch", "degrees", "aircraft", _FLIR),
-    XmpRow("FLIR", "MAVRoll", "roll", "degrees", "aircraft", _FLIR),
-    XmpRow("drone-skydio", "Latitude", "latitude", "degrees", "", _SKYDIO),
-    XmpRow("drone-skydio", "Longitude", "longitude", "degrees", "", _SKYDIO),
-    XmpRow("drone-skydio", "RelativeAltitude", "height_above_takeoff", "metres", "", _SKYDIO_X10),
-    XmpRow("drone-skydio", "AbsoluteAltitude", "altitude", "metres", "", _SKYDIO),
-    XmpRow("drone-skydio", "GpsMslHeight", "altitude", "metres", "", _SKYDIO_X10),
-    XmpRow("drone-yuneec", "AboveHomeAltitude", "height_above_takeoff", "metres", "", _YUNEEC),
-    XmpRow("drone-yuneec", "GPSAltitude", "altitude", "metres", "", _YUNEEC),
-    XmpRow("sensefly", "Latitude", "latitude", "degrees", "", _SENSEFLY),
-    XmpRow("sensefly", "Longitude", "longitude", "degrees", "", _SENSEFLY),
-    XmpRow("sensefly", "Height", "height_above_ground", "metres", "", _SENSEFLY),
-    XmpRow("sensefly", "AltitudeAMSL", "altitude", "metres", "", _SENSEFLY),
-    XmpRow("sensefly", "AltitudeWGS84", "altitude", "metres", "", _SENSEFLY),
-    XmpRow("Camera", "AboveGroundAltitude", "height_above_ground", "metres", "", _PIX4D),
-    XmpRow("Sentera", "AltimeterCalculatedAGL", "height_above_ground", "metres", "", _SENTERA),
-    XmpRow("Sentera", "AltimeterCalcuatedAGL", "height_above_ground", "metres", "", _SENTERA),
-    XmpRow("FLIR", "MAVRelativeAltitude", "height_above_takeoff", "metres, 0 if unknown", "", _FLIR),
-    XmpRow("exif", "GPSLatitude", "latitude", "degrees and minutes", "", _EXIF),
-    XmpRow("exif", "GPSLongitude", "longitude", "degrees and minutes", "", _EXIF),
-    XmpRow("exif", "GPSLatitudeRef", "latitude reference", "text", "", _OSX),
-    XmpRow("exif", "GPSLongitudeRef", "longitude reference", "text", "", _OSX),
-    XmpRow("exif", "GPSAltitude", "exif altitude", "metres", "", _EXIF),
-    XmpRow("exif", "GPSAltitudeRef", "exif altitude reference", "text", "", _EXIF),
-    XmpRow("exif", "GPSImgDirectionRef", "direction reference", "text", "", _EXIF),
-    XmpRow("xmp", "GPSAltitude", "altitude", "metres", "", _YUNEEC),
-    XmpRow("drone-dji", "CalibratedFocalLength", "focal length", "pixels", "", _DJI),
-    XmpRow("drone-skydio", "CalibratedFocalLength/X", "focal length", "pixels", "", _SKYDIO),
-    XmpRow("drone-dji", "CalibratedOpticalCenterX", "optical centre", "pixels", "", _DJI),
-    XmpRow("drone-dji", "CalibratedOpticalCenterY", "optical centre's height", "pixels", "", _DJI),
-    XmpRow("drone-skydio", "CalibratedOpticalCenter/X", "optical centre", "pixels", "", _SKYDIO),
-    XmpRow("drone-skydio", "CalibratedOpticalCenter/Y", "optical centre's height", "pixels", "", _SKYDIO),
-    XmpRow("drone-dji", "DewarpData", "lens", "text", "", _DJI_MANUAL),
-    XmpRow("drone-dji", "DewarpFlag", "undistorted", "text", "", _DJI_MANUAL),
-    XmpRow("exif", "CameraHorizontalFOV", "fov", "degrees", "", _TEAL),
-    XmpRow("Camera", "PerspectiveFocalLength", "perspective focal length", "millimetres", "", _PIX4D),
-    XmpRow("Camera", "PerspectiveFocalLengthUnits", "perspective unit", "text", "", _PIX4D),
-    XmpRow("Camera", "PrincipalPoint", "principal point", "text", "", _PIX4D),
-    XmpRow("exif", "FocalLength", "EXIF FocalLength", "millimetres", "", _EXIF),
-    XmpRow("exif", "FocalLengthIn35mmFilm", "EXIF FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
-    XmpRow("exif", "FocalPlaneXResolution", "EXIF FocalPlaneXResolution", "pixels", "", _EXIF),
-    XmpRow("exif", "FocalPlaneResolutionUnit", "EXIF FocalPlaneResolutionUnit", "pixels", "", _EXIF),
-    XmpRow("exif", "PixelXDimension", "EXIF ExifImageWidth", "pixels", "", _EXIF),
-    XmpRow("exif", "PixelYDimension", "EXIF ExifImageHeight", "pixels", "", _EXIF),
-    XmpRow("exif", "DigitalZoomRatio", "EXIF DigitalZoomRatio", "pixels", "", _EXIF),
-    XmpRow("exif", "DateTimeOriginal", "EXIF DateTimeOriginal", "text", "", _EXIF),
-    XmpRow("xmp", "CreateDate", "EXIF DateTimeOriginal", "text", "", _MINI_5),
-    XmpRow("drone-dji", "UTCAtExposure", "utc", "text", "", _DJI_GUIDE),
-    XmpRow("sensefly", "UTCTime", "utc", "text", "", _SENSEFLY),
-    XmpRow("exif", "GPSTimeStamp", "utc", "text", "", _EXIF),
+
+def _axes(name: str) -> str:
+    return " ".join(name.format(axis) for axis in ("Yaw", "Pitch", "Roll"))
+
+
+ROWS: tuple[PropertyRow, ...] = (
+    PropertyRow("position", "drone-dji", "GpsLatitude GpsLongitude", "degrees", "", _DJI),
+    PropertyRow("position", "drone-dji", "GpsLatitude GpsLongtitude", "degrees", "", _DJI),
+    PropertyRow("position", "drone-dji", "Latitude Longitude", "degrees", "", _DJI),
+    PropertyRow("position", "drone-skydio", "Latitude Longitude", "degrees", "", _SKYDIO),
+    PropertyRow("position", "sensefly", "Latitude Longitude", "degrees", "", _SENSEFLY),
+    PropertyRow("position", "exif", "GPSLatitude GPSLongitude", "degrees", "", _EXIF),
+    PropertyRow("rtk", "drone-dji", "RtkFlag", "times", "", _DJI_P1),
+    PropertyRow("height_above_ground", "sensefly", "Height", "metres", "", _SENSEFLY),
+    PropertyRow("height_above_ground", "Camera", "AboveGroundAltitude", "metres", "", _PIX4D),
+    PropertyRow("height_above_ground", "Sentera", "AltimeterCalculatedAGL", "metres", "", _SENTERA),
+    PropertyRow("height_above_ground", "Sentera", "AltimeterCalcuatedAGL", "metres", "", _SENTERA),
+    PropertyRow("height_above_takeoff", "drone-dji", "RelativeAltitude", "metres", "", _DJI_GUIDE),
+    PropertyRow("height_above_takeoff", "drone-skydio", "RelativeAltitude", "metres", "", _SKYDIO_X10),
+    PropertyRow("height_above_takeoff", "drone-yuneec", "AboveHomeAltitude", "metres", "", _YUNEEC),
+    PropertyRow("height_above_takeoff", "FLIR", "MAVRelativeAltitude", "metres, 0 if unknown", "", _FLIR),
+    PropertyRow("altitude", "drone-dji", "AbsoluteAltitude", "metres", "", _DJI_GUIDE),
+    PropertyRow("altitude", "drone-skydio", "GpsMslHeight", "metres", "sea", _SKYDIO_X10),
+    PropertyRow("altitude", "drone-skydio", "AbsoluteAltitude", "metres", "", _SKYDIO),
+    PropertyRow("altitude", "drone-yuneec", "GPSAltitude", "metres", "", _YUNEEC),
+    PropertyRow("altitude", "sensefly", "AltitudeAMSL", "metres", "sea", _SENSEFLY),
+    PropertyRow("altitude", "sensefly", "AltitudeWGS84", "metres", "ellipsoid", _SENSEFLY),
+    PropertyRow("altitude", "exif", "GPSAltitude", "metres", "", _EXIF),
+    PropertyRow("altitude", "xmp", "GPSAltitude", "metres", "", _YUNEEC),
+    PropertyRow("altitude type", "drone-dji", "AltitudeType", "text", "", _DJI_ALTITUDE),
+    PropertyRow("altitude type", "drone-skydio", "VertCS", "text", "", _SKYDIO_RTK),
+    PropertyRow("altitude type", "Camera", "VertCS", "text", "", _PIX4D),
+    PropertyRow("angles", "drone-dji", _axes("Gimbal{}Degree"), "degrees", "gimbal", _DJI_GUIDE),
+    PropertyRow("angles", "drone-skydio", _axes("CameraOrientationNED/{}"), "degrees", "gimbal", _SKYDIO),
+    PropertyRow("angles", "drone-parrot", _axes("Camera{}Degree"), "degrees", "gimbal", _PARROT),
+    PropertyRow("angles", "drone-yuneec", _axes("Gimbal{}"), "degrees", "gimbal", _YUNEEC),
+    PropertyRow("angles", "xmp", _axes("Camera{}"), "degrees", "gimbal", _YUNEEC),
+    PropertyRow("angles", "exif", _axes("Camera{}"), "degrees", "on platform", _TEAL),
+    PropertyRow("angles", "Camera", _axes("{}"), "degrees", "nadir", _PIX4D_ANGLES),
+    PropertyRow("angles", "GPano", "PoseHeadingDegrees PosePitchDegrees PoseRollDegrees", "degrees", "direction", _GPANO),
+    PropertyRow("angles", "exif", "GPSImgDirection", "degrees", "direction", _EXIF),
+    PropertyRow("angles", "sensefly", "Heading PitchAngle RollAngle", "degrees", "fixed", _SENSEFLY),
+    PropertyRow("angles", "drone-dji", _axes("Flight{}Degree"), "degrees", "aircraft", _DJI_SDK),
+    PropertyRow("angles", "drone-dji", "FlightYaw", "degrees", "aircraft", _DJI_SDK),
+    PropertyRow("angles", "drone-skydio", _axes("VehicleOrientationNED/{}"), "degrees", "aircraft", _SKYDIO),
+    PropertyRow("angles", "drone-yuneec", _axes("Drone{}"), "degrees", "aircraft", _YUNEEC),
+    PropertyRow("angles", "exif", _axes("Platform{}"), "degrees", "aircraft", _TEAL),
+    PropertyRow("angles", "FLIR", _axes("MAV{}"), "degrees", "aircraft", _FLIR),
+    PropertyRow("projection", "GPano", "ProjectionType", "text", "", _GPANO),
+    PropertyRow("lens", "drone-dji", "DewarpData", "text", "", _DJI_MANUAL),
+    PropertyRow("undistorted", "drone-dji", "DewarpFlag", "text", "", _DJI_MANUAL),
+    PropertyRow("fov", "exif", "CameraHorizontalFOV", "degrees", "", _TEAL),
+    PropertyRow("calibration", "drone-dji", _DJI_CALIBRATION, "pixels", "", _DJI),
+    PropertyRow("calibration", "drone-skydio", _SKYDIO_CALIBRATION, "pixels", "", _SKYDIO),
+    PropertyRow("perspective", "Camera", "PerspectiveFocalLength", "millimetres", "", _PIX4D),
+    PropertyRow("perspective unit", "Camera", "PerspectiveFocalLengthUnits", "text", "", _PIX4D),
+    PropertyRow("principal point", "Camera", "PrincipalPoint", "text", "", _PIX4D),
+    PropertyRow("focal length", "exif", "FocalLength", "millimetres", "", _EXIF),
+    PropertyRow("equivalent", "exif", "FocalLengthIn35mmFilm", "millimetres", "", _EXIF),
+    PropertyRow("resolution", "exif", "FocalPlaneXResolution FocalPlaneResolutionUnit", "pixels", "", _EXIF),
+    PropertyRow("size", "exif", "PixelXDimension PixelYDimension", "pixels", "", _EXIF),
+    PropertyRow("zoom", "exif", "DigitalZoomRatio", "times", "", _EXIF),
+    PropertyRow("taken", "exif", "DateTimeOriginal", "text", "", _EXIF),
+    PropertyRow("taken", "exif", "DateTimeDigitized", "text", "", _EXIF),
+    PropertyRow("taken", "xmp", "CreateDate", "text", "", _MINI_5),
+    PropertyRow("taken", "exif", "DateTime", "text", "", _EXIF),
+    PropertyRow("zone", "exif", "OffsetTimeOriginal", "text", "", _EXIF),
+    PropertyRow("utc", "drone-dji", "UTCAtExposure", "text", "", _DJI_GUIDE),
+    PropertyRow("utc", "sensefly", "UTCTime", "text", "", _SENSEFLY),
+    PropertyRow("utc", "exif", "GPSTimeStamp", "text", "", _EXIF),
 )  # fmt: skip
 
-_ROWS: Mapping[tuple[str, str], XmpRow] = {(row.namespace, row.name.casefold()): row for row in ROWS}
-# Names that DJI coined, and that firmware of others writes below namespaces of its own.
-_COPIED = frozenset(
-    row.name.casefold()
-    for row in ROWS
-    if row.namespace == "drone-dji" and re.match(r"(?:Gimbal|Flight)\w+Degree|(?:Relative|Absolute)Alt|GpsL", row.name)
-)
-_SPACES: Mapping[str, str] = {uri: key for key, space in NAMESPACES.items() for uri in space.uris}
-_PREFIXES: Mapping[str, str] = {prefix: key for key, space in NAMESPACES.items() for prefix in space.prefixes}
-_VERSION = re.compile(r"/[0-9]+(?:\.[0-9]+)*$")
-# Words of names that tell a position, a height, or an angle.
-_TELLING = frozenset((
-    "lat", "latitude", "lon", "lng", "longitude", "longtitude", "position", "alt", "altitude", "height", "elevation", "agl",
-    "amsl", "msl", "yaw", "pitch", "roll", "heading", "bearing", "azimuth", "tilt", "direction", "orientation",
-))  # fmt: skip
-_HEADING = frozenset(("yaw", "heading", "bearing", "azimuth", "direction", "orientation"))
-# Words in names of angles and positions that are not the camera's, or of their accuracy.
-_ELSEWHERE = frozenset((
-    "accuracy", "error", "std", "dop", "speed", "velocity", "rate", "climb", "reverse", "home", "target", "lrf", "sun", "solar",
-    "irradiance", "light", "gyro", "accel", "initial", "image", "full", "cropped", "area", "pixels", "ref",
-    "relatives", "dewarp", "offset", "dest", "track", "status", "mode", "type",
-))  # fmt: skip
-# Words in names of Skydio's angles in other reference frames; a note names these only if no heading of the table is there.
-_SAME_ANGLES = frozenset(("quat", "flu"))
-# Skydio's positions are metres from the place of take-off.
-_LOCAL = ("positionned", "positionflu")
-# Namespaces of programs, of depth maps, of regions, and of the light sensor. Their directions are not the camera's.
-_OTHERS = re.compile(
-    r"ns\.adobe\.com/(?!exif/1|xap/1\.0/?$)|purl\.org|google\.com/photos/1\.0/(?!panorama)|microsoft\.com|metadataworkinggroup|"
-    r"iptc\.org|useplus|w3\.org|digikam|acdsee|apple\.com|camerabits|gimp\.org|cipa\.jp|micasense\.com/dls"
-)
-_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
-_NUMBER = re.compile(
-    r"([-+]?(?:[0-9]+(?:[.,][0-9]*)?|[.,][0-9]+)(?:e[-+]?[0-9]+)?)(?:\s*/\s*([0-9]+(?:\.[0-9]+)?))?\s*"
-    r"(?:m|met(?:er|re)s?|°|deg(?:rees?)?)?",
-    re.IGNORECASE,
-)
-_PARTS = re.compile(r"[0-9]+(?:\.[0-9]+)?")
-_HEMISPHERES = re.compile(
-    r"(?<![a-z])([nsew])(?:orth|outh|ast|est)?\s*$|^\s*([nsew])(?:orth|outh|ast|est)?(?![a-z])", re.IGNORECASE
-)
+_KNOWN = frozenset((row.namespace, name.casefold()) for row in ROWS for name in row.names.split())
+_COINED = re.compile(r"(?:gimbal|flight)\w+degree|(?:relative|absolute)altitude|gps(?:lat|long|longt)itude")
 # Heights in metres and angles in degrees beyond these come from wrong bytes.
-_MOST: Mapping[str, float] = {
-    "degrees": 720.0,
-    "metres": 1e5,
-    "metres, 0 if unknown": 1e5,
-    "pixels": 1e6,
-    "millimetres": 1e5,
-}
+_MOST: Mapping[str, float] = {"degrees": 720.0, "metres": 1e5, "metres, 0 if unknown": 1e5}
 
 
-class XmpValues:
-    """The values of a photo's XMP properties, by the table's rows.
+class Properties:
+    """The properties of a photo by namespace and name; the first value of each counts.
 
     Attributes:
-        values: the first readable value of each row: a finite number, or the text of rows of text.
-        names: of the properties that were read, by row, as the packet writes them.
-        unread: properties that look like a position, height, or angle, and that no row describes.
-        unreadable: properties of a row whose value cannot be read.
-        contradictory: properties that occur again with another value.
+        unreadable: properties of the table whose values cannot be read, as "exif:GPSAltitude".
     """
 
-    def __init__(self, properties: Iterable[XmpProperty] = ()) -> None:
-        self.values: dict[XmpRow, float | str] = {}
-        self.names: dict[XmpRow, str] = {}
-        unread: dict[str, None] = {}
-        unreadable: dict[str, None] = {}
-        contradictory: dict[str, None] = {}
-        others: dict[str, None] = {}
-        for item in properties:
-            name = item.name.casefold()
-            row = _ROWS.get((_space(item) or "", name)) or (_ROWS["drone-dji", name] if name in _COPIED else None)
-            if row is None:
-                if _looks_telling(item):
-                    (others if _words(item.name) & _SAME_ANGLES else unread).setdefault(str(item))
-            elif (value := item.text if row.unit == "text" else _value(item.text, row.unit)) is None:
-                unreadable.setdefault(str(item))
-            elif row not in self.values:
-                self.values[row], self.names[row] = value, str(item)
-            elif self.values[row] != value:
-                contradictory.setdefault(str(item))
-        if not any(row.field == "heading" for row in self.values):
-            unread |= others
-        # The table's order is best first.
-        self.values = {row: self.values[row] for row in ROWS if row in self.values}
-        self.unread, self.unreadable, self.contradictory = list(unread), list(unreadable), list(contradictory)
+    def __init__(self) -> None:
+        self._values: dict[tuple[str, str], Any] = {}
+        self.unreadable: list[str] = []
 
-    def all_of(self, field: str, convention: Convention = "") -> list[XmpRow]:
-        """Return the rows of a field that have a value, best first."""
-        return [row for row in self.values if row.field == field and row.convention == convention]
+    def add(self, namespace: str, name: str, value: Any) -> None:
+        """Add a value of EXIF, or a text of XMP; a blank one tells nothing."""
+        key = namespace, name.casefold()
+        if key not in _KNOWN:
+            copied = {"digitalzoomratio": "exif"}.get(key[1], "drone-dji" if _COINED.fullmatch(key[1]) else namespace)
+            key = copied, key[1]
+        if value is not None and value != "":
+            self._values.setdefault(key, value)
 
-    def number(self, row: XmpRow) -> float | None:
-        """Return the number of a row; None without one. An unknown 0 counts as none."""
-        value = self.values.get(row)
-        if not isinstance(value, float) or (row.unit == "metres, 0 if unknown" and value == 0):
-            return None
-        return value
+    def raw(self, name: str, namespace: str = "exif") -> Any:
+        """Return the value of a property as the file has it; None without one."""
+        return self._values.get((namespace, name.casefold()))
 
-    def first(self, field: str, convention: Convention = "", namespace: str | None = None) -> float | None:
-        """Return the number of the best row of a field, of one namespace if given; None without one."""
-        for row in self.all_of(field, convention):
-            if namespace in (None, row.namespace) and (value := self.number(row)) is not None:
-                return value
-        return None
+    def rows(self, field: str) -> Iterator[tuple[PropertyRow, tuple[float | None, ...]]]:
+        """Yield the rows of a field that have a number, best first, with three numbers each; None where unknown."""
+        for row in ROWS:
+            if row.field == field:
+                numbers = [self._number(row, name) for name in row.names.split()]
+                if any(number is not None for number in numbers):
+                    yield row, (*numbers, None, None)[:3]
+
+    def first(self, field: str) -> float | None:
+        """Return the number of the best row of a field; None without one."""
+        return next((numbers[0] for _, numbers in self.rows(field) if numbers[0] is not None), None)
+
+    def texts(self, field: str) -> Iterator[tuple[str, str]]:
+        """Yield the texts of a field that are not blank, best first, each with the property's name."""
+        for row in ROWS:
+            if row.field == field and (text := text_of(self.raw(row.names, row.namespace))):
+                yield f"{row.namespace}:{row.names}", text
 
     def text(self, field: str) -> str:
         """Return the text of the best row of a field; "" without one."""
-        return next((str(self.values[row]) for row in self.all_of(field)), "")
+        return next((text for _, text in self.texts(field)), "")
 
-    @property
-    def heading_unread(self) -> bool:
-        """True if a property that was not read, or whose value cannot be read, looks like a heading."""
-        return any(_words(name.rpartition(":")[2]) & _HEADING for name in (*self.unread, *self.unreadable))
+    def refuse(self, name: str) -> None:
+        """Note a property, as "exif:GPSAltitude", whose value cannot be read."""
+        self.unreadable += [] if name in self.unreadable else [name]
+
+    def _number(self, row: PropertyRow, name: str) -> float | None:
+        if (raw := self.raw(name, row.namespace)) is None:
+            return None
+        value = degrees(raw) if row.unit == "degrees" else number(raw)
+        if value is None or abs(value) > _MOST.get(row.unit, math.inf):
+            # A camera that did not zoom may write 0/0.
+            if row.field != "zoom":
+                self.refuse(f"{row.namespace}:{name}")
+            return None
+        return None if value == 0 and row.unit == "metres, 0 if unknown" else value
 
 
-def number(text: str) -> float | None:
-    """Return a number as XMP writes it, such as "+39.80", "-8759/100", "39,8", or "12.5 m"; None for others."""
-    match = _NUMBER.fullmatch(text.strip())
-    if match is None:
+def namespace_of(address: str) -> str:
+    """Return the key of a namespace's address, or of a prefix that is not declared; "" for others."""
+    address = address.casefold().rstrip("/#")
+    found = (key for key, parts in NAMESPACES.items() if address == key.casefold() or any(p in address for p in parts))
+    return next(found, "")
+
+
+def text_of(value: Any) -> str:
+    """Return a value of EXIF or XMP as text without blanks and NULs around it; "" for numbers."""
+    if isinstance(value, bytes):
+        value = value.decode("ascii", "replace")
+    return value.strip("\x00 \t\r\n") if isinstance(value, str) else ""
+
+
+def number(value: Any) -> float | None:
+    """Return a number of EXIF, or of XMP, such as "+39.80", "-8759/100", or "12.5 m", as a finite one; None for others."""
+    if isinstance(value, tuple | list) and len(value) == 1:
+        value = value[0]
+    try:
+        found = values.number(text_of(value), comma=True) if isinstance(value, str | bytes) else float(value)
+    except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
-    value = float(match[1].replace(",", "."))
-    if match[2] is not None:
-        divisor = float(match[2])
-        value = value / divisor if divisor else math.nan
-    return value if math.isfinite(value) else None
+    return found if found is not None and math.isfinite(found) else None
 
 
-def degrees_of(text: str) -> float | None:
-    """Return signed degrees of a text such as "47,18.074N", "47,18,4.4N", "47° 18' 4.4\" N", or "-47.3012"; None for others."""
-    if (value := number(text)) is not None:
-        return value
-    hemisphere = _HEMISPHERES.search(text)
-    parts = [float(part) for part in _PARTS.findall(text)]
-    if hemisphere is None or not 1 <= len(parts) <= 3 or any(part >= 60.5 for part in parts[1:]):
-        return None
-    total = sum(part / 60.0**i for i, part in enumerate(parts))
-    south = (hemisphere[1] or hemisphere[2]).upper() in "SW" or text.lstrip().startswith("-")
-    return -total if south else total
-
-
-def _value(text: str, unit: str) -> float | None:
-    value = degrees_of(text) if unit.startswith("degrees") else number(text)
-    return None if value is None or abs(value) > _MOST.get(unit, math.inf) else value
-
-
-def _space(item: XmpProperty) -> str | None:
-    """Return the key of a property's namespace; None for others."""
-    uri = item.namespace.strip().casefold()
-    uri = uri.partition("://")[2].removeprefix("www.") if "://" in uri else uri
-    key = _SPACES.get(uri.rstrip("/#")) or _SPACES.get(_VERSION.sub("", uri.rstrip("/#")))
-    prefix = item.prefix.casefold()
-    # Programs write addresses of their own for the namespaces of drones, whose prefixes nobody else uses.
-    if key is None and ("://" not in item.namespace or prefix.startswith("drone-")):
-        key = _PREFIXES.get(prefix)
-    return key
-
-
-def _words(name: str) -> set[str]:
-    return {word.casefold() for word in _WORD.findall(name)}
-
-
-def _looks_telling(item: XmpProperty) -> bool:
-    """Return whether a property has a number, and a name that tells a position, a height, or an angle of the camera."""
-    words = _words(item.name)
-    if not words & _TELLING or words & _ELSEWHERE or _OTHERS.search(item.namespace.casefold()):
-        return False
-    return degrees_of(item.text) is not None and not any(name in item.name.casefold() for name in _LOCAL)
+def degrees(value: Any) -> float | None:
+    """Return degrees of a number, of a text such as "47,18.074N", or of EXIF's degrees, minutes, and seconds; None for others."""
+    if isinstance(value, str | bytes) and "/" not in text_of(value):
+        return values.angle(text_of(value))
+    if not isinstance(value, tuple | list):
+        return number(value)
+    parts = [number(part) for part in value]
+    total = 0.0
+    for i, part in enumerate(parts[:3]):
+        if part is None or (i and abs(part) > 60):
+            return None
+        total += abs(part) / 60.0**i
+        # What follows decimals says nothing: some programs write 0/0 there, others the decimals again.
+        if part % 1:
+            break
+    return -total if any(part is not None and part < 0 for part in parts) else total

@@ -38,16 +38,13 @@ class PhotoFile:
         place = "not told"
         if frame.latitude is not None and frame.longitude is not None:
             place = f"{frame.latitude:.6f}, {frame.longitude:.6f} (latitude and longitude of the camera)"
-        place_by, time_by = (
-            " by the file's name alone" if one else "" for one in (self.photo.named, self.photo.time_named)
-        )
         return [
             ("File", printable(frame.name)),
             ("SHA-256", self.digest),
             ("Size", f"{frame.width} × {frame.height} pixels, {self.size:,} bytes"),
-            ("Taken", f"{self._taken}{time_by}"),
+            ("Taken", self._taken),
             ("Camera", printable(self.photo.camera) or "not told"),
-            ("GPS tag", f"{place}{place_by}"),
+            ("GPS tag", place),
         ]
 
     @property

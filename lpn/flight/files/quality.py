@@ -1,10 +1,10 @@
-"""Checks across the frames of a flight: headings from the course, and notes about gaps and jumps."""
+"""Checks across the frames of a flight: headings from the course, and notes about jumps and about missing values."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -22,25 +22,17 @@ _COURSE_SECONDS = 15.0
 _TURN = 45.0
 # A speed in m/s that no drone of this kind flies, and the factor of the median step that a jump exceeds.
 _FASTEST, _JUMP = 50.0, 8.0
-# A pause is longer than this many seconds, and this many usual ones.
-_PAUSE, _PAUSES = 30.0, 10.0
 # Without times, a jump is longer than this in metres.
 _FAR = 200.0
 _NAMED = 3
 
 
-def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[list[Frame], list[str]]:
-    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it.
-
-    Args:
-        unread: names of frames whose files have a heading that was not read, and which the course does not replace.
-    """
+def with_courses(frames: Sequence[Frame]) -> tuple[list[Frame], list[str]]:
+    """Give frames without a heading their course over ground, where they move and do not turn; and notes about it."""
     places, times = local_metres(degrees(frames)), _times(frames)
-    made, courses, left = [], 0, 0
+    made, courses = [], 0
     for i, frame in enumerate(frames):
         course = None if frame.heading is not None else _course(places, times, i)
-        if course is not None and frame.name in unread:
-            course, left = None, left + 1
         courses += course is not None
         made.append(frame if course is None else replace(frame, heading=course, heading_source="course"))
     missing, notes = sum(frame.heading is None for frame in frames), []
@@ -49,21 +41,16 @@ def with_courses(frames: Sequence[Frame], unread: Container[str] = ()) -> tuple[
             f"{missing} of {len(frames)} photos have no heading: {courses} got the course over ground, which is the camera's "
             "heading only if the drone flew forwards."
         )
-    if left:
-        notes.append(
-            f"{left} of {len(frames)} photos have no heading, and did not get the course over ground: their files have a value "
-            "that looks like a heading and was not read."
-        )
     return made, notes
 
 
 def flight_notes(frames: Sequence[Frame], oddities: Sequence[Sequence[str]] = ()) -> list[str]:
-    """Return notes about a flight: what is missing, jumps of the position, stale positions, pauses.
+    """Return notes about a flight: what is missing, jumps of the position.
 
     Args:
         oddities: of each frame: predicates whose subject is the frame.
     """
-    return [*_counted(oddities, len(frames)), *_missing(frames), *_jumps(frames), *_stale(frames), *_pauses(frames)]
+    return [*_counted(oddities, len(frames)), *_missing(frames), *_jumps(frames)]
 
 
 def _times(frames: Sequence[Frame]) -> Float64Array:
@@ -135,24 +122,3 @@ def _jumps(frames: Sequence[Frame]) -> Iterator[str]:
             f"The GPS tags jump {'once' if len(jumps) == 1 else f'{len(jumps)} times'}, first by {metres[first]:.0f} m after "
             f"{known[first].name}; tags about a jump are doubtful."
         )
-
-
-def _stale(frames: Sequence[Frame]) -> Iterator[str]:
-    known, metres, seconds = _steps(frames)
-    moving = len(metres) > 2 and np.median(metres) > _LEAST_STEP
-    names = [known[i + 1].name for i in np.flatnonzero((metres == 0) & ~(seconds == 0))] if moving else []
-    if names:
-        which = first_few(names, _NAMED)
-        yield f"{len(names)} photos of a moving flight repeat the GPS tag before theirs: {which}; the tag lags there."
-
-
-def _pauses(frames: Sequence[Frame]) -> Iterator[str]:
-    timed = [frame for frame in frames if frame.time is not None]
-    seconds = np.diff(_times(timed))
-    if len(seconds) < 2:
-        return
-    pauses = np.flatnonzero((seconds > _PAUSE) & (seconds > _PAUSES * np.median(seconds)))
-    if len(pauses):
-        longest = int(pauses[np.argmax(seconds[pauses])])
-        times = "once" if len(pauses) == 1 else f"{len(pauses)} times"
-        yield f"The flight pauses {times}, for up to {seconds[longest]:.0f} s after {timed[longest].name}."

@@ -4,40 +4,42 @@ from __future__ import annotations
 
 import os
 import re
+import warnings
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
-import numpy as np
+from PIL import Image
 
 from lpn.core import images
 from lpn.core.errors import DataError, InputError, OtherKindError, PictureError
 from lpn.core.files import first_few, printable
-from lpn.core.numbers import distance
 from lpn.datasets.base import files_below
 from lpn.flight.files import cameras, logs, subtitles, track_files, vehicle_logs, videos
-from lpn.flight.files.base import Flight, Frame, HeadingSource, local_metres
-from lpn.flight.files.clock_fit import ClockFit, fit_clocks
+from lpn.flight.files.base import Flight, Frame
 from lpn.flight.files.folder import FRAMES, check_folder, write_flight
 from lpn.flight.files.lenses import Lens, read_camera
-from lpn.flight.files.logs import Log, LogRow
-from lpn.flight.files.photos import Photo, natural, read_photo, set_times, turned_oddity, upright_values
+from lpn.flight.files.logs import Log
+from lpn.flight.files.photo_logs import with_log
+from lpn.flight.files.photos import DAMAGED, Photo, natural, read_photo, set_times
 from lpn.flight.files.quality import flight_notes, with_courses
 from lpn.flight.files.subtitles import GpsOrder, Subtitles
-from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
+from lpn.flight.files.telemetry import Telemetry
 
 PHOTOS = (".jpg", ".jpeg", ".png", ".webp", ".tif", ".tiff")
 # Pictures of other kinds, which a note names.
 _OTHER_PICTURES = (*images.OTHER_SUFFIXES, ".bmp", ".gif")
-# The beginning of a track that lpn locate wrote, by its suffix.
-_OWN_TRACKS = {
-    ".csv": re.compile(rb"(?:\xef\xbb\xbf)?frame,stage,state,"),
-    ".geojson": re.compile(rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":', re.DOTALL),
-    ".gpx": re.compile(rb'.*creator="lpn locate"', re.DOTALL),
-}
+# The tags of GeoTIFF that lay a picture on the ground.
+_GEOTIFF = (33550, 34264)
+# The beginning of a track that lpn locate wrote: CSV, GeoJSON, or GPX.
+_OWN_TRACK = re.compile(
+    rb'(?:\xef\xbb\xbf)?frame,stage,state,|.*creator="lpn locate"|'
+    rb'.*"properties":\s*\{\s*"frame":.*?"stage":.*?"state":',
+    re.DOTALL,
+)
 # The formats to give in place of kinds that are not read.
 _INSTEAD = {
     **dict.fromkeys((".kml", ".kmz"), "GPX or CSV"),
@@ -45,12 +47,8 @@ _INSTEAD = {
     **dict.fromkeys((".ass", ".vtt"), "SRT"),
 }
 _NAMED = 5
-_ANGLES = ("heading", "pitch", "roll", "heading_source")
 # Frames closer together than this in seconds are one picture.
 _LEAST_EVERY = 0.04
-# Latitude and longitude of a log count as swapped if the log lies more than `_SWAPPED_FAR` metres from the photos as it is, and
-# less than `_SWAPPED_NEAR` metres after a swap.
-_SWAPPED_NEAR, _SWAPPED_FAR = 5_000.0, 20_000.0
 # Proportions of pictures that differ by less are those of one camera.
 _SAME_PROPORTIONS = 0.01
 
@@ -66,6 +64,7 @@ class FlightOptions:
         fov: horizontal field of view in degrees, for frames whose files have none.
         pitch: in degrees, for frames whose files have none; -90 is straight down.
         camera: file of the camera's lens, for all frames, see `lpn.flight.files.lenses.read_camera`.
+        clock_offset: seconds to add to the photos' clock for that of a log; None finds it out.
     """
 
     every: float = 1.0
@@ -74,6 +73,7 @@ class FlightOptions:
     fov: float | None = None
     pitch: float | None = None
     camera: Path | None = None
+    clock_offset: float | None = None
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -81,6 +81,7 @@ class FlightOptions:
             ("every_metres", 0.1, 1e6),
             ("fov", *cameras.FOV_RANGE),
             ("pitch", -180, 90),
+            ("clock_offset", -1e10, 1e10),
         ):
             value = getattr(self, name)
             if value is not None and not low <= value <= high:
@@ -91,13 +92,24 @@ class FlightOptions:
 
 @dataclass(frozen=True)
 class _Files:
-    """Files of a flight by kind."""
+    """Files of a flight by kind; `maps` are pictures that a survey program laid on the ground, and copies of them."""
 
-    photos: list[Path]
-    videos: list[Path]
-    subtitles: list[Path]
-    logs: list[Path]
-    others: list[Path]
+    photos: list[Path] = field(default_factory=list)
+    videos: list[Path] = field(default_factory=list)
+    subtitles: list[Path] = field(default_factory=list)
+    logs: list[Path] = field(default_factory=list)
+    maps: list[Path] = field(default_factory=list)
+    others: list[Path] = field(default_factory=list)
+
+    @property
+    def notes(self) -> list[str]:
+        """Notes that name the files which are left out."""
+        kinds = (("their kind is not supported", self.others), ("they are maps, not photos", self.maps))
+        return [
+            f"Left out, because {why}: {first_few([printable(file.name) for file in files], _NAMED)}."
+            for why, files in kinds
+            if files
+        ]
 
 
 def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None = None) -> Flight:
@@ -119,8 +131,7 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
     _refuse(files)
     camera = None if options.camera is None else read_camera(options.camera)
     inputs = _sorted_files(files)
-    read, texts, unread = _read_logs(inputs.logs)
-    inputs = replace(inputs, logs=list(read), others=[*inputs.others, *texts])
+    read, unread = _read_logs(inputs)
     name = out.resolve().name
     if inputs.photos and inputs.videos:
         raise DataError(
@@ -132,15 +143,17 @@ def make_flight(files: Sequence[Path], out: Path, options: FlightOptions | None 
         photos = inputs.photos or [photo for file, log in read.items() for photo in _named_by(log, file)]
         if not photos:
             raise DataError(_no_pictures(inputs))
-        if given := _of_videos(options):
+        usual = FlightOptions()
+        of_videos = ("every", "every_metres", "gps_order")
+        if given := [f"--{n.replace('_', '-')}" for n in of_videos if getattr(options, n) != getattr(usual, n)]:
             raise InputError(
                 f"Photos are all taken, and have no subtitles, so {' and '.join(given)} would not be used; leave it out."
             )
-        flight = flight_of_photos(photos, name, list(read.values()))
+        flight = _flight_of_photos(photos, name, list(read.values()), options.clock_offset)
     flight = _completed(flight, options)
     if camera is not None:
         flight = _with_lens(flight, *camera)
-    flight = replace(flight, notes=(*flight.notes, *unread, *_others_note(inputs.others)))
+    flight = replace(flight, notes=(*flight.notes, *unread, *inputs.notes))
     write_flight(flight, out)
     return flight
 
@@ -153,29 +166,28 @@ def read_any_log(file: Path) -> Log:
     """
     _refuse([file])
     suffix = file.suffix.lower()
-    if suffix in vehicle_logs.SUFFIXES:
+    if vehicle_logs.is_vehicle_log(file):
         return vehicle_logs.read_vehicle_log(file)
     return track_files.read_track(file) if suffix in track_files.SUFFIXES else logs.read_log(file)
 
 
-def _read_logs(files: list[Path]) -> tuple[dict[Path, Log], list[Path], list[str]]:
-    """Return the logs and tracks, the other files that are no logs, and a note for each of these that is nearly a log."""
+def _read_logs(inputs: _Files) -> tuple[dict[Path, Log], list[str]]:
+    """Return the logs and tracks, and a note for each file that is nearly a log; files that are none join the others."""
     read: dict[Path, Log] = {}
-    others, notes = [], []
-    for file in files:
+    notes = []
+    for file in list(inputs.logs):
+        suffix = file.suffix.lower()
         try:
             read[file] = read_any_log(file)
-        except OtherKindError:
-            # Cards of DJI's cameras have .bin files of satellites beside the photos.
-            if file.suffix.lower() not in (".txt", ".log", ".bin"):
-                raise
-            others.append(file)
         except DataError as error:
-            if file.suffix.lower() not in (".txt", ".log"):
+            is_other = isinstance(error, OtherKindError)
+            # Cards of DJI's cameras have .bin files of satellites beside the photos.
+            if suffix not in (".txt", ".log") and not (is_other and suffix == ".bin"):
                 raise
-            others.append(file)
-            notes.append(str(error))
-    return read, others, notes
+            inputs.logs.remove(file)
+            inputs.others.append(file)
+            notes += [] if is_other else [str(error)]
+    return read, notes
 
 
 def _refuse(files: Sequence[Path]) -> None:
@@ -186,44 +198,22 @@ def _refuse(files: Sequence[Path]) -> None:
             raise DataError(
                 f"{printable(str(file))} is {suffix.upper()}, which is not read; give the flight as {_INSTEAD[suffix]}."
             )
-        begin = _OWN_TRACKS.get(suffix)
-        if begin is None or not file.is_file():
+        if suffix not in (".csv", ".geojson", ".gpx") or not file.is_file():
             continue
         try:
             with file.open("rb") as opened:
                 head = opened.read(4096)
         except OSError:
             continue  # its own reader tells why
-        if begin.match(head):
+        if _OWN_TRACK.match(head):
             raise DataError(
                 f"{printable(file.name)} is a track of lpn locate: it has places found on a map, and a flight needs what the "
                 "drone told; give the photos, with the drone's own log if there is one, and open the track in a map program."
             )
 
 
-def flight_of_folder(folder: Path) -> Flight:
-    """Return the flight of the photos below a folder; a note names pictures of kinds that are not read.
-
-    Raises:
-        DataError: if there is no photo, or none can be read.
-    """
-    files = files_below(folder, PHOTOS)
-    if not files:
-        if filmed := files_below(folder, videos.SUFFIXES):
-            raise DataError(
-                f"{printable(str(folder))} has videos ({printable(filmed[0].name)}) and no flight.json; make a flight of them "
-                f"with lpn flight {printable(str(folder))} --out FLIGHT, and give FLIGHT."
-            )
-        raise DataError(
-            f"{folder} has neither flight.json nor photos ({', '.join(PHOTOS)}); give a folder that lpn flight wrote, or one of "
-            "photos."
-        )
-    flight = flight_of_photos(files, folder.resolve().name)
-    return replace(flight, notes=(*flight.notes, *_others_note(files_below(folder, _OTHER_PICTURES))))
-
-
 def photos_of(paths: Sequence[Path], name: str) -> Flight:
-    """Read photos as a flight, without writing it.
+    """Read photos as a flight, without writing it; a note names pictures of kinds that are not read.
 
     Args:
         paths: photos, and folders of photos.
@@ -231,28 +221,25 @@ def photos_of(paths: Sequence[Path], name: str) -> Flight:
     Raises:
         DataError: if a path is not there, or none has a photo that can be read.
     """
-    photos = _sorted_files(paths).photos
-    if not photos:
+    inputs = _sorted_files(paths)
+    if not inputs.photos:
         where = ", ".join(printable(str(path)) for path in paths) or "what was named"
-        raise DataError(f"There is no photo in {where}; expected {', '.join(PHOTOS)}.")
-    return flight_of_photos(photos, name)
+        instead = f"expected {', '.join(PHOTOS)}, or a folder that lpn flight wrote"
+        if inputs.videos:
+            filmed = printable(inputs.videos[0].name)
+            instead = f"make a flight of its videos ({filmed}) with lpn flight {where} --out FLIGHT, and give FLIGHT"
+        raise DataError(f"There is no photo in {where}; {instead}.")
+    flight = _flight_of_photos(inputs.photos, name)
+    return replace(flight, notes=(*flight.notes, *inputs.notes))
 
 
-def _others_note(files: Sequence[Path]) -> list[str]:
-    """Return the note, if any, that names files which are left out."""
-    if not files:
-        return []
-    return [
-        f"Left out, because their kind is not supported: {first_few([printable(file.name) for file in files], _NAMED)}."
-    ]
-
-
-def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log] = ()) -> Flight:
+def _flight_of_photos(
+    files: Sequence[Path], name: str, flight_logs: Sequence[Log] = (), clock_offset: float | None = None
+) -> Flight:
     """Return the flight of photos; those that cannot be read are left out, and a note names them.
 
     Args:
-        flight_logs: their values replace those of the photos, except for a heading whose source is worse than the photo's, and
-            the field of view of a photo whose lens is known.
+        flight_logs, clock_offset: see `lpn.flight.files.photo_logs.with_log`.
 
     Raises:
         DataError: if no photo can be read, or one is given twice.
@@ -265,40 +252,64 @@ def flight_of_photos(files: Sequence[Path], name: str, flight_logs: Sequence[Log
             broken.append(str(error))
     if not photos:
         raise DataError(f"No photo of {len(files)} can be read. {broken[0] if broken else 'Give photos.'}")
-    named = _with_names(photos)
+    photos = _with_names(photos)
     log_notes: list[str] = []
     for log in flight_logs:
-        named, notes_of_log = _logged(named, log)
+        photos, notes_of_log = with_log(photos, log, clock_offset)
         log_notes += [*log.notes, *notes_of_log]
-    frames, is_utc, notes = set_times(named)
-    frames, course_notes = with_courses(frames, {photo.frame.name for photo in named if photo.heading_unread})
-    notes += log_notes + flight_notes(frames, [photo.oddities for photo in named]) + course_notes
+    frames, is_utc, notes = set_times(photos)
+    frames, course_notes = with_courses(frames)
+    notes += log_notes + flight_notes(frames, [photo.oddities for photo in photos]) + course_notes
     if broken:
-        more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""
-        notes.append(f"{len(broken)} of {len(files)} photos are left out: {' '.join(broken[:_NAMED])}{more}")
+        notes.append(_left_out(broken, len(files), "photos"))
     return Flight(name, tuple(frames), tuple(notes), is_utc)
+
+
+def _left_out(broken: Sequence[str], count: int, noun: str) -> str:
+    more = f" {len(broken) - _NAMED} more are left out, too." if len(broken) > _NAMED else ""
+    return f"{len(broken)} of {count} {noun} are left out: {' '.join(broken[:_NAMED])}{more}"
 
 
 def _sorted_files(paths: Sequence[Path]) -> _Files:
     """Sort files by kind, those of folders too."""
-    inputs = _Files([], [], [], [], [])
+    inputs = _Files()
     kinds = (
         (PHOTOS, inputs.photos),
         (videos.SUFFIXES, inputs.videos),
         (videos.SUBTITLES, inputs.subtitles),
         ((*logs.SUFFIXES, *track_files.SUFFIXES, *vehicle_logs.SUFFIXES), inputs.logs),
     )
-    taken = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
+    in_folders = (*PHOTOS, *videos.SUFFIXES, *videos.SUBTITLES, *_OTHER_PICTURES)
     for path in paths:
         if not path.exists():
             raise DataError(f"There is no {path}; give photos, videos, subtitles, logs, tracks, or folders of them.")
-        inside = path.is_dir()
-        for file in files_below(path, taken) if inside else [path]:
+        for file in files_below(path, in_folders) if path.is_dir() else [path]:
             kind = next((kept for suffixes, kept in kinds if file.suffix.lower() in suffixes), inputs.others)
             kind.append(file)
-    for kind in (inputs.photos, inputs.videos):
-        kind.sort(key=lambda file: natural(file.name))
+    maps = {file.with_suffix("") for file in inputs.photos if _is_map(file)}
+    inputs.maps.extend(file for file in inputs.photos if file.with_suffix("") in maps)
+    inputs.photos[:] = sorted(
+        (f for f in inputs.photos if f.with_suffix("") not in maps), key=lambda f: natural(f.name)
+    )
+    inputs.videos.sort(key=lambda file: natural(file.name))
     return inputs
+
+
+def _is_map(file: Path) -> bool:
+    """Return whether a picture is a GeoTIFF or has a world file, as survey programs write below the folder of the photos."""
+    world = f".{file.suffix[1:2]}{file.suffix[-1:]}w".lower()
+    if any(file.with_suffix(suffix).is_file() for suffix in (world, world.upper(), ".wld")):
+        return True
+    if file.suffix.lower() not in (".tif", ".tiff"):
+        return False
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(file) as picture:
+                tags = picture.getexif()
+                return any(tag in tags for tag in _GEOTIFF)
+    except (*DAMAGED, Image.DecompressionBombError):
+        return False  # its own reader tells why
 
 
 def _no_pictures(files: _Files) -> str:
@@ -307,6 +318,8 @@ def _no_pictures(files: _Files) -> str:
     if files.logs:
         return f"No photo that {files.logs[0].name} names is below its folder; give the photos, or the video, beside the log."
     others = f" ({printable(files.others[0].name)} is neither)" if files.others else ""
+    if files.maps:
+        others = f" ({printable(files.maps[0].name)} is a map, which lpn map takes)"
     return f"There is no photo and no video{others}; expected {', '.join((*PHOTOS, *videos.SUFFIXES))}."
 
 
@@ -332,149 +345,6 @@ def _with_names(photos: Sequence[Photo]) -> list[Photo]:
         twice = next(name for name, count in Counter(names).items() if count > 1)
         raise DataError(f"{printable(twice)} is given twice; give each photo once.")
     return [replace(photo, frame=replace(photo.frame, name=name)) for photo, name in zip(photos, names, strict=True)]
-
-
-def _logged(photos: Sequence[Photo], log: Log) -> tuple[list[Photo], list[str]]:
-    """Return photos with a log's values, and notes.
-
-    Rows are matched to photos by file name if the log has file names, else by time.
-    """
-    log, notes = _turned_as_photos(log, photos)
-    rows = logs.rows_by_name(log)
-    how, why_not = "by name", ""
-    if rows:
-        chosen = [_row_of(photo, rows) for photo in photos]
-        made = [
-            photo if row is None else _with_entry(photo, row[0].entry, log.utc)
-            for photo, row in zip(photos, chosen, strict=True)
-        ]
-        notes += _twice_note(photos, chosen, log.name)
-    else:
-        moments, note_of_twice = logs.moments(log)
-        notes += [] if note_of_twice is None else [note_of_twice]
-        telemetry = Telemetry(moments)
-        fit = fit_clocks(photos, telemetry, log.utc)
-        how, why_not = f"by {fit.basis}", "" if fit.offset is not None else f": {fit.sentence}"
-        made = [_at_moment(photo, telemetry, fit, log.utc) for photo in photos]
-        how += f", {fit.sentence}" if fit.sentence and fit.offset is not None else ""
-    used = sum(after is not before for after, before in zip(made, photos, strict=True))
-    if not used:
-        return list(photos), [
-            *notes,
-            f"{log.name} fits none of the {len(photos)} photos {how}, and was not used{why_not}.",
-        ]
-    said = f"{log.name} gives the values of {used} of {len(photos)} photos, {how}; they replace those in the files."
-    return made, [*notes, said]
-
-
-def _at_moment(photo: Photo, telemetry: Telemetry, fit: ClockFit, utc: bool) -> Photo:
-    """Return a photo with the log's values at the time it was taken, and with its UTC time if the log's clock is UTC."""
-    time = photo.utc if fit.basis == "UTC" else photo.local
-    if time is None or fit.offset is None:
-        return photo
-    known = {name: value for name, value in telemetry.at(time + fit.offset).items() if value is not None}
-    if "latitude" not in known:
-        return photo
-    made = _with_values(photo, known)
-    return replace(made, utc=time + fit.offset) if utc and photo.utc is None else made
-
-
-def _row_of(photo: Photo, rows: dict[str, list[LogRow]]) -> tuple[LogRow, list[LogRow]] | None:
-    """Return the row that names a photo, and all rows that name it equally well; None without one.
-
-    If several rows have the name, the longest match of folders wins, then the row nearest to the photo, then the first row.
-    """
-    file = photo.frame.file
-    named = rows.get(file.name.casefold()) or rows.get(file.stem.casefold(), [])
-    if not named:
-        return None
-    parts = logs.path_parts(str(file))
-    named = [named[i] for i in logs.nearest_in_folders(parts, [logs.path_parts(row.file or "") for row in named])]
-    distances = [_metres_apart(photo.frame, row.entry) for row in named]
-    known = [(metres, i) for i, metres in enumerate(distances) if metres is not None]
-    return named[min(known)[1] if known else 0], named
-
-
-def _metres_apart(frame: Frame | TelemetryEntry, entry: TelemetryEntry) -> float | None:
-    """Return the metres between two positions, None if one is unknown."""
-    if frame.latitude is None or entry.latitude is None:
-        return None
-    both = np.array([(frame.latitude, frame.longitude), (entry.latitude, entry.longitude)], np.float64)
-    return float(np.hypot(*local_metres(both)[1]))
-
-
-def _twice_note(photos: Sequence[Photo], chosen: Sequence[tuple[LogRow, list[LogRow]] | None], name: str) -> list[str]:
-    """Return a note, if any, about pictures that a log lists more than once with different values."""
-    twice = [
-        (photo, pair[1])
-        for photo, pair in zip(photos, chosen, strict=True)
-        if pair is not None
-        and any(replace(row.entry, time=0.0) != replace(pair[1][0].entry, time=0.0) for row in pair[1])
-    ]
-    if not twice:
-        return []
-    photo, rows = twice[0]
-    apart = [metres for row in rows[1:] if (metres := _metres_apart(rows[0].entry, row.entry)) is not None]
-    lines = " and ".join(str(row.line) for row in rows[:3])
-    used = (
-        "the row nearest to the photo's own position was used"
-        if all(photo.frame.latitude is not None for photo, _ in twice)
-        else "the row nearest to the photo's own position was used, and the first row where the photo has none"
-        if any(photo.frame.latitude is not None for photo, _ in twice)
-        else "the first row was used, as the photo has no position of its own"
-    )
-    return [
-        f"{len(twice)} of {len(photos)} photos are listed more than once in {name} with different values, such as "
-        f"{printable(photo.frame.name)} in lines {lines}{f', up to {distance(max(apart))} apart' if apart else ''}; {used}."
-    ]
-
-
-def _turned_as_photos(log: Log, photos: Sequence[Photo]) -> tuple[Log, list[str]]:
-    """Swap latitude and longitude of a log if the photos' positions prove that they are swapped; also return a note if so."""
-    ours = np.array([(p.frame.latitude, p.frame.longitude) for p in photos if p.frame.latitude is not None], np.float64)
-    theirs = np.array(
-        [(r.entry.latitude, r.entry.longitude) for r in log.rows if r.entry.latitude is not None], np.float64
-    )
-    if not len(ours) or not len(theirs) or np.abs(theirs[:, 1]).max() > 90:
-        return log, []
-    here, there = np.median(ours, axis=0), np.median(theirs, axis=0)
-    far, near = (float(np.hypot(*local_metres(np.stack([here, place]))[1])) for place in (there, there[::-1]))
-    if near > _SWAPPED_NEAR or far < _SWAPPED_FAR:
-        return log, []
-    rows = tuple(
-        replace(row, entry=replace(row.entry, latitude=row.entry.longitude, longitude=row.entry.latitude))
-        for row in log.rows
-    )
-    return replace(log, rows=rows), [
-        f"Latitude and longitude of {log.name} are swapped, as the photos' own positions say."
-    ]
-
-
-def _with_entry(photo: Photo, entry: TelemetryEntry, utc: bool) -> Photo:
-    values = {name: value for name in VALUES if (value := getattr(entry, name)) is not None}
-    made = _with_values(photo, values)
-    if entry.clock is None:
-        return made
-    return replace(made, utc=entry.clock) if utc else replace(made, local=made.local or entry.clock)
-
-
-def _with_values(photo: Photo, values: dict[str, Any]) -> Photo:
-    """Return a photo with a log's values, turned as the picture is; angles whose source is worse are left out."""
-    frame, oddities = photo.frame, photo.oddities
-    if "heading" in values:
-        sources = get_args(HeadingSource)  # best first
-        ours, theirs = frame.heading_source, values["heading_source"]
-        if ours is not None and sources.index(ours) < sources.index(theirs):
-            values = {name: value for name, value in values.items() if name not in _ANGLES}
-            oddities = (
-                *oddities,
-                f"keeps the heading of its {ours}, which is better than that of the {theirs} in the log",
-            )
-        elif photo.turns:
-            oddities = tuple(dict.fromkeys((*oddities, turned_oddity(photo.turns))))
-    if "fov" in values and frame.lens is not None:
-        oddities = (*oddities, "keeps the field of view of its lens, and not that in the log")
-    return replace(photo, frame=replace(frame, **upright_values(values, photo.turns, frame)), oddities=oddities)
 
 
 def _flight_of_videos(
@@ -512,7 +382,7 @@ def _flight_of_videos(
     frames, course_notes = with_courses(frames)
     notes += clock_notes + flight_notes(frames) + course_notes
     if broken:
-        notes.append(f"{len(broken)} of {len(files.videos)} videos are left out: {' '.join(broken[:_NAMED])}")
+        notes.append(_left_out(broken, len(files.videos), "videos"))
     return Flight(name, tuple(frames), tuple(notes))
 
 
@@ -576,13 +446,6 @@ def _on_one_clock(parts: Sequence[tuple[videos.VideoFrames, float | None]]) -> t
         for frame in part.frames
     ]
     return sorted(frames, key=lambda frame: (frame.time, natural(frame.name))), notes
-
-
-def _of_videos(options: FlightOptions) -> list[str]:
-    """Return the options on the command line that say something about videos or subtitles."""
-    usual = FlightOptions()
-    names = ("every", "every_metres", "gps_order")
-    return [f"--{name.replace('_', '-')}" for name in names if getattr(options, name) != getattr(usual, name)]
 
 
 def _with_lens(flight: Flight, lens: Lens, proportions: float) -> Flight:

@@ -1,4 +1,4 @@
-"""Logs of autopilots: ULog of PX4, MAVLink of ground stations (.tlog), and data flash of ArduPilot (.bin).
+"""Logs of autopilots: ULog of PX4, MAVLink of ground stations (.tlog), and data flash of ArduPilot (.bin, or .log as text).
 
 Each is read message by message in the order of time into the rows that tables and tracks have, too. Angles of a gimbal count
 before those of the aircraft; without a gimbal the camera counts as one that looks down from the aircraft's belly. The packages
@@ -24,15 +24,13 @@ from lpn.flight.files.telemetry import TelemetryEntry
 from lpn.flight.files.vehicles import VehicleState, euler_degrees
 
 SUFFIXES = (".ulg", ".tlog", ".bin")
-# How files of each kind begin; those of a .tlog begin with a time.
-_BEGINNINGS = {
-    ".ulg": b"ULog\x01\x12\x35",
-    ".bin": b"\xa3\x95\x80",
-}
+# How files of each kind begin; those of a .tlog begin with a time. ArduPilot's .log is its .bin as text.
+_BEGINNINGS = {".ulg": b"ULog\x01\x12\x35", ".bin": b"\xa3\x95\x80", ".log": b"FMT,"}
 _KINDS = {
     ".ulg": "a ULog of PX4",
     ".tlog": "a MAVLink log of a ground station",
     ".bin": "a data flash log of ArduPilot",
+    ".log": "a data flash log of ArduPilot as text",
 }
 # A time under this value is counted from a start; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
@@ -48,6 +46,12 @@ _PX4 = (
 _PX4_GPS = ("vehicle_gps_position", "sensor_gps")
 
 
+def is_vehicle_log(file: Path) -> bool:
+    """Return whether a file's name is that of an autopilot's log, or it is ArduPilot's log as text."""
+    suffix = file.suffix.lower()
+    return suffix in SUFFIXES or (suffix == ".log" and _beginning(file).startswith(_BEGINNINGS[suffix]))
+
+
 def read_vehicle_log(file: Path) -> Log:
     """Read a log of an autopilot.
 
@@ -59,7 +63,7 @@ def read_vehicle_log(file: Path) -> Log:
     name = printable(file.name)
     suffix = file.suffix.lower()
     _check_beginning(file, suffix, name)
-    reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash}[suffix]
+    reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash, ".log": _data_flash}[suffix]
     notes: list[str] = []
     try:
         with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
@@ -80,16 +84,19 @@ def read_vehicle_log(file: Path) -> Log:
 
 
 def _check_beginning(file: Path, suffix: str, name: str) -> None:
-    expected = _BEGINNINGS.get(suffix)
-    try:
-        with file.open("rb") as opened:
-            begin = opened.read(16)
-    except OSError as error:
-        raise DataError(f"{name} cannot be read ({error.strerror or error}); check it.") from error
+    begin, expected = _beginning(file), _BEGINNINGS.get(suffix)
     fits = begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")
     if not fits:
         found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
         raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
+
+
+def _beginning(file: Path) -> bytes:
+    try:
+        with file.open("rb") as opened:
+            return opened.read(16)
+    except OSError as error:
+        raise DataError(f"{printable(file.name)} cannot be read ({error.strerror or error}); check it.") from error
 
 
 def _ulog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
@@ -180,7 +187,8 @@ def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEn
     from pymavlink import DFReader
 
     state = VehicleState()
-    with contextlib.closing(DFReader.DFReader_binary(str(file))) as log:
+    opened = DFReader.DFReader_text if file.suffix.lower() == ".log" else DFReader.DFReader_binary
+    with contextlib.closing(opened(str(file))) as log:
         yield from _data_flash_entries(log, state)
     if state.outside:
         notes.append(_outside(state.outside, name))

@@ -52,20 +52,14 @@ def test_metres_are_measured_across_the_date_line() -> None:
     assert np.ptp(local_metres(degrees(frames))[:, 0]) == pytest.approx(222.6, abs=0.1)
 
 
-def test_jumps_pauses_and_stale_positions_are_noted() -> None:
+def test_jumps_and_missing_positions_are_noted() -> None:
     steady = [(0.0, 10.0 * i) for i in range(12)]
     assert not flight_notes(line(steady))
     far = [*steady[:6], (5000.0, 60.0), *steady[7:]]
     assert any(
         note.startswith("The GPS tags jump 2 times, first by 5000 m after 5.jpg") for note in flight_notes(line(far))
     )
-    stale = [*steady[:4], steady[3], steady[3], *steady[6:]]
-    assert "2 photos of a moving flight repeat the GPS tag before theirs: 4.jpg, 5.jpg; the tag lags there." in (
-        flight_notes(line(stale))
-    )
     frames = line(steady)
-    paused = [replace(frame, time=(frame.time or 0) + (300 if i > 4 else 0)) for i, frame in enumerate(frames)]
-    assert "The flight pauses once, for up to 302 s after 4.jpg." in flight_notes(paused)
     lost = [replace(frame, latitude=None, longitude=None) if i % 2 else frame for i, frame in enumerate(frames)]
     assert "6 of 12 photos have no GPS tag: 1.jpg, 3.jpg, 5.jpg, and 3 more." in flight_notes(lost)
     nowhere = [replace(frame, latitude=None, longitude=None) for frame in frames]
@@ -119,6 +113,25 @@ def test_tiff_photos_are_read_and_other_pictures_named(tmp_path: Path) -> None:
         for frame in flight.frames:
             assert load_picture(frame.file).shape == (frame.height, frame.width, 3)
         assert [frame.width for frame in flight.frames] == [40, 30, 30]
+
+
+def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
+    write_photo(tmp_path / "odm" / "images" / "a.jpg", exif(47.0, 8.0))
+    folder = tmp_path / "odm" / "odm_orthophoto"
+    folder.mkdir()
+    for name, tags in (
+        ("odm_orthophoto.tif", {33550: (0.05, 0.05, 0.0)}),
+        ("odm_orthophoto.png", None),
+        ("b.tif", None),
+    ):
+        Image.new("RGB", (40, 30)).save(folder / name, **({} if tags is None else {"tiffinfo": tags}))
+    write_photo(folder / "mosaic.jpg").with_suffix(".jgw").write_text("0.05\n0\n0\n-0.05\n500000\n5300000\n")
+    for flight in (open_flight(tmp_path / "odm"), make_flight([tmp_path / "odm"], tmp_path / "flight")):
+        assert [frame.name for frame in flight.frames] == ["a.jpg", "b.tif"]
+        named = "mosaic.jpg, odm_orthophoto.png, odm_orthophoto.tif"
+        assert f"Left out, because they are maps, not photos: {named}." in flight.notes
+    with pytest.raises(DataError, match=r"no photo and no video \(mosaic\.jpg is a map, which lpn map takes\)"):
+        make_flight([folder / "mosaic.jpg"], tmp_path / "other")
 
 
 @pytest.mark.parametrize(
@@ -218,3 +231,4 @@ def test_real_flights_are_read(
         assert width[0] < min(widths)
         assert max(widths) < width[1]
     assert any("its field of view is right if it was reduced" in note for note in flight.notes)
+    assert not any("cannot be read" in note for note in flight.notes)

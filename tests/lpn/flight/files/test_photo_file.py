@@ -38,13 +38,3 @@ def test_what_a_file_does_not_tell_is_said_to_be_missing(tmp_path: Path) -> None
     file = write_photo(tmp_path / "a.jpg")
     facts = dict(PhotoFile.of(file.read_bytes(), file).facts)
     assert {facts[name] for name in ("Taken", "Camera", "GPS tag")} == {"not told"}
-
-
-def test_what_the_name_alone_tells_is_said_to_be_of_the_name(tmp_path: Path) -> None:
-    file = write_photo(tmp_path / "@1620000000.25@119.93081@30.1234@.jpg")
-    facts = dict(PhotoFile.of(file.read_bytes(), file).facts)
-    assert facts["Taken"] == "2021-05-03 00:00:00 UTC by the file's name alone"
-    assert facts["GPS tag"] == "30.123400, 119.930810 (latitude and longitude of the camera) by the file's name alone"
-    timed = tmp_path / "@119.93081@30.1234@.jpg"
-    write_photo(timed, exif(gps={GPS.GPSDateStamp: "2024:05:01", GPS.GPSTimeStamp: (12.0, 0.0, 7.0)}))
-    assert dict(PhotoFile.of(timed.read_bytes(), timed).facts)["Taken"] == "2024-05-01 12:00:07 UTC"

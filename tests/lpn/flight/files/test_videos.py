@@ -84,7 +84,7 @@ def test_a_log_s_field_of_view_is_that_across_the_picture_as_it_was_taken(
         ("", "a.mp4 is turned by 90° by its file."),
         ("[gb_yaw: 40.0 gb_pitch: -90.0]", "a.mp4 is turned by 90° by its file, and its heading with it."),
         (
-            "[heading: 40.0]",
+            "F.PRY (0.0°, 0.0°, 40.0°)",
             "a.mp4 is turned by 90° by its file, and its heading with it. If the gimbal itself turned the camera, the heading, "
             "which is that of the aircraft, is off by as much.",
         ),
@@ -108,7 +108,7 @@ def test_subtitles_inside_the_video_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "latitude", "note"),
     [
-        ("HOME(E: 8.5, N: 47.3)\\NGPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
+        ("HOME(E: 8.5, N: 47.3)\nGPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
         ("GPS(E: 8.501, N: 47.301, 574.2m)", 47.301, None),
         ("Bat 15.1 V", None, "the subtitle stream of inside.mp4 holds no telemetry"),
     ],
