@@ -104,7 +104,7 @@ class LogTable:
             if not text:
                 continue
             number = read(text)
-            if number is None or not math.isfinite(number):
+            if number is None:
                 raise self._error(i, what, text, expected)
             # A unit in the cell counts in place of the column's.
             numbers[i] = number if text[-1].isalpha() or text[-1] == "°" else number * factor

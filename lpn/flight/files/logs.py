@@ -257,26 +257,26 @@ def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
         notes.append(
             f"{len(beyond)} positions of {table.name} are none on the Earth and were not used, first in line {first}."
         )
-    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]})
+    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]}, math.pi)
     return degrees
 
 
-def _radians_note(table: LogTable, columns: Mapping[str, Float64Array]) -> list[str]:
-    """Return a note, if any, about columns of no unit whose values may be radians, as all lie within half a turn of these."""
+def _radians_note(table: LogTable, columns: Mapping[str, Float64Array], most: float) -> list[str]:
+    """Return a note, if any, about columns of no unit whose values may be radians, as all are at most `most`."""
     unsaid = [what for what in columns if what in table.columns.unsaid and what != "fov"]
     known = np.concatenate([columns[what] for what in unsaid]) if unsaid else np.zeros(0)
-    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= math.pi:
+    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= most:
         return []
     names = [printable(table.header[table.columns.places[what]]) for what in unsaid]
     return [
-        f"All values of {', '.join(names)} in {table.name} lie within 3.14 of 0 and name no unit; they were read as degrees. If "
-        f"they are radians, say so in the header, as in {names[0]} (rad)."
+        f"All values of {', '.join(names)} in {table.name} lie within {most:.2f} of 0 and name no unit; they were read as "
+        f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
     ]
 
 
 def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
     """Take out angles beyond their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
-    notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES})
+    notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES}, math.tau)
     for what in [what for what in _ANGLES if what in columns]:
         angles = columns[what]
         if what in _TILTS:

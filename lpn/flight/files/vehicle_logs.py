@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -106,60 +106,53 @@ def _ulog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
     if log.file_corruption:
         notes.append(f"{name} is damaged in places; the rest of it was used.")
     topics = {data.name: data.data for data in reversed(log.data_list)}  # the first instance of each counts
-    lead = None
-    for topic in _PX4_GPS:
-        if topic in topics and "time_utc_usec" in topics[topic]:
-            utc = topics[topic]["time_utc_usec"].astype(np.float64) / 1e6
-            known = utc > _FIRST_EPOCH
-            if known.any():
-                lead = float(np.median((utc - topics[topic]["timestamp"] / 1e6)[known]))
-                break
+    leads = [lead for topic in _PX4_GPS if (lead := _lead(topics.get(topic, {}))) is not None]
     rows = sorted(
         (float(time) / 1e6, topic, i) for topic, data in topics.items() for i, time in enumerate(data["timestamp"])
     )
     state = VehicleState()
     for time, topic, i in rows:
-        columns = topics[topic]
-
-        def value(key: str, columns: dict[str, Any] = columns, i: int = i) -> float | None:
-            return float(columns[key][i]) if key in columns else None
-
-        entry = _px4(state, topic, time, value, None if lead is None else time + lead)
+        message = {key: float(column[i]) for key, column in topics[topic].items()}
+        entry = _px4(state, topic, time, message, time + leads[0] if leads else None)
         if entry is not None:
             yield entry
-    if state.outside:
-        notes.append(_outside(state.outside, name))
+    notes += _outside(state.outside, name)
+
+
+def _lead(receiver: dict[str, Any]) -> float | None:
+    """Return the seconds by which UTC is ahead of the log's clock, by the messages of a receiver; None if it knows no time."""
+    if "time_utc_usec" not in receiver:
+        return None
+    utc = receiver["time_utc_usec"].astype(np.float64) / 1e6
+    known = utc > _FIRST_EPOCH
+    return float(np.median((utc - receiver["timestamp"] / 1e6)[known])) if known.any() else None
 
 
 def _px4(
-    state: VehicleState, topic: str, time: float, value: Callable[[str], float | None], clock: float | None
+    state: VehicleState, topic: str, time: float, message: dict[str, float], clock: float | None
 ) -> TelemetryEntry | None:
-    """Take a message of PX4, whose fields are `value`s; return the entry of a position."""
-    q = [value(f"q[{i}]") for i in range(4)]
-    angles = euler_degrees(*(math.nan if one is None else one for one in q))
+    """Take a message of PX4; return the entry of a position."""
+    angles = euler_degrees(*(message.get(f"q[{i}]", math.nan) for i in range(4)))
     if topic == "vehicle_attitude":
         state.attitude(time, *angles)
     elif topic == "gimbal_device_attitude_status":
         # Flags as in MAVLink: 16 locks the yaw to north, 32 says that it is from north.
-        state.gimbal(time, *angles, bool(int(value("device_flags") or 0) & 48))
+        state.gimbal(time, *angles, bool(int(message.get("device_flags", 0)) & 48))
     elif topic == "vehicle_local_position":
-        if value("dist_bottom_valid"):
-            state.above_ground(time, value("dist_bottom") or math.nan)
-    elif topic in _PX4_GPS:
-        latitude, longitude, altitude = (value(key) for key in ("latitude_deg", "longitude_deg", "altitude_msl_m"))
-        if latitude is None:  # before PX4 1.14
-            scaled = [value(key) for key in ("lat", "lon", "alt")]
-            latitude, longitude, altitude = (
-                None if one is None else one / by for one, by in zip(scaled, (1e7, 1e7, 1e3), strict=True)
-            )
-        if latitude is not None and longitude is not None and (value("fix_type") or 0) >= 3:
-            return state.position(time, latitude, longitude, altitude, raw=True, clock=clock)
-    elif topic == "vehicle_global_position" and (latitude := value("lat")) is not None:
-        above = None
-        if (terrain := value("terrain_alt")) is not None and value("terrain_alt_valid"):
-            above = (value("alt") or math.nan) - terrain
-            state.above_ground(time, above)
-        return state.position(time, latitude, value("lon") or 0.0, value("alt"), clock=clock)
+        if message.get("dist_bottom_valid"):
+            state.above_ground(time, message.get("dist_bottom", math.nan))
+    elif topic in _PX4_GPS and message.get("fix_type", 0) >= 3:
+        if "latitude_deg" in message:
+            scales = {"latitude_deg": 1.0, "longitude_deg": 1.0, "altitude_msl_m": 1.0}
+        else:  # before PX4 1.14
+            scales = {"lat": 1e7, "lon": 1e7, "alt": 1e3}
+        latitude, longitude, altitude = (message.get(key, math.nan) / scale for key, scale in scales.items())
+        return state.position(time, latitude, longitude, altitude, raw=True, clock=clock)
+    elif topic == "vehicle_global_position" and "lat" in message:
+        altitude = message.get("alt", math.nan)
+        if message.get("terrain_alt_valid"):
+            state.above_ground(time, altitude - message.get("terrain_alt", math.nan))
+        return state.position(time, message["lat"], message.get("lon", math.nan), altitude, clock=clock)
     return None
 
 
@@ -178,8 +171,7 @@ def _tlog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
             f"{name} has positions of several vehicles; those of system {telemetry.system} were used, and not those of "
             f"{', '.join(others)}."
         )
-    if telemetry.outside:
-        notes.append(_outside(telemetry.outside, name))
+    notes += _outside(telemetry.outside, name)
 
 
 def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
@@ -190,8 +182,7 @@ def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEn
     opened = DFReader.DFReader_text if file.suffix.lower() == ".log" else DFReader.DFReader_binary
     with contextlib.closing(opened(str(file))) as log:
         yield from _data_flash_entries(log, state)
-    if state.outside:
-        notes.append(_outside(state.outside, name))
+    notes += _outside(state.outside, name)
 
 
 def _data_flash_entries(log: Any, state: VehicleState) -> Iterator[TelemetryEntry]:
@@ -221,5 +212,5 @@ def _data_flash_entries(log: Any, state: VehicleState) -> Iterator[TelemetryEntr
             yield entry
 
 
-def _outside(count: int, name: str) -> str:
-    return f"{count} positions of {name} are none on the Earth, and were left out."
+def _outside(count: int, name: str) -> list[str]:
+    return [f"{count} positions of {name} are none on the Earth, and were left out."] if count else []

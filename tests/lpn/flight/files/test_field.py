@@ -129,7 +129,7 @@ CASES = (
     by("a header", "radians.csv", "file,lat (rad),longitude rad,gimbal yaw rad,gimbal pitch rad\n"
        "a.jpg,0.825558190,0.148370440,0.5235987756,-1.5707963268\n", **HERE, heading=30.0, pitch=-90.0),
     by("no header", "no_unit.csv", "file,lat,lon,yaw,gimbal_pitch\na.jpg,47.301,8.501,1.57,-1.5\n",
-       "All values of yaw, gimbal_pitch in no_unit.csv lie within 3.14", **HERE, heading=1.57, pitch=-1.5),
+       "All values of yaw, gimbal_pitch in no_unit.csv lie within 6.28", **HERE, heading=1.57, pitch=-1.5),
     by("no header", "no_unit_of_positions.csv",
        "file,lat,lon\na.jpg,0.8255,0.1483\n", "All values of lat, lon", **at(0.8255, 0.1483)),
     by("a unit in the cell", "cells.csv", "file,lat,lon,heading (rad)\na.jpg,47.301°,8.501 E,90°\n", **HERE, heading=90.0),
@@ -234,6 +234,7 @@ BEGINS = "log.csv begins with {!r}; expected a line of column names with latitud
         ("lat,lon\n", "log.csv has column names and no row"),
         ("lat,lon\n1,2\nx,3\n", "Line 3 of log.csv has the latitude 'x'; expected a number"),
         ('sep=,\nlat,lon,name\n1,2,"a\nb"\n\nx,3,c\n', "Line 6 of log.csv has the latitude 'x'"),
+        ("timestamp,lat,lon\n1e999,47,8e+999\n", "Line 2 of log.csv has the longitude '8e+999'"),
         ("lat,lon\n1,inf\n", "Line 2 of log.csv has the longitude 'inf'"),
         ("lat,lon\n47.3 E,8.5 N\n", "has the latitude '47.3 E'; expected a number of degrees"),
         ('lat,lon,alt\n47.3,8.5,"1,234"\n', "has the altitude '1,234'; expected a number"),
