@@ -41,6 +41,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }  # fmt: skip
 _ALL_UNITS = _LENGTHS | _ANGLES | _DATES
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.*)[\])]\s*", re.DOTALL)
+# No name of a column is longer.
+_LONGEST = 200
 # The group of tags that exiftool -G writes before a name.
 _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)")
 
@@ -229,7 +231,7 @@ def _plain(text: str) -> str:
 
 def _names(text: str) -> Iterator[_Name]:
     """Yield what a column's name may be: all of it without a unit in brackets, and the part before another unit."""
-    text = _GROUP.sub("", text.lstrip("#% ").strip())
+    text = _GROUP.sub("", text.lstrip("#% ").strip()[:_LONGEST])
     if match := _BRACKETED.fullmatch(text):
         yield _Name(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())), True)
         return

@@ -27,11 +27,9 @@ SUFFIXES = (".ulg", ".tlog", ".bin")
 # How files of each kind begin; those of a .tlog begin with a time. ArduPilot's .log is its .bin as text.
 _BEGINNINGS = {".ulg": b"ULog\x01\x12\x35", ".bin": b"\xa3\x95\x80", ".log": b"FMT,"}
 _KINDS = {
-    ".ulg": "a ULog of PX4",
-    ".tlog": "a MAVLink log of a ground station",
-    ".bin": "a data flash log of ArduPilot",
+    ".ulg": "a ULog of PX4", ".tlog": "a MAVLink log of a ground station", ".bin": "a data flash log of ArduPilot",
     ".log": "a data flash log of ArduPilot as text",
-}
+}  # fmt: skip
 # A time under this value is counted from a start; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
 # Topics of PX4 that are read.
@@ -62,7 +60,10 @@ def read_vehicle_log(file: Path) -> Log:
     """
     name = printable(file.name)
     suffix = file.suffix.lower()
-    _check_beginning(file, suffix, name)
+    begin, expected = _beginning(file), _BEGINNINGS.get(suffix)
+    if not (begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")):
+        found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
+        raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
     reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash, ".log": _data_flash}[suffix]
     notes: list[str] = []
     try:
@@ -81,14 +82,6 @@ def read_vehicle_log(file: Path) -> Log:
     if not utc:
         notes.append(f"{name} has no time of day; its times are counted from its start.")
     return Log(name, tuple(LogRow(entry) for entry in entries), utc, tuple(notes))
-
-
-def _check_beginning(file: Path, suffix: str, name: str) -> None:
-    begin, expected = _beginning(file), _BEGINNINGS.get(suffix)
-    fits = begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")
-    if not fits:
-        found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
-        raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
 
 
 def _beginning(file: Path) -> bytes:
@@ -181,35 +174,34 @@ def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEn
     state = VehicleState()
     opened = DFReader.DFReader_text if file.suffix.lower() == ".log" else DFReader.DFReader_binary
     with contextlib.closing(opened(str(file))) as log:
-        yield from _data_flash_entries(log, state)
+        while (message := log.recv_match(type=["GPS", "POS", "ATT", "MNT", "RFND"])) is not None:
+            time = float(message._timestamp)
+            clock = time if time > _FIRST_EPOCH else None
+            if (entry := _ardupilot(state, message.get_type(), time, message.to_dict(), clock)) is not None:
+                yield entry
     notes += _outside(state.outside, name)
 
 
-def _data_flash_entries(log: Any, state: VehicleState) -> Iterator[TelemetryEntry]:
-    kinds = ["GPS", "POS", "ATT", "MNT", "RFND"]
-    while (message := log.recv_match(type=kinds)) is not None:
-        time = float(message._timestamp)
-        clock = time if time > _FIRST_EPOCH else None
-        fields = message.to_dict()
-        entry = None
-        match message.get_type():
-            case "ATT":
-                state.attitude(time, fields["Roll"], fields["Pitch"], fields["Yaw"])
-            case "MNT" if {"R", "P"} <= fields.keys():
-                # The yaw from north is YE, that from the nose YB; NaN where the mount does not know it.
-                north = fields.get("YE", math.nan)
-                known = math.isfinite(north)
-                state.gimbal(time, fields["R"], fields["P"], north if known else fields.get("YB", math.nan), known)
-            case "RFND" if fields.get("Orient", fields.get("Orient1")) == 25:
-                state.above_ground(time, fields.get("Dist", fields.get("Dist1", math.nan)))
-            case "POS":
-                entry = state.position(
-                    time, fields["Lat"], fields["Lng"], fields["Alt"], fields.get("RelHomeAlt"), clock=clock
-                )
-            case "GPS" if fields.get("Status", 0) >= 3:
-                entry = state.position(time, fields["Lat"], fields["Lng"], fields["Alt"], raw=True, clock=clock)
-        if entry is not None:
-            yield entry
+def _ardupilot(
+    state: VehicleState, kind: str, time: float, message: dict[str, Any], clock: float | None
+) -> TelemetryEntry | None:
+    """Take a message of ArduPilot; return the entry of a position."""
+    match kind:
+        case "ATT":
+            state.attitude(time, message["Roll"], message["Pitch"], message["Yaw"])
+        case "MNT" if {"R", "P"} <= message.keys():
+            # The yaw from north is YE, that from the nose YB; NaN where the mount does not know it.
+            north = message.get("YE", math.nan)
+            known = math.isfinite(north)
+            state.gimbal(time, message["R"], message["P"], north if known else message.get("YB", math.nan), known)
+        case "RFND" if message.get("Orient", message.get("Orient1")) == 25:
+            state.above_ground(time, message.get("Dist", message.get("Dist1", math.nan)))
+        case "POS":
+            above = message.get("RelHomeAlt")
+            return state.position(time, message["Lat"], message["Lng"], message["Alt"], above, clock=clock)
+        case "GPS" if message.get("Status", 0) >= 3:
+            return state.position(time, message["Lat"], message["Lng"], message["Alt"], raw=True, clock=clock)
+    return None
 
 
 def _outside(count: int, name: str) -> list[str]:
