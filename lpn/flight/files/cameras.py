@@ -11,6 +11,8 @@ Vectors are (north, east, down); those of a camera's body are (picture's top, pi
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -44,9 +46,40 @@ def from_gimbal(yaw: float, pitch: float, roll: float) -> tuple[float, float, fl
     return angles(_yaw_pitch_roll(yaw, pitch, roll) @ _BODY_IN_GIMBAL)
 
 
-def turned(heading: float, pitch: float, roll: float, turns: int) -> tuple[float, float, float]:
+def turned(
+    heading: float, pitch: float | None, roll: float | None, turns: int
+) -> tuple[float, float | None, float | None]:
     """Return the angles of a picture after quarter turns clockwise, which bring what was at its left to its top; in degrees."""
-    return angles(rotation(heading, pitch, roll) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
+    if not turns or pitch is None:
+        return (heading - 90.0 * turns) % 360.0, pitch, roll
+    return angles(rotation(heading, pitch, roll or 0.0) @ _yaw_pitch_roll(-90.0 * turns, 0.0, 0.0))
+
+
+def upright_values(
+    values: Mapping[str, Any], turns: int, frame: Frame, across_longer_side: bool = False
+) -> dict[str, Any]:
+    """Return telemetry of a frame with its angles turned as the picture is, and with the field of view across its width.
+
+    A frame whose lens is known keeps that one's field of view, with which its distortion is removed.
+
+    Args:
+        values: named as in `Frame`; None where unknown.
+        turns: quarter turns clockwise from the picture as it was taken to the frame.
+        across_longer_side: the field of view lies across the longer side, as subtitles tell it; else across the width of the
+            picture as it was taken.
+    """
+    upright = dict(values)
+    if turns and (heading := values.get("heading")) is not None:
+        told = turned(heading, values.get("pitch"), values.get("roll"), turns)
+        upright |= {
+            name: angle for name, angle in zip(("heading", "pitch", "roll"), told, strict=True) if angle is not None
+        }
+    is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
+    if frame.lens is not None:
+        upright.pop("fov", None)
+    elif is_across_height and (fov := values.get("fov")) is not None:
+        upright["fov"] = fov_across(fov, frame.width / frame.height)
+    return upright
 
 
 def footprint(frame: Frame, height: float | None = None) -> Float64Array | None:

@@ -220,7 +220,9 @@ class Properties:
             return None
         value = degrees(raw) if row.unit == "degrees" else number(raw)
         if value is None or abs(value) > _MOST.get(row.unit, math.inf):
-            self.refuse(f"{row.namespace}:{name}")
+            # A camera that did not zoom may write 0/0.
+            if row.field != "zoom":
+                self.refuse(f"{row.namespace}:{name}")
             return None
         return None if value == 0 and row.unit == "metres, 0 if unknown" else value
 
@@ -244,14 +246,10 @@ def number(value: Any) -> float | None:
     if isinstance(value, tuple | list) and len(value) == 1:
         value = value[0]
     try:
-        if isinstance(value, str | bytes):
-            above, _, below = text_of(value).partition("/")
-            found = values.number(above, comma=True)
-            value = None if found is None else found / float(below or 1)
-        value = float(value)
+        found = values.number(text_of(value), comma=True) if isinstance(value, str | bytes) else float(value)
     except (TypeError, ValueError, ZeroDivisionError, OverflowError):
         return None
-    return value if math.isfinite(value) else None
+    return found if found is not None and math.isfinite(found) else None
 
 
 def degrees(value: Any) -> float | None:

@@ -12,9 +12,10 @@ import numpy as np
 from lpn.core.files import first_few, printable
 from lpn.flight.files import logs
 from lpn.flight.files.base import Frame, HeadingSource, local_metres
+from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.clock_fit import fit_clocks
 from lpn.flight.files.logs import Log, LogRow
-from lpn.flight.files.photos import Photo, turned_oddity, upright_values
+from lpn.flight.files.photos import Photo, turned_oddity
 from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
 
 _ANGLES = ("heading", "pitch", "roll", "heading_source")

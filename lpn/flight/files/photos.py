@@ -14,7 +14,6 @@ import struct
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,6 +27,7 @@ from lpn.flight.files import cameras
 from lpn.flight.files.base import Frame, HeadingSource
 from lpn.flight.files.lenses import Lens, lens_of_dewarp_data
 from lpn.flight.files.makers import Convention, Properties, number, text_of
+from lpn.flight.files.values import moment
 from lpn.flight.files.xmp import read_xmp
 
 # Pillow raises these on damaged EXIF.
@@ -57,8 +57,7 @@ _SOURCES: Mapping[Convention, HeadingSource] = {
 _RTK_FIXED = 50
 # Texts that say that an altitude counts from the ellipsoid: DJI's AltitudeType, and VertCS of Pix4D and Skydio.
 _ELLIPSOIDAL = ("rtkalt", "ellipsoidal")
-# EXIF has colons between all numbers; programs write other marks, and blanks for zeros.
-_TIME = re.compile(r"(\d{4})[-:/.](\d\d)[-:/.](\d\d)[ T]+(\S.*)", re.ASCII)
+_ZONE = re.compile(r"\s*(?:Z|[-+]\d\d:?\d\d)$", re.ASCII)
 _QUARTER = 900.0
 
 
@@ -277,7 +276,7 @@ def _angles(known: _Metadata, turns: int) -> tuple[float | None, float | None, f
     pitch, roll = (None, None) if tilt is None else (tilt.pitch, tilt.roll)
     if best is not None and turns:
         known.oddities.append(turned_oddity(turns))
-    heading, pitch, roll = upright_angles(0.0 if best is None else best.heading or 0.0, pitch, roll, turns)
+    heading, pitch, roll = cameras.turned(0.0 if best is None else best.heading or 0.0, pitch, roll, turns)
     return (None, pitch, roll, None) if best is None else (heading, pitch, roll, best.source)
 
 
@@ -320,42 +319,6 @@ def _told_angles(known: _Metadata) -> Iterator[_Angles]:
 def turned_oddity(turns: int) -> str:
     """Return the oddity of a photo whose EXIF orientation turns picture and heading."""
     return f"is turned by {90 * turns}° by its EXIF orientation, and its heading with it"
-
-
-def upright_angles(
-    heading: float, pitch: float | None, roll: float | None, turns: int
-) -> tuple[float, float | None, float | None]:
-    """Return heading, pitch, and roll in degrees after quarter turns clockwise; see `lpn.flight.files.cameras.turned`."""
-    if not turns or pitch is None:
-        return (heading - 90.0 * turns) % 360.0, pitch, roll
-    return cameras.turned(heading, pitch, roll or 0.0, turns)
-
-
-def upright_values(
-    values: Mapping[str, Any], turns: int, frame: Frame, across_longer_side: bool = False
-) -> dict[str, Any]:
-    """Return telemetry of a frame with its angles turned as the picture is, and with the field of view across its width.
-
-    A frame whose lens is known keeps that one's field of view, with which its distortion is removed.
-
-    Args:
-        values: named as in `Frame`; None where unknown.
-        turns: quarter turns clockwise from the picture as it was taken to the frame.
-        across_longer_side: the field of view lies across the longer side, as subtitles tell it; else across the width of the
-            picture as it was taken.
-    """
-    upright = dict(values)
-    if turns and (heading := values.get("heading")) is not None:
-        angles = upright_angles(heading, values.get("pitch"), values.get("roll"), turns)
-        upright |= {
-            name: angle for name, angle in zip(("heading", "pitch", "roll"), angles, strict=True) if angle is not None
-        }
-    is_across_height = frame.height > frame.width if across_longer_side else turns % 2 == 1
-    if frame.lens is not None:
-        upright.pop("fov", None)
-    elif is_across_height and (fov := values.get("fov")) is not None:
-        upright["fov"] = cameras.fov_across(fov, frame.width / frame.height)
-    return upright
 
 
 def _view(known: _Metadata, turns: int) -> tuple[Lens | None, float | None]:
@@ -442,25 +405,26 @@ def _sensor_ratio(known: _Metadata, width: float, height: float) -> float | None
 def _times(known: _Metadata) -> tuple[float | None, float | None]:
     """Return the time of exposure in UTC and on the camera's clock, in seconds since 1970-01-01."""
     properties = known.properties
-    # A program that edits a photo sets DateTime, the last of the table, to its own time.
+    # A program that edits a photo sets DateTime, the last of the table, to its own time. Some cameras write blanks for zeros.
     name, stamp = next(properties.texts("taken"), ("", ""))
-    local, zone = _moment(stamp)
-    if local is None and re.search("[1-9]", stamp):
+    clock = _ZONE.sub("", stamp.replace(": ", ":0"))
+    taken = moment(clock)
+    if taken is None and re.search("[1-9]", stamp):
         properties.refuse(name)
     fraction = text_of(properties.raw("SubsecTimeOriginal"))
-    if local is not None and fraction.isascii() and fraction.isdecimal():
-        local += float(f"0.{fraction}")
+    fraction = fraction if fraction.isascii() and fraction.isdecimal() else "0"
+    local = None if taken is None else taken.seconds + float(f"0.{fraction}")
     for name, text in properties.texts("utc"):
-        if (utc := _moment(text)[0]) is not None:
-            return utc, local
+        if (exposed := moment(text)) is not None:
+            return exposed.seconds, local
         properties.refuse(name)
-    offset = properties.text("zone")
-    if local is not None and zone is None and re.search(r"\w", offset):
-        zone = _moment(f"{stamp}{offset}")[1]
-        if zone is None:
-            properties.refuse("exif:OffsetTimeOriginal")
-    if local is not None and zone is not None:
-        return local - zone, local
+    own_zone = _ZONE.search(stamp)
+    zone = properties.text("zone") if own_zone is None else own_zone[0]
+    zoned = moment(clock + zone)
+    if local is not None and zoned is not None and zoned.zoned:
+        return zoned.seconds + float(f"0.{fraction}"), local
+    if local is not None and re.search(r"\w", zone):
+        properties.refuse("exif:OffsetTimeOriginal")
     return _gps_time(properties), local
 
 
@@ -468,26 +432,11 @@ def _gps_time(properties: Properties) -> float | None:
     raw = properties.raw("GPSTimeStamp")
     parts = [number(part) for part in raw] if isinstance(raw, tuple | list) else []
     clock = [part for part in parts if part is not None and 0 <= part <= 60]
-    day, _ = _moment(f"{text_of(properties.raw('GPSDateStamp'))} 00:00:00")
+    day = moment(f"{text_of(properties.raw('GPSDateStamp'))} 00:00:00")
     if raw is not None and (len(parts) != 3 or len(clock) != 3 or clock[0] >= 24):
         properties.refuse("exif:GPSTimeStamp")
         return None
-    return None if day is None or not clock else day + 3600 * clock[0] + 60 * clock[1] + clock[2]
-
-
-def _moment(text: str) -> tuple[float | None, float | None]:
-    """Return the seconds since 1970-01-01 of a time as EXIF or ISO 8601 write it, and those of its zone; None without them."""
-    match = _TIME.fullmatch(text)
-    if match is None:
-        return None, None
-    clock = match[4].replace(": ", ":0").replace(" ", "")
-    clock = clock if clock[2:3] == ":" else f"0{clock}"
-    try:
-        moment = datetime.fromisoformat(f"{'-'.join(match.group(1, 2, 3))}T{clock}")
-    except ValueError:
-        return None, None
-    zone = moment.utcoffset()
-    return moment.replace(tzinfo=UTC).timestamp(), None if zone is None else zone.total_seconds()
+    return None if day is None or not clock else day.seconds + 3600 * clock[0] + 60 * clock[1] + clock[2]
 
 
 def set_times(photos: Sequence[Photo]) -> tuple[list[Frame], bool, list[str]]:

@@ -296,7 +296,10 @@ def _sorted_files(paths: Sequence[Path]) -> _Files:
 
 
 def _is_map(file: Path) -> bool:
-    """Return whether a picture is a GeoTIFF, as survey programs write below the folder of the photos."""
+    """Return whether a picture is a GeoTIFF or has a world file, as survey programs write below the folder of the photos."""
+    world = f".{file.suffix[1:2]}{file.suffix[-1:]}w".lower()
+    if any(file.with_suffix(suffix).is_file() for suffix in (world, world.upper(), ".wld")):
+        return True
     if file.suffix.lower() not in (".tif", ".tiff"):
         return False
     try:

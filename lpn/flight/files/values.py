@@ -196,5 +196,9 @@ def _moment(match: re.Match[str] | None, day_first: bool) -> Moment | None:
         return None
     zone = (match["zone"] or "").replace(":", "")
     if zone[:1] in ("+", "-") and zone[1:]:
-        seconds -= int(f"{zone[0]}1") * (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60)
+        ahead = int(f"{zone[0]}1") * (int(zone[1:3]) * 3600 + int(zone[3:5] or 0) * 60)
+        # No zone is farther from UTC than 14 hours.
+        if abs(ahead) > 14 * 3600:
+            return None
+        seconds -= ahead
     return Moment(seconds, bool(zone), ambiguous)

@@ -23,7 +23,7 @@ from lpn.core.arrays import UInt8Array
 from lpn.core.errors import DataError
 from lpn.core.files import printable, write_atomic
 from lpn.flight.files.base import Frame
-from lpn.flight.files.photos import upright_values
+from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.subtitles import GpsOrder, SubtitleBlock, Subtitles, parse_subtitles
 from lpn.flight.files.telemetry import VALUES, Telemetry
 
@@ -67,7 +67,7 @@ def read_frames(
         every: seconds from one frame to the next, 0.04 or more. The sharpest of the first second from there on is taken.
         every_metres: metres flown from one frame to the next, in place of `every`; needs positions.
         telemetry: of the video.
-        across_longer_side: where the telemetry's field of view lies, see `lpn.flight.files.photos.upright_values`.
+        across_longer_side: where the telemetry's field of view lies, see `lpn.flight.files.cameras.upright_values`.
 
     Raises:
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.

@@ -13,8 +13,8 @@ from lpn.core.errors import DataError, InputError
 from lpn.core.files import printable
 from lpn.flight.files import logs
 from lpn.flight.files.base import Frame
+from lpn.flight.files.cameras import upright_values
 from lpn.flight.files.mavlink import MavlinkTelemetry, mavlink_package
-from lpn.flight.files.photos import upright_values
 from lpn.flight.files.sources import read_any_log
 from lpn.flight.files.subtitles import read_subtitles
 from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry

@@ -125,9 +125,13 @@ def test_maps_of_a_survey_program_are_no_photos(tmp_path: Path) -> None:
         ("b.tif", None),
     ):
         Image.new("RGB", (40, 30)).save(folder / name, **({} if tags is None else {"tiffinfo": tags}))
+    write_photo(folder / "mosaic.jpg").with_suffix(".jgw").write_text("0.05\n0\n0\n-0.05\n500000\n5300000\n")
     for flight in (open_flight(tmp_path / "odm"), make_flight([tmp_path / "odm"], tmp_path / "flight")):
         assert [frame.name for frame in flight.frames] == ["a.jpg", "b.tif"]
-        assert "Left out, because they are maps, not photos: odm_orthophoto.png, odm_orthophoto.tif." in flight.notes
+        named = "mosaic.jpg, odm_orthophoto.png, odm_orthophoto.tif"
+        assert f"Left out, because they are maps, not photos: {named}." in flight.notes
+    with pytest.raises(DataError, match=r"no photo and no video \(mosaic\.jpg is a map, which lpn map takes\)"):
+        make_flight([folder / "mosaic.jpg"], tmp_path / "other")
 
 
 @pytest.mark.parametrize(
@@ -227,3 +231,4 @@ def test_real_flights_are_read(
         assert width[0] < min(widths)
         assert max(widths) < width[1]
     assert any("its field of view is right if it was reduced" in note for note in flight.notes)
+    assert not any("cannot be read" in note for note in flight.notes)

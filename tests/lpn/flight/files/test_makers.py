@@ -89,7 +89,8 @@ def test_unreadable_values_are_named_and_the_first_of_two_counts() -> None:
 @pytest.mark.parametrize(
     ("text", "value"),
     [
-        ("+39.80", 39.8), ("-8759/100", -87.59), ("12.5 m", 12.5), ("1e2", 100.0), (".5", 0.5), ((7,), 7.0), (b"\x37\x00", 7.0),
+        ("+39.80", 39.8), ("-8759/100", -87.59), ("12.5 m", 12.5), ("39,8", 39.8), ("1e2", 100.0), (".5", 0.5), ((7,), 7.0),
+        (b"\x37\x00", 7.0),
         ("0/0", None), ("1/0", None), ("", None), ("NA", None), ("nan", None), ("1e999", None), ((1, 2), None), (None, None),
     ],
 )  # fmt: skip

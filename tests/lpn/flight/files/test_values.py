@@ -54,6 +54,7 @@ def test_a_number_is_read_whole_or_not_at_all(text: str, points: float | None, c
         ("5/1/2024 12:00:00 AM", Moment(1714521600.0, False, True)),
         ("01.05.2024 12:00:00", Moment(1714564800.0, False)),
         ("2024-05-01", None),
+        ("2024-05-01 12:00:00+25:00", None),
         ("2024-13-01 12:00:00", None),
         ("2024-05-01 25:00:00", None),
     ],
