@@ -24,8 +24,8 @@ _DELIMITERS = (",", ";", "\t", None)
 # The line of names is looked for among so many lines, and has at most so many names.
 _MOST_HEAD, _MOST_NAMES = 200, 1000
 # The first line of OpenDroneMap's lists: a projection. Degrees are these alone.
-_PROJECTION = re.compile(r"EPSG:\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
-_DEGREES = re.compile(r"EPSG:(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
+_PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
+_DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
 _GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
 _GEO_TXT_ANGLES = ["yaw", "pitch", "roll"]
 _PIX4D = ["imagename", "latitude", "longitude", "altitude"]

@@ -97,10 +97,12 @@ def read_log(file: Path) -> Log:
     _clean_angles(table, columns, notes)
     clocks, zoned = _clocks(table, notes)
     times = _elapsed(table)
-    if "quality" in table.columns.places and (unfixed := sum(text != "1" for text in table.texts("quality"))):
+    fixed = table.columns.dialect.fixed
+    if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
+        column = printable(table.header[table.columns.places["quality"]])
         notes.append(
-            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution (Q is not 1): their positions may be off by "
-            "metres."
+            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution ({column} is not {fixed}): their positions may "
+            "be off by metres."
         )
     below = [text == "1" or text.casefold().startswith("below") for text in table.texts("below")]
     rows = []
