@@ -101,8 +101,8 @@ def read_log(file: Path) -> Log:
     if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
         column = printable(table.header[table.columns.places["quality"]])
         notes.append(
-            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution ({column} is not {fixed}): their positions may "
-            "be off by metres."
+            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution ({column} is not {fixed}), so they may be off "
+            "by metres."
         )
     below = [text == "1" or text.casefold().startswith("below") for text in table.texts("below")]
     rows = []
