@@ -263,7 +263,7 @@ def _best(
 ) -> tuple[int, float | None, bool] | None:
     """Return the place of a value's best column, the factor of its unit (None if that is unknown), and whether it is said.
 
-    The order of names counts, then a known unit before none, and none before an unknown one; for dates, UTC comes first.
+    The order of names counts, then a known unit before none, and none before an unknown one, or local time.
     """
     ranked = []
     units = UNITS[what]
@@ -277,9 +277,7 @@ def _best(
             is_unknown = bool(units and known.units and unit is None)
             factor = None if is_unknown else own if unit is None else units[unit]
             certainty = 2 if is_unknown or unit == "local" else 1 if unit is None else 0
-            order = (certainty, rank) if what == "date" else (rank, certainty)
-            ranked.append((order, at, factor, unit is not None or bool(wanted.units)))
+            ranked.append((rank, certainty, at, factor, unit is not None or bool(wanted.units)))
     if not ranked:
         return None
-    _, at, factor, said = min(ranked, key=lambda one: one[:2])
-    return at, factor, said
+    return min(ranked, key=lambda column: column[:3])[2:]

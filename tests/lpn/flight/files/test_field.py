@@ -28,6 +28,17 @@ LITCHI += "yaw(deg),pitchRaw,rollRaw,yawRaw,gimbalPitchRaw,gimbalRollRaw,gimbalY
 PHANTOMHELP = "https://forum.phantomhelp.com/t/flight-reader-field-descriptions/10579"
 MAVLINK = "https://mavlink.io/en/messages/common.html#GLOBAL_POSITION_INT"
 
+ARDUPILOT = "https://ardupilot.org/copter/docs/logmessages.html"
+FMT = (
+    "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+    "FMT, 130, 50, GPS, QBIHBcLLefffB, TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U\n"
+    "FMT, 131, 44, MNT, Qffff, TimeUS,R,P,YB,YE\nFMT, 132, 44, ATT, Qffffff, TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw\n"
+)
+FIXES = "".join(
+    f"GPS, 100{i}00000, 4, {468018000 + 100 * i}, 2313, 14, 0.8, 47.301, 8.501, 500.0, 2.0, 0.0, 0.0, 1\n"
+    for i in range(8)
+)
+
 Case = tuple[str, str, str, dict[str, Any], str]
 
 
@@ -118,11 +129,12 @@ CASES = (
     by(MAVLINK, "mavlogdump.csv",
        "timestamp,time_boot_ms,lat,lon,alt,relative_alt,vx,vy,vz,hdg\n1714564800.5,100,473010000,85010000,512500,45200,0,0,0,2820\n",
        **HERE, altitude=512.5, height_above_takeoff=45.2, heading=28.2, clock=1714564800.5),
-    by("ArduPilot's text log", "2024-05-10.log",
-       "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
-       "FMT, 130, 50, GPS, QBIHBcLLefffB, TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U\n"
-       + "".join(f"GPS, {i}00000, 4, {468018000 + i}, 2313, 14, 0.8, 47.301, 8.501, 500.0, 2.0, 0.0, 0.0, 1\n" for i in range(8)),
-       **HERE, altitude=500.0, clock=1715335200.0),
+    by(ARDUPILOT, "2024-05-10.log", FMT + "ATT, 100000000, 0, 0, 0, 0, 0, 10\n" + FIXES,
+       **HERE, altitude=500.0, clock=1715335200.0, heading=10.0, heading_source="aircraft", pitch=-90.0),
+    by(ARDUPILOT, "nose.log", FMT + "ATT, 100000000, 0, 0, 0, 0, 0, 10\nMNT, 100000000, 0, -60, 20, nan\n" + FIXES,
+       heading=30.0, heading_source="gimbal", pitch=-60.0),
+    by(ARDUPILOT, "north.log", FMT + "ATT, 100000000, 0, 0, 0, 0, 0, 10\nMNT, 100000000, 0, -60, 20, 50\n" + FIXES,
+       heading=50.0, heading_source="gimbal", pitch=-60.0),
     # Units that headers say
     by("a header", "units.csv",
        "lat_degE7,lon [degE7],alt mm AMSL,relative_alt (mm),hdg [cdeg]\n473010000,85010000,1500000,60000,120\n",
