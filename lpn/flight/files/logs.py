@@ -6,6 +6,7 @@ name of their column says: degrees on the Earth. Where nothing names a unit, met
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import defaultdict
@@ -202,26 +203,24 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     timed = [(row, time) for row, time in zip(log.rows, clocks, strict=True) if time is not None]
     if not timed:
         raise DataError(f"{log.name} has no times, so it does not fit a video; expected a column time or datetime.")
-    starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
-    ends = [next((j for j in range(i, len(timed)) if not timed[j][0].recording), len(timed)) for i in starts]
     notes, start = [], None
-    if not any(row.recording is not None for row, _ in timed):
-        starts, ends, number = [0], [len(timed)], 0
+    if all(row.recording is None for row, _ in timed):
         start, note = _start(log, began, timed)
         notes.append(note)
-    if number >= len(starts):
-        raise DataError(
-            f"{log.name} has {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
-        )
-    first, end = starts[number], ends[number]
-    if start is None and timed[end - 1][1] - timed[first][1] < _LEAST_RECORDING:
-        end = starts[number + 1] if number + 1 < len(starts) else len(timed)
-        notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
-    start = timed[first][1] if start is None else start
-    entries, note_of_twice = _distinct(
-        [replace(row.entry, time=time - start) for row, time in timed[first:end]], log.name
-    )
-    return entries, notes + ([] if note_of_twice is None else [note_of_twice])
+    else:
+        starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
+        if number >= len(starts):
+            raise DataError(
+                f"{log.name} has {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
+            )
+        following = timed[starts[number] : starts[number + 1] if number + 1 < len(starts) else None]
+        timed = list(itertools.takewhile(lambda pair: pair[0].recording, following))
+        if timed[-1][1] - timed[0][1] < _LEAST_RECORDING:
+            timed = following
+            notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
+    start = timed[0][1] if start is None else start
+    entries, twice = _distinct([replace(row.entry, time=time - start) for row, time in timed], log.name)
+    return entries, notes if twice is None else [*notes, twice]
 
 
 def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
