@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,6 +19,8 @@ from lpn.flight.files.logs import Log, LogRow
 from lpn.flight.files.photos import Photo, turned_oddity
 from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
 
+# A row belongs to one of several photos of its name if that one is so many times nearer to it than the others.
+_CLEARLY = 3.0
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 
 
@@ -63,8 +66,10 @@ def _by_name(photos: Sequence[Photo], log: Log, rows: dict[str, list[LogRow]]) -
         of = [
             claiming[j] for j in logs.nearest_in_folders(logs.path_parts(row.file or ""), [paths[i] for i in claiming])
         ]
-        if len(of) == 1:
-            made[of[0]] = _with_entry(photos[of[0]], row.entry, log.utc)
+        apart = sorted((_metres_apart(photos[i].frame, row.entry), i) for i in of)
+        if len(of) == 1 or _CLEARLY * apart[0][0] < apart[1][0] <= apart[-1][0] < math.inf:
+            i = apart[0][1]
+            made[i] = _with_entry(photos[i], row.entry, log.utc)
             continue
         names = first_few([printable(photos[i].frame.name) for i in of], 3)
         notes.append(
@@ -80,9 +85,9 @@ def _by_name(photos: Sequence[Photo], log: Log, rows: dict[str, list[LogRow]]) -
 
 
 def _metres_apart(frame: Frame, entry: TelemetryEntry) -> float:
-    """Return the metres between two positions, 0 if one is unknown."""
+    """Return the metres between two positions, infinite if one is unknown."""
     if frame.latitude is None or entry.latitude is None:
-        return 0.0
+        return math.inf
     both = np.array([(frame.latitude, frame.longitude), (entry.latitude, entry.longitude)], np.float64)
     return float(np.hypot(*local_metres(both)[1]))
 

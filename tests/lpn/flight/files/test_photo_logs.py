@@ -40,6 +40,27 @@ def test_photos_of_one_name_never_share_a_row(
     assert bool(said) == bool(note)
 
 
+@pytest.mark.parametrize(
+    ("tags", "latitudes"),
+    [
+        ((47.10001, 47.2), (47.1, 47.2)),
+        ((47.10001, 47.10002), (47.10001, 47.10002)),
+        ((47.10001, None), (47.10001, None)),
+    ],
+)
+def test_the_photos_own_positions_decide_between_two_of_one_name(
+    tmp_path: Path, tags: tuple[float, float | None], latitudes: tuple[float, float | None]
+) -> None:
+    for file, tag in zip(TWO, tags, strict=True):
+        write_photo(tmp_path / file, None if tag is None else exif(tag, 8.0))
+    (tmp_path / "log.csv").write_text("file,lat,lon\nDJI_0001.JPG,47.1,8\n")
+    flight = make_flight([tmp_path, tmp_path / "log.csv"], tmp_path / "flight")
+    assert [frame.latitude for frame in flight.frames] == [
+        None if at is None else pytest.approx(at) for at in latitudes
+    ]
+    assert any(note.endswith(NOT_TOLD) for note in flight.notes) == (latitudes[0] != 47.1)
+
+
 @pytest.mark.parametrize(("positioned", "latitude"), [(True, 47.3), (False, 47.4)])
 def test_a_picture_listed_twice_is_said_and_never_silently_the_last(
     tmp_path: Path, positioned: bool, latitude: float
