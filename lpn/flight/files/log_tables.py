@@ -44,6 +44,7 @@ class LogTable:
         header: the names as they are written.
         rows: cells with the number of their line, from 1.
         name: the file's, for messages.
+        commas: a comma may be the decimal sign, as it does not separate the cells.
         notes: sentences about what was odd.
     """
 

@@ -43,7 +43,8 @@ _LEAST_RECORDING = 1.5
 _EPOCHS = (1e9, 1e11)
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
-_SCALED_HINT = " Another unit is named behind a column, as in lat (degE7)."
+_SWAPPED = " Check that latitude and longitude are not exchanged."
+_SCALED = " Another unit is named behind a column, as in lat (degE7)."
 
 
 @dataclass(frozen=True)
@@ -247,7 +248,7 @@ def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
     if len(beyond) > _MOST_BEYOND * known.sum():
         line, (latitude, longitude) = table.rows[beyond[0]][0], degrees[beyond[0]]
         largest = np.abs(degrees[beyond[0]]).max()
-        hint = "" if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED_HINT
+        hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
         raise DataError(
             f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to "
             f"90.{hint}"
