@@ -41,6 +41,8 @@ UNITS: Mapping[str, Mapping[str, float]] = {
 }  # fmt: skip
 _ALL_UNITS = _LENGTHS | _ANGLES | _DATES
 _BRACKETED = re.compile(r"(.*?)\s*[\[(](.*)[\])]\s*", re.DOTALL)
+# No name of a column is longer.
+_LONGEST = 200
 # The group of tags that exiftool -G writes before a name.
 _GROUP = re.compile(r"(?:EXIF|XMP|GPS|File|Composite|IFD0|ExifIFD)[\w-]*:(?=\w)")
 
@@ -55,6 +57,7 @@ class Dialect:
         source: page that documents it.
         note: what a user should know of such a table; {name} is the file's.
         before_utc: seconds by which its clock is ahead of UTC; None where only the header tells the zone.
+        fixed: the text of `quality` that stands for a fixed RTK solution.
     """
 
     program: str
@@ -63,12 +66,13 @@ class Dialect:
     source: str
     note: str = ""
     before_utc: float | None = None
+    fixed: str = ""
 
 
 # fmt: off
 _AGISOFT = {"file": "Label | Camera", "direction": "Yaw", "nose": "Pitch", "bank": "Roll", "altitude": "Z/Altitude"}
 _RTKLIB = {"altitude": "height", "quality": "Q"}
-_RTKLIB_NOTE = "The heights of {name} are above the ellipsoid, as RTKLIB writes them, and not above the sea."
+_ELLIPSOID = "The heights of {name} are above the ellipsoid, and not above the sea."
 _METASHAPE = "https://www.agisoft.com/pdf/metashape-pro_2_1_en.pdf"
 _RTKLIB_PAGE = "https://www.rtklib.com/prog/manual_2.4.2.pdf"
 DIALECTS = (
@@ -82,7 +86,7 @@ DIALECTS = (
         "clock": "CUSTOM.updateTime", "is_video": "CAMERA.isVideo | CUSTOM.isVideo",
     }, "https://forum.phantomhelp.com/t/flight-reader-field-descriptions/10579"),
     # pitch(deg) beside pitchRaw shows the unit of the raw angles.
-    Dialect("Litchi", ("gimbalPitchRaw", "gimbalRollRaw", "gimbalYawRaw"), {
+    Dialect("Litchi", ("gimbalPitchRaw",), {
         "gimbal_heading": "gimbalYawRaw [ddeg]", "gimbal_pitch": "gimbalPitchRaw [ddeg]",
         "gimbal_roll": "gimbalRollRaw [ddeg]", "is_video": "isRecordingVideo",
     }, "https://flylitchi.com/help"),
@@ -91,8 +95,8 @@ DIALECTS = (
         "below": "GPSAltitudeRef", "height_above_takeoff": "RelativeAltitude",
         "date": "GPSDateTime | DateTimeOriginal | CreateDate", "gimbal_heading": "GimbalYawDegree",
         "gimbal_pitch": "GimbalPitchDegree", "gimbal_roll": "GimbalRollDegree", "heading": "FlightYawDegree",
-        "direction": "GPSImgDirection",
-    }, "https://exiftool.org/TagNames/GPS.html"),
+        "direction": "GPSImgDirection", "quality": "RtkFlag",
+    }, "https://exiftool.org/TagNames/DJI.html", fixed="50"),
     Dialect("Agisoft Metashape", ("X/Longitude", "Y/Latitude"),
         _AGISOFT | {"latitude": "Y/Latitude", "longitude": "X/Longitude"}, _METASHAPE),
     Dialect("Agisoft PhotoScan", ("X/East", "Y/North"),
@@ -113,8 +117,8 @@ DIALECTS = (
         "heading": "Flight_Yaw", "height_above_takeoff": "Altitude",
     }, "https://github.com/TIERS/wildnav",
         "The column Altitude of {name} counts as height above take-off, as in wildnav's files."),
-    Dialect("RTKLIB", ("GPST", "Q"), _RTKLIB | {"date": "GPST"}, _RTKLIB_PAGE, _RTKLIB_NOTE, 18.0),
-    Dialect("RTKLIB", ("UTC", "Q"), _RTKLIB | {"date": "UTC"}, _RTKLIB_PAGE, _RTKLIB_NOTE, 0.0),
+    Dialect("RTKLIB", ("GPST", "Q"), _RTKLIB | {"date": "GPST"}, _RTKLIB_PAGE, _ELLIPSOID, 18.0, "1"),
+    Dialect("RTKLIB", ("UTC", "Q"), _RTKLIB | {"date": "UTC"}, _RTKLIB_PAGE, _ELLIPSOID, 0.0, "1"),
     Dialect("mavlogdump.py", ("time_boot_ms", "relative_alt", "hdg"), {
         "latitude": "lat [degE7]", "longitude": "lon [degE7]", "altitude": "alt [mm]", "heading": "hdg [cdeg]",
         "height_above_takeoff": "relative_alt [mm]", "date": "timestamp",
@@ -130,7 +134,8 @@ COMMON = Dialect("any", (), {
     "height_above_ground": "height above ground | agl | height agl | altitude agl",
     "height_above_takeoff": "height above takeoff | relative altitude | altitude relative | relative height | relative alt"
     " | rel alt | height above home | ascent | height",
-    "altitude": "altitude above sea level | absolute altitude | abs alt | altitude amsl | gps altitude | altitude | alt",
+    "altitude": "altitude above sea level | absolute altitude | abs alt | altitude amsl | gps altitude | altitude | alt"
+    " | ellipsoidal height | ellipsoid height",
     "gimbal_heading": "gimbal heading | gimbal yaw | camera heading | camera yaw",
     "gimbal_pitch": "gimbal pitch | camera pitch",
     "gimbal_roll": "gimbal roll | camera roll",
@@ -215,6 +220,18 @@ def columns_of(header: Sequence[str], name: str) -> Columns:
         notes.append(f"The column height of {name} does not say above what; it counts as height above take-off.")
     if {"omega", "phi", "kappa"} <= plain:
         notes.append(f"The columns omega, phi, and kappa of {name} are angles of photogrammetry, and were not read.")
+    if "ellips" in (header[places["altitude"]].casefold() if "altitude" in places else ""):
+        notes.append(_ELLIPSOID.format(name=name))
+    tilts = [
+        printable(header[at])
+        for at, names in enumerate(cells)
+        if names[0].plain in ("pitch", "roll") and at not in taken
+    ]
+    if tilts and "gimbal_pitch" not in places:
+        notes.append(
+            f"The columns {' and '.join(tilts)} of {name} do not say whether they are the camera's, and were not read; call them "
+            "gimbal_pitch and gimbal_roll if they are."
+        )
     if dialect.note:
         notes.append(dialect.note.format(name=name))
     utc = dialect.before_utc is not None or (
@@ -229,7 +246,7 @@ def _plain(text: str) -> str:
 
 def _names(text: str) -> Iterator[_Name]:
     """Yield what a column's name may be: all of it without a unit in brackets, and the part before another unit."""
-    text = _GROUP.sub("", text.lstrip("#% ").strip())
+    text = _GROUP.sub("", text.lstrip("#% ").strip()[:_LONGEST])
     if match := _BRACKETED.fullmatch(text):
         yield _Name(_plain(match[1]), tuple(re.split(r"[\s,;]+", match[2].casefold().strip())), True)
         return
@@ -246,7 +263,7 @@ def _best(
 ) -> tuple[int, float | None, bool] | None:
     """Return the place of a value's best column, the factor of its unit (None if that is unknown), and whether it is said.
 
-    The order of names counts, then a known unit before none, and none before an unknown one; for dates, UTC comes first.
+    The order of names counts, then a known unit before none, and none before an unknown one, or local time.
     """
     ranked = []
     units = UNITS[what]
@@ -260,9 +277,7 @@ def _best(
             is_unknown = bool(units and known.units and unit is None)
             factor = None if is_unknown else own if unit is None else units[unit]
             certainty = 2 if is_unknown or unit == "local" else 1 if unit is None else 0
-            order = (certainty, rank) if what == "date" else (rank, certainty)
-            ranked.append((order, at, factor, unit is not None or bool(wanted.units)))
+            ranked.append((rank, certainty, at, factor, unit is not None or bool(wanted.units)))
     if not ranked:
         return None
-    _, at, factor, said = min(ranked, key=lambda one: one[:2])
-    return at, factor, said
+    return min(ranked, key=lambda column: column[:3])[2:]

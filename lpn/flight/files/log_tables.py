@@ -21,9 +21,11 @@ from lpn.flight.files import values
 from lpn.flight.files.dialects import Columns, columns_of
 
 _DELIMITERS = (",", ";", "\t", None)
+# The line of names is looked for among so many lines, and has at most so many names.
+_MOST_HEAD, _MOST_NAMES = 200, 1000
 # The first line of OpenDroneMap's lists: a projection. Degrees are these alone.
-_PROJECTION = re.compile(r"EPSG:\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
-_DEGREES = re.compile(r"EPSG:(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
+_PROJECTION = re.compile(r"EPSG:\s*\d+|\+proj=.*|WGS84 UTM \d+[NS]?", re.IGNORECASE)
+_DEGREES = re.compile(r"EPSG:\s*(?:4326|4979)|\+proj=(?:longlat|latlong).*", re.IGNORECASE)
 _GEO_TXT = ["image_name", "geo_x", "geo_y", "geo_z"]
 _GEO_TXT_ANGLES = ["yaw", "pitch", "roll"]
 _PIX4D = ["imagename", "latitude", "longitude", "altitude"]
@@ -42,6 +44,7 @@ class LogTable:
         header: the names as they are written.
         rows: cells with the number of their line, from 1.
         name: the file's, for messages.
+        commas: a comma may be the decimal sign, as it does not separate the cells.
         notes: sentences about what was odd.
     """
 
@@ -104,7 +107,7 @@ class LogTable:
             if not text:
                 continue
             number = read(text)
-            if number is None or not math.isfinite(number):
+            if number is None:
                 raise self._error(i, what, text, expected)
             # A unit in the cell counts in place of the column's.
             numbers[i] = number if text[-1].isalpha() or text[-1] == "°" else number * factor
@@ -175,11 +178,13 @@ def _header(lines: Sequence[tuple[int, str]], name: str) -> tuple[int, str | Non
     The index is -1 where the rows begin with the first line.
     """
     first = next((i for i, (_, line) in enumerate(lines) if not _is_comment(line)), len(lines) - 1)
-    for at, (_, line) in enumerate(lines[: first + 1]):
+    for at, (_, line) in enumerate(lines[: min(first + 1, _MOST_HEAD)]):
         for delimiter in _DELIMITERS:
             header = _split(line, delimiter)
             header = header[1:] if header[0] in ("#", "%") else header
-            if any(values.angle(cell) is not None for cell in header) or not columns_of(header, name).has_position:
+            if len(header) > _MOST_NAMES or any(values.angle(cell) is not None for cell in header):
+                continue
+            if not columns_of(header, name).has_position:
                 continue
             # RTKLIB writes a date and a time of day below one name.
             if delimiter is None and header[0].lstrip("%") in ("GPST", "UTC"):

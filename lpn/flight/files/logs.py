@@ -6,6 +6,7 @@ name of their column says: degrees on the Earth. Where nothing names a unit, met
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from collections import defaultdict
@@ -42,7 +43,8 @@ _LEAST_RECORDING = 1.5
 _EPOCHS = (1e9, 1e11)
 # Positions from here on are eastings and northings of a map, or degrees times 1e7.
 _LEAST_GRID, _LEAST_SCALED = 1e3, 2e7
-_SCALED_HINT = " Another unit is named behind a column, as in lat (degE7)."
+_SWAPPED = " Check that latitude and longitude are not exchanged."
+_SCALED = " Another unit is named behind a column, as in lat (degE7)."
 
 
 @dataclass(frozen=True)
@@ -97,10 +99,12 @@ def read_log(file: Path) -> Log:
     _clean_angles(table, columns, notes)
     clocks, zoned = _clocks(table, notes)
     times = _elapsed(table)
-    if "quality" in table.columns.places and (unfixed := sum(text != "1" for text in table.texts("quality"))):
+    fixed = table.columns.dialect.fixed
+    if unfixed := sum(text not in ("", fixed) for text in table.texts("quality")):
+        column = printable(table.header[table.columns.places["quality"]])
         notes.append(
-            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution (Q is not 1): their positions may be off by "
-            "metres."
+            f"{unfixed} of {len(places)} rows of {name} have no fixed RTK solution ({column} is not {fixed}), so they may be off "
+            "by metres."
         )
     below = [text == "1" or text.casefold().startswith("below") for text in table.texts("below")]
     rows = []
@@ -200,26 +204,24 @@ def for_video(log: Log, number: int, began: float | None = None) -> tuple[list[T
     timed = [(row, time) for row, time in zip(log.rows, clocks, strict=True) if time is not None]
     if not timed:
         raise DataError(f"{log.name} has no times, so it does not fit a video; expected a column time or datetime.")
-    starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
-    ends = [next((j for j in range(i, len(timed)) if not timed[j][0].recording), len(timed)) for i in starts]
     notes, start = [], None
-    if not any(row.recording is not None for row, _ in timed):
-        starts, ends, number = [0], [len(timed)], 0
+    if all(row.recording is None for row, _ in timed):
         start, note = _start(log, began, timed)
         notes.append(note)
-    if number >= len(starts):
-        raise DataError(
-            f"{log.name} has {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
-        )
-    first, end = starts[number], ends[number]
-    if start is None and timed[end - 1][1] - timed[first][1] < _LEAST_RECORDING:
-        end = starts[number + 1] if number + 1 < len(starts) else len(timed)
-        notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
-    start = timed[first][1] if start is None else start
-    entries, note_of_twice = _distinct(
-        [replace(row.entry, time=time - start) for row, time in timed[first:end]], log.name
-    )
-    return entries, notes + ([] if note_of_twice is None else [note_of_twice])
+    else:
+        starts = [i for i, (row, _) in enumerate(timed) if row.recording and not (i and timed[i - 1][0].recording)]
+        if number >= len(starts):
+            raise DataError(
+                f"{log.name} has {len(starts)} recordings, and this is video {number + 1}; give the log of this flight."
+            )
+        following = timed[starts[number] : starts[number + 1] if number + 1 < len(starts) else None]
+        timed = list(itertools.takewhile(lambda pair: pair[0].recording, following))
+        if timed[-1][1] - timed[0][1] < _LEAST_RECORDING:
+            timed = following
+            notes.append(f"{log.name} has the start of the video but not its length; all rows from there on were used.")
+    start = timed[0][1] if start is None else start
+    entries, twice = _distinct([replace(row.entry, time=time - start) for row, time in timed], log.name)
+    return entries, notes if twice is None else [*notes, twice]
 
 
 def _start(log: Log, began: float | None, timed: Sequence[tuple[LogRow, float]]) -> tuple[float | None, str]:
@@ -246,7 +248,7 @@ def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
     if len(beyond) > _MOST_BEYOND * known.sum():
         line, (latitude, longitude) = table.rows[beyond[0]][0], degrees[beyond[0]]
         largest = np.abs(degrees[beyond[0]]).max()
-        hint = "" if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED_HINT
+        hint = _SWAPPED if largest < _LEAST_GRID else f" {GRID}" if largest < _LEAST_SCALED else _SCALED
         raise DataError(
             f"Line {line} of {table.name} has the position {latitude:g}, {longitude:g}; expected degrees, latitude from -90 to "
             f"90.{hint}"
@@ -257,26 +259,26 @@ def _on_earth(table: LogTable, notes: list[str]) -> Float64Array:
         notes.append(
             f"{len(beyond)} positions of {table.name} are none on the Earth and were not used, first in line {first}."
         )
-    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]})
+    notes += _radians_note(table, {"latitude": degrees[:, 0], "longitude": degrees[:, 1]}, math.pi)
     return degrees
 
 
-def _radians_note(table: LogTable, columns: Mapping[str, Float64Array]) -> list[str]:
-    """Return a note, if any, about columns of no unit whose values may be radians, as all lie within half a turn of these."""
+def _radians_note(table: LogTable, columns: Mapping[str, Float64Array], most: float) -> list[str]:
+    """Return a note, if any, about columns of no unit whose values may be radians, as all are at most `most`."""
     unsaid = [what for what in columns if what in table.columns.unsaid and what != "fov"]
     known = np.concatenate([columns[what] for what in unsaid]) if unsaid else np.zeros(0)
-    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= math.pi:
+    if np.isnan(known).all() or not 0 < np.nanmax(np.abs(known)) <= most:
         return []
     names = [printable(table.header[table.columns.places[what]]) for what in unsaid]
     return [
-        f"All values of {', '.join(names)} in {table.name} lie within 3.14 of 0 and name no unit; they were read as degrees. If "
-        f"they are radians, say so in the header, as in {names[0]} (rad)."
+        f"All values of {', '.join(names)} in {table.name} lie within {most:.2f} of 0 and name no unit; they were read as "
+        f"degrees. If they are radians, say so in the header, as in {names[0]} (rad)."
     ]
 
 
 def _clean_angles(table: LogTable, columns: dict[str, Float64Array], notes: list[str]) -> None:
     """Take out angles beyond their range, or their column, and a gimbal's pitch that looks up throughout; notes name them."""
-    notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES})
+    notes += _radians_note(table, {what: columns[what] for what in columns if what in _ANGLES}, math.tau)
     for what in [what for what in _ANGLES if what in columns]:
         angles = columns[what]
         if what in _TILTS:

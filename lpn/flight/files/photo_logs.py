@@ -11,6 +11,7 @@ from typing import Any, get_args
 import numpy as np
 
 from lpn.core.files import first_few, printable
+from lpn.core.numbers import distance
 from lpn.flight.files import logs
 from lpn.flight.files.base import Frame, HeadingSource, local_metres
 from lpn.flight.files.cameras import upright_values
@@ -21,6 +22,8 @@ from lpn.flight.files.telemetry import VALUES, Telemetry, TelemetryEntry
 
 # A row belongs to one of several photos of its name if that one is so many times nearer to it than the others.
 _CLEARLY = 3.0
+# The median distance in metres of a log's positions from the photos' own beyond which a note doubts them.
+_ELSEWHERE = 1000.0
 _ANGLES = ("heading", "pitch", "roll", "heading_source")
 
 
@@ -81,10 +84,17 @@ def _by_name(photos: Sequence[Photo], log: Log, rows: dict[str, list[LogRow]]) -
             f"{len(twice)} of {len(photos)} photos are listed more than once in {log.name} with different values, such as "
             f"{twice[0]}; the row nearest to the photo's own position was used, or the first one without such a position."
         )
+    changes = [(photo.frame, after.frame) for photo, after in zip(photos, made, strict=True) if after is not photo]
+    moved = [metres for own, told in changes if (metres := _metres_apart(own, told)) < math.inf]
+    if moved and (middle := float(np.median(moved))) > _ELSEWHERE:
+        notes.append(
+            f"The positions of {log.name} are {distance(middle)} from the photos' own in the median; check that it is of this "
+            "flight, and that its latitude and longitude are not exchanged."
+        )
     return made, "by name", "", notes
 
 
-def _metres_apart(frame: Frame, entry: TelemetryEntry) -> float:
+def _metres_apart(frame: Frame, entry: Frame | TelemetryEntry) -> float:
     """Return the metres between two positions, infinite if one is unknown."""
     if frame.latitude is None or entry.latitude is None:
         return math.inf

@@ -102,15 +102,9 @@ def _missing(frames: Sequence[Frame]) -> Iterator[str]:
         )
 
 
-def _steps(frames: Sequence[Frame]) -> tuple[list[Frame], Float64Array, Float64Array]:
-    """Return the frames with a position, and metres and seconds between neighbours among them."""
-    known = [frame for frame in frames if frame.latitude is not None]
-    places = local_metres(degrees(known))
-    return known, np.hypot(*np.diff(places, axis=0).T), np.diff(_times(known))
-
-
 def _jumps(frames: Sequence[Frame]) -> Iterator[str]:
-    known, metres, seconds = _steps(frames)
+    known = [frame for frame in frames if frame.latitude is not None]
+    metres, seconds = np.hypot(*np.diff(local_metres(degrees(known)), axis=0).T), np.diff(_times(known))
     if len(metres) < 2:
         return
     with np.errstate(divide="ignore", invalid="ignore"):

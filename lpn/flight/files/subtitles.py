@@ -147,7 +147,8 @@ def parse_subtitles(blocks: Iterable[SubtitleBlock], name: str, gps_order: GpsOr
 
 def _a_line(texts: Sequence[tuple[str, float, float | None]]) -> str:
     """Return the end of a sentence that quotes the line of the subtitles with most digits."""
-    lines = [line.strip() for text, _, _ in texts for line in text.splitlines() if not _CODES.search(line)]
+    lines = [line.strip() for text, _, _ in texts for line in text.splitlines()]
+    lines = [line for line in lines if not _CODES.search(line) and values.moment(line) is None]
     line = max(lines, key=lambda line: sum(map(str.isdigit, line)), default="")
     return f"; one of its lines is {printable(line)[:_MOST_LETTERS]!r}" if line else ""
 
@@ -164,22 +165,23 @@ def _named(text: str) -> dict[str, float]:
 
 def _listed(text: str) -> list[str]:
     """Return the three values of GPS or RTK, the last one "" if it is missing; none without numbers."""
-    match = _POSITION.search(text)
-    items = [] if match is None else [item.strip() for item in match[1].split(",")]
-    is_position = 2 <= len(items) <= 3 and all(values.angle(item) is not None for item in items[:2])
-    return [*items, ""][:3] if is_position else []
+    for match in _POSITION.finditer(text):
+        items = [item.strip() for item in match[1].split(",")]
+        if 2 <= len(items) <= 3 and all(values.angle(item) is not None for item in items[:2]):
+            return [*items, ""][:3]
+    return []
 
 
 def _order(lists: Sequence[list[str]], chosen: GpsOrder | None, name: str) -> tuple[GpsOrder, list[str]]:
     """Return the order of GPS(a, b, c) without letters, and a note if it is a guess."""
-    pairs = [[abs(values.angle(item) or 0.0) for item in items[:2]] for items in lists if _letter(items[0]) == ""]
-    if chosen is not None or not pairs:
+    plain = [items for items in lists if not _letter(items[0])]
+    if chosen is not None or not plain:
         return chosen or "lat-lon", []
-    if any(a > 90 for a, _ in pairs):
+    if any(abs(values.angle(a) or 0.0) > 90 for a, _, _ in plain):
         return "lon-lat", []
-    if any(b > 90 for _, b in pairs):
+    if any(abs(values.angle(b) or 0.0) > 90 for _, b, _ in plain):
         return "lat-lon", []
-    if sum(_SATELLITES.fullmatch(items[2]) is not None for items in lists) * 2 > len(lists):
+    if sum(_SATELLITES.fullmatch(third) is not None for _, _, third in plain) * 2 > len(plain):
         return "lon-lat", []
     return "lat-lon", [
         f"The order of latitude and longitude in GPS(a, b, c) of {name} is ambiguous; latitude first was taken, as the third "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from datetime import UTC, datetime
 from pathlib import Path
@@ -115,7 +116,7 @@ def number(text: str, comma: bool = False) -> float | None:
         comma: a comma may be the decimal sign; otherwise a number with a comma is none.
     """
     if _SIMPLE.fullmatch(text):
-        return float(text)
+        return _finite(float(text))
     match = _NUMBER.fullmatch(plain(text).strip()) if len(text) <= _LONGEST else None
     if match is None or ("," in match[1] and not comma):
         return None
@@ -123,7 +124,7 @@ def number(text: str, comma: bool = False) -> float | None:
     if factor is None or not divisor:
         return None
     value = float(match[1].replace(",", ".")) * factor / divisor
-    return -abs(value) if (match["level"] or "").casefold().startswith(" below") else value
+    return _finite(-abs(value) if (match["level"] or "").casefold().startswith(" below") else value)
 
 
 def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None:
@@ -135,7 +136,7 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
         comma: a comma is the decimal sign.
     """
     if _SIMPLE.fullmatch(text):
-        return float(text)
+        return _finite(float(text))
     if len(text) > _LONGEST:
         return None
     text = plain(text).strip()
@@ -156,6 +157,10 @@ def angle(text: str, letters: str = "NSEW", comma: bool = False) -> float | None
         return None
     value = degrees + minutes / 60 + seconds / 3600
     return -value if match["sign"] == "-" or letter in ("S", "W") else value
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
 
 
 def moment(text: str, day_first: bool = False) -> Moment | None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import io
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -27,11 +27,9 @@ SUFFIXES = (".ulg", ".tlog", ".bin")
 # How files of each kind begin; those of a .tlog begin with a time. ArduPilot's .log is its .bin as text.
 _BEGINNINGS = {".ulg": b"ULog\x01\x12\x35", ".bin": b"\xa3\x95\x80", ".log": b"FMT,"}
 _KINDS = {
-    ".ulg": "a ULog of PX4",
-    ".tlog": "a MAVLink log of a ground station",
-    ".bin": "a data flash log of ArduPilot",
+    ".ulg": "a ULog of PX4", ".tlog": "a MAVLink log of a ground station", ".bin": "a data flash log of ArduPilot",
     ".log": "a data flash log of ArduPilot as text",
-}
+}  # fmt: skip
 # A time under this value is counted from a start; it is not a UTC epoch.
 _FIRST_EPOCH = 10**8
 # Topics of PX4 that are read.
@@ -62,7 +60,10 @@ def read_vehicle_log(file: Path) -> Log:
     """
     name = printable(file.name)
     suffix = file.suffix.lower()
-    _check_beginning(file, suffix, name)
+    begin, expected = _beginning(file), _BEGINNINGS.get(suffix)
+    if not (begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")):
+        found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
+        raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
     reader = {".ulg": _ulog, ".tlog": _tlog, ".bin": _data_flash, ".log": _data_flash}[suffix]
     notes: list[str] = []
     try:
@@ -83,14 +84,6 @@ def read_vehicle_log(file: Path) -> Log:
     return Log(name, tuple(LogRow(entry) for entry in entries), utc, tuple(notes))
 
 
-def _check_beginning(file: Path, suffix: str, name: str) -> None:
-    begin, expected = _beginning(file), _BEGINNINGS.get(suffix)
-    fits = begin.startswith(expected) if expected is not None else begin[8:9] in (b"\xfe", b"\xfd")
-    if not fits:
-        found = "is empty" if not begin else f"begins with {begin[:8].hex(' ')}"
-        raise OtherKindError(f"{name} {found}; expected {_KINDS[suffix]}.")
-
-
 def _beginning(file: Path) -> bytes:
     try:
         with file.open("rb") as opened:
@@ -106,60 +99,53 @@ def _ulog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
     if log.file_corruption:
         notes.append(f"{name} is damaged in places; the rest of it was used.")
     topics = {data.name: data.data for data in reversed(log.data_list)}  # the first instance of each counts
-    lead = None
-    for topic in _PX4_GPS:
-        if topic in topics and "time_utc_usec" in topics[topic]:
-            utc = topics[topic]["time_utc_usec"].astype(np.float64) / 1e6
-            known = utc > _FIRST_EPOCH
-            if known.any():
-                lead = float(np.median((utc - topics[topic]["timestamp"] / 1e6)[known]))
-                break
+    leads = [lead for topic in _PX4_GPS if (lead := _lead(topics.get(topic, {}))) is not None]
     rows = sorted(
         (float(time) / 1e6, topic, i) for topic, data in topics.items() for i, time in enumerate(data["timestamp"])
     )
     state = VehicleState()
     for time, topic, i in rows:
-        columns = topics[topic]
-
-        def value(key: str, columns: dict[str, Any] = columns, i: int = i) -> float | None:
-            return float(columns[key][i]) if key in columns else None
-
-        entry = _px4(state, topic, time, value, None if lead is None else time + lead)
+        message = {key: float(column[i]) for key, column in topics[topic].items()}
+        entry = _px4(state, topic, time, message, time + leads[0] if leads else None)
         if entry is not None:
             yield entry
-    if state.outside:
-        notes.append(_outside(state.outside, name))
+    notes += _outside(state.outside, name)
+
+
+def _lead(receiver: dict[str, Any]) -> float | None:
+    """Return the seconds by which UTC is ahead of the log's clock, by the messages of a receiver; None if it knows no time."""
+    if "time_utc_usec" not in receiver:
+        return None
+    utc = receiver["time_utc_usec"].astype(np.float64) / 1e6
+    known = utc > _FIRST_EPOCH
+    return float(np.median((utc - receiver["timestamp"] / 1e6)[known])) if known.any() else None
 
 
 def _px4(
-    state: VehicleState, topic: str, time: float, value: Callable[[str], float | None], clock: float | None
+    state: VehicleState, topic: str, time: float, message: dict[str, float], clock: float | None
 ) -> TelemetryEntry | None:
-    """Take a message of PX4, whose fields are `value`s; return the entry of a position."""
-    q = [value(f"q[{i}]") for i in range(4)]
-    angles = euler_degrees(*(math.nan if one is None else one for one in q))
+    """Take a message of PX4; return the entry of a position."""
+    angles = euler_degrees(*(message.get(f"q[{i}]", math.nan) for i in range(4)))
     if topic == "vehicle_attitude":
         state.attitude(time, *angles)
     elif topic == "gimbal_device_attitude_status":
         # Flags as in MAVLink: 16 locks the yaw to north, 32 says that it is from north.
-        state.gimbal(time, *angles, bool(int(value("device_flags") or 0) & 48))
+        state.gimbal(time, *angles, bool(int(message.get("device_flags", 0)) & 48))
     elif topic == "vehicle_local_position":
-        if value("dist_bottom_valid"):
-            state.above_ground(time, value("dist_bottom") or math.nan)
-    elif topic in _PX4_GPS:
-        latitude, longitude, altitude = (value(key) for key in ("latitude_deg", "longitude_deg", "altitude_msl_m"))
-        if latitude is None:  # before PX4 1.14
-            scaled = [value(key) for key in ("lat", "lon", "alt")]
-            latitude, longitude, altitude = (
-                None if one is None else one / by for one, by in zip(scaled, (1e7, 1e7, 1e3), strict=True)
-            )
-        if latitude is not None and longitude is not None and (value("fix_type") or 0) >= 3:
-            return state.position(time, latitude, longitude, altitude, raw=True, clock=clock)
-    elif topic == "vehicle_global_position" and (latitude := value("lat")) is not None:
-        above = None
-        if (terrain := value("terrain_alt")) is not None and value("terrain_alt_valid"):
-            above = (value("alt") or math.nan) - terrain
-            state.above_ground(time, above)
-        return state.position(time, latitude, value("lon") or 0.0, value("alt"), clock=clock)
+        if message.get("dist_bottom_valid"):
+            state.above_ground(time, message.get("dist_bottom", math.nan))
+    elif topic in _PX4_GPS and message.get("fix_type", 0) >= 3:
+        if "latitude_deg" in message:
+            scales = {"latitude_deg": 1.0, "longitude_deg": 1.0, "altitude_msl_m": 1.0}
+        else:  # before PX4 1.14
+            scales = {"lat": 1e7, "lon": 1e7, "alt": 1e3}
+        latitude, longitude, altitude = (message.get(key, math.nan) / scale for key, scale in scales.items())
+        return state.position(time, latitude, longitude, altitude, raw=True, clock=clock)
+    elif topic == "vehicle_global_position" and "lat" in message:
+        altitude = message.get("alt", math.nan)
+        if message.get("terrain_alt_valid"):
+            state.above_ground(time, altitude - message.get("terrain_alt", math.nan))
+        return state.position(time, message["lat"], message.get("lon", math.nan), altitude, clock=clock)
     return None
 
 
@@ -178,8 +164,7 @@ def _tlog(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
             f"{name} has positions of several vehicles; those of system {telemetry.system} were used, and not those of "
             f"{', '.join(others)}."
         )
-    if telemetry.outside:
-        notes.append(_outside(telemetry.outside, name))
+    notes += _outside(telemetry.outside, name)
 
 
 def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEntry]:
@@ -189,37 +174,35 @@ def _data_flash(file: Path, name: str, notes: list[str]) -> Iterator[TelemetryEn
     state = VehicleState()
     opened = DFReader.DFReader_text if file.suffix.lower() == ".log" else DFReader.DFReader_binary
     with contextlib.closing(opened(str(file))) as log:
-        yield from _data_flash_entries(log, state)
-    if state.outside:
-        notes.append(_outside(state.outside, name))
+        while (message := log.recv_match(type=["GPS", "POS", "ATT", "MNT", "RFND"])) is not None:
+            time = float(message._timestamp)
+            clock = time if time > _FIRST_EPOCH else None
+            if (entry := _ardupilot(state, message.get_type(), time, message.to_dict(), clock)) is not None:
+                yield entry
+    notes += _outside(state.outside, name)
 
 
-def _data_flash_entries(log: Any, state: VehicleState) -> Iterator[TelemetryEntry]:
-    kinds = ["GPS", "POS", "ATT", "MNT", "RFND"]
-    while (message := log.recv_match(type=kinds)) is not None:
-        time = float(message._timestamp)
-        clock = time if time > _FIRST_EPOCH else None
-        fields = message.to_dict()
-        entry = None
-        match message.get_type():
-            case "ATT":
-                state.attitude(time, fields["Roll"], fields["Pitch"], fields["Yaw"])
-            case "MNT" if {"R", "P"} <= fields.keys():
-                # The yaw from north is YE, that from the nose YB; NaN where the mount does not know it.
-                north = fields.get("YE", math.nan)
-                known = math.isfinite(north)
-                state.gimbal(time, fields["R"], fields["P"], north if known else fields.get("YB", math.nan), known)
-            case "RFND" if fields.get("Orient", fields.get("Orient1")) == 25:
-                state.above_ground(time, fields.get("Dist", fields.get("Dist1", math.nan)))
-            case "POS":
-                entry = state.position(
-                    time, fields["Lat"], fields["Lng"], fields["Alt"], fields.get("RelHomeAlt"), clock=clock
-                )
-            case "GPS" if fields.get("Status", 0) >= 3:
-                entry = state.position(time, fields["Lat"], fields["Lng"], fields["Alt"], raw=True, clock=clock)
-        if entry is not None:
-            yield entry
+def _ardupilot(
+    state: VehicleState, kind: str, time: float, message: dict[str, Any], clock: float | None
+) -> TelemetryEntry | None:
+    """Take a message of ArduPilot; return the entry of a position."""
+    match kind:
+        case "ATT":
+            state.attitude(time, message["Roll"], message["Pitch"], message["Yaw"])
+        case "MNT" if {"R", "P"} <= message.keys():
+            # The yaw from north is YE, that from the nose YB; NaN where the mount does not know it.
+            north = message.get("YE", math.nan)
+            known = math.isfinite(north)
+            state.gimbal(time, message["R"], message["P"], north if known else message.get("YB", math.nan), known)
+        case "RFND" if message.get("Orient", message.get("Orient1")) == 25:
+            state.above_ground(time, message.get("Dist", message.get("Dist1", math.nan)))
+        case "POS":
+            above = message.get("RelHomeAlt")
+            return state.position(time, message["Lat"], message["Lng"], message["Alt"], above, clock=clock)
+        case "GPS" if message.get("Status", 0) >= 3:
+            return state.position(time, message["Lat"], message["Lng"], message["Alt"], raw=True, clock=clock)
+    return None
 
 
-def _outside(count: int, name: str) -> str:
-    return f"{count} positions of {name} are none on the Earth, and were left out."
+def _outside(count: int, name: str) -> list[str]:
+    return [f"{count} positions of {name} are none on the Earth, and were left out."] if count else []

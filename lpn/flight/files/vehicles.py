@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -62,7 +62,7 @@ class VehicleState:
             return None
         self._unplaced = time
         height = self._current(self._above_takeoff, time)
-        return self._entry(time, clock, None, None, None, None if height is None else height[1])
+        return self._entry(TelemetryEntry(time, clock, height_above_takeoff=None if height is None else height[1]))
 
     def position(
         self,
@@ -92,46 +92,30 @@ class VehicleState:
         if 0 <= time - self._last < _LEAST_STEP - 1e-6:
             return None
         self._last = time
-        return self._entry(time, clock, latitude, longitude, altitude, above_takeoff)
+        takeoff, altitude = (_finite(height) for height in (above_takeoff, altitude))
+        return self._entry(TelemetryEntry(time, clock, latitude, longitude, None, takeoff, altitude))
 
-    def _entry(
-        self,
-        time: float,
-        clock: float | None,
-        latitude: float | None,
-        longitude: float | None,
-        altitude: float | None,
-        above_takeoff: float | None,
-    ) -> TelemetryEntry:
-        # An unknown altitude may be NaN.
-        altitude, above_takeoff = (
-            value if value is not None and math.isfinite(value) else None for value in (altitude, above_takeoff)
-        )
-        height = self._current(self._above_ground, time)
-        heading = pitch = roll = source = None
-        if (gimbal := self._current(self._gimbal, time)) is not None and any(gimbal[1:]):
+    def _entry(self, entry: TelemetryEntry) -> TelemetryEntry:
+        """Return an entry with the latest angles and height above ground."""
+        height = self._current(self._above_ground, entry.time)
+        entry = replace(entry, height_above_ground=None if height is None else height[1])
+        if (gimbal := self._current(self._gimbal, entry.time)) is not None and any(gimbal[1:]):
             heading, pitch, roll = cameras.from_gimbal(gimbal[3], gimbal[2], gimbal[1])
-            source = "gimbal"
-        elif (attitude := self._current(self._attitude, time)) is not None:
-            # Without a gimbal the camera looks down from the aircraft's belly.
-            heading, pitch, roll, source = attitude[3] % 360.0, attitude[2] - 90.0, attitude[1], "aircraft"
-        return TelemetryEntry(
-            time,
-            clock,
-            latitude,
-            longitude,
-            None if height is None else height[1],
-            above_takeoff,
-            altitude,
-            heading,
-            source,  # type: ignore[arg-type]
-            pitch,
-            roll,
-        )
+            return replace(entry, heading=heading, pitch=pitch, roll=roll, heading_source="gimbal")
+        if (attitude := self._current(self._attitude, entry.time)) is None:
+            return entry
+        # Without a gimbal the camera looks down from the aircraft's belly.
+        _, roll, pitch, heading = attitude
+        return replace(entry, heading=heading % 360.0, pitch=pitch - 90.0, roll=roll, heading_source="aircraft")
 
     @staticmethod
     def _current(value: tuple[float, ...] | None, time: float) -> tuple[float, ...] | None:
         return value if value is not None and abs(time - value[0]) <= _HOLD else None
+
+
+def _finite(value: float | None) -> float | None:
+    """Return a value, None if it is not finite: an unknown altitude may be NaN."""
+    return value if value is not None and math.isfinite(value) else None
 
 
 def euler_degrees(w: float, x: float, y: float, z: float) -> tuple[float, float, float]:

@@ -6,6 +6,7 @@ memory does not grow with its length.
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Iterator, Sequence
@@ -72,7 +73,7 @@ def read_frames(
         DataError: if the video cannot be read, has no frame, or has no positions for `every_metres`.
         OutputError: if a frame cannot be written.
     """
-    starts: Iterator[float] | None = None
+    starts: Iterator[float] = (every * step for step in itertools.count())
     if every_metres is not None:
         start_times = telemetry.times_by_distance(every_metres) if telemetry is not None else []
         if not start_times:
@@ -86,14 +87,17 @@ def read_frames(
         if not capture.isOpened():
             raise DataError(f"{printable(video.name)} is not a video that can be read; expected {', '.join(SUFFIXES)}.")
         turns = turns_of(capture)
-        frames, end = _chosen(capture, video, folder, starts or _steps(every), telemetry)
+        frames, end = _chosen(capture, video, folder, starts, telemetry)
         rate = capture.get(cv2.CAP_PROP_FPS)
     finally:
         capture.release()
     if not frames:
         raise DataError(f"{printable(video.name)} has no frame that can be read; it may be cut short.")
     duration = end + (1 / rate if rate > 0 and math.isfinite(rate) else 0.0)
-    return VideoFrames(tuple(_upright(frame, turns, across_longer_side) for frame in frames), duration, turns)
+    for i, frame in enumerate(frames):
+        told = {name: getattr(frame, name) for name in VALUES}
+        frames[i] = replace(frame, **upright_values(told, turns, frame, across_longer_side))
+    return VideoFrames(tuple(frames), duration, turns)
 
 
 def turns_of(capture: Any) -> int:
@@ -165,13 +169,6 @@ def _blocks(container: Any, stream: Any) -> Iterator[SubtitleBlock]:
             )
 
 
-def _steps(every: float) -> Iterator[float]:
-    count = 0
-    while True:
-        yield count * every
-        count += 1
-
-
 def _chosen(
     capture: Any, video: Path, folder: Path, starts: Iterator[float], telemetry: Telemetry | None
 ) -> tuple[list[Frame], float]:
@@ -205,6 +202,7 @@ def _chosen(
 
 
 def _sharpness(picture: UInt8Array) -> float:
+    """Return the variance of the Laplacian of a picture's brightness at the compared width."""
     grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
     if grey.shape[1] > _COMPARED_WIDTH:
         size = _COMPARED_WIDTH, max(1, round(grey.shape[0] * _COMPARED_WIDTH / grey.shape[1]))
@@ -221,18 +219,8 @@ def _written(best: tuple[float, float, UInt8Array], video: Path, folder: Path, t
     return Frame(name, folder / name, picture.shape[1], picture.shape[0], time, **values)
 
 
-def _upright(frame: Frame, turns: int, across_longer_side: bool) -> Frame:
-    values = {name: getattr(frame, name) for name in VALUES}
-    return replace(frame, **upright_values(values, turns, frame, across_longer_side))
-
-
 def beside(video: Path, files: Sequence[Path]) -> Path | None:
     """Return the subtitle file that has a video's name: from `files`, else from the video's folder; None if there is none."""
-    for file in files:
-        if file.stem.casefold() == video.stem.casefold():
-            return file
-    for suffix in SUBTITLES:
-        for spelling in (suffix.upper(), suffix, suffix.title()):
-            if (file := video.with_suffix(spelling)).is_file():
-                return file
-    return None
+    spellings = (video.with_suffix(spelling) for suffix in SUBTITLES for spelling in (suffix.upper(), suffix))
+    given = (file for file in files if file.stem.casefold() == video.stem.casefold())
+    return next(given, None) or next((file for file in spellings if file.is_file()), None)

@@ -93,6 +93,13 @@ def test_positions_decide_between_offsets_at_which_the_log_holds_the_photos(tmp_
     )
 
 
+def test_the_offset_at_which_the_log_holds_most_photos_counts(tmp_path: Path) -> None:
+    path = [(47.3 + i / 40_000, 8.5) for i in range(1800)]
+    photos(tmp_path / "photos", [20, 600, 1200, 1750], 3600.0)
+    flight = make_flight([tmp_path / "photos", a_log(tmp_path / "log.csv", path=path)], tmp_path / "flight")
+    assert "the log's clock is 1 h behind the photos'" in note_of(flight)
+
+
 def test_an_offset_that_is_no_zone_is_given_or_said(tmp_path: Path) -> None:
     # Photos and log overlap without an offset, 34 s apart.
     photos(tmp_path / "photos", [20, 130, 300, 420, 560], 34.0, places=PATH)

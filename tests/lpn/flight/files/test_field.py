@@ -28,6 +28,17 @@ LITCHI += "yaw(deg),pitchRaw,rollRaw,yawRaw,gimbalPitchRaw,gimbalRollRaw,gimbalY
 PHANTOMHELP = "https://forum.phantomhelp.com/t/flight-reader-field-descriptions/10579"
 MAVLINK = "https://mavlink.io/en/messages/common.html#GLOBAL_POSITION_INT"
 
+ARDUPILOT = "https://ardupilot.org/copter/docs/logmessages.html"
+FMT = (
+    "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
+    "FMT, 130, 50, GPS, QBIHBcLLefffB, TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U\n"
+    "FMT, 131, 44, MNT, Qffff, TimeUS,R,P,YB,YE\nFMT, 132, 44, ATT, Qffffff, TimeUS,DesRoll,Roll,DesPitch,Pitch,DesYaw,Yaw\n"
+)
+FIXES = "".join(
+    f"GPS, 100{i}00000, 4, {468018000 + 100 * i}, 2313, 14, 0.8, 47.301, 8.501, 500.0, 2.0, 0.0, 0.0, 1\n"
+    for i in range(8)
+)
+
 Case = tuple[str, str, str, dict[str, Any], str]
 
 
@@ -70,6 +81,9 @@ CASES = (
        **at(-47.301, -8.501)),
     by("https://exiftool.org/TagNames/XMP.html", "xmp.csv",
        'SourceFile,XMP:GPSLatitude,XMP:GPSLongitude\na.jpg,"9,9,9S","70,30.6W"\n', **at(-9.1525, -70.51)),
+    by("https://exiftool.org/TagNames/DJI.html, RtkFlag of 16 is a single solution", "exiftool_rtk.csv",
+       "SourceFile,GPSLatitude,GPSLongitude,RtkFlag\na.jpg,47.301,8.501,16\nb.jpg,47.301,8.501,50\nc.jpg,47.301,8.501,\n",
+       "1 of 3 rows of exiftool_rtk.csv have no fixed RTK solution (RtkFlag is not 50)", **HERE),
     by("https://photogrammetrycommunity.github.io/metashape-expert-manual/", "agisoft.csv",
        "# CoordinateSystem: WGS 84\n#Label,X/Longitude,Y/Latitude,Z/Altitude,Error_(m),Yaw,Pitch,Roll\n"
        "DJI_0001.JPG,8.501,47.301,512.5,0.1,30,2,-1\n# Total error,0.1\n",
@@ -81,6 +95,7 @@ CASES = (
        **HERE, altitude=512.5),
     by("https://support.pix4d.com/hc/en-us/articles/360056389172", "pix4dmatic.csv",
        "#imagename,coordinate1,coordinate2,z,yaw,pitch,roll\nIMG_1.JPG,47.301,8.501,512.5,38.6,3.5,8.3\n",
+       "The columns pitch and roll of pix4dmatic.csv do not say whether they are the camera's",
        **HERE, altitude=512.5, heading=38.6, pitch=None),
     by(GEO, "geo.txt", "EPSG:4326\na.jpg 8.501 47.301 102.5 45.0 0.5 -0.3 1.5 3.0\n", "longitude before latitude was taken",
        **HERE, altitude=102.5, heading=45.0, heading_source="camera", pitch=-89.5, roll=-0.3),
@@ -109,14 +124,17 @@ CASES = (
     by("https://www.rtklib.com/prog/manual_2.4.2.pdf", "ellipsoid.pos",
        "%  UTC  latitude(deg) longitude(deg)  height(m)   Q  ns\n2024/05/01 12:00:00.000 47.301 8.501 512.5 1 12\n",
        "above the ellipsoid", **HERE),
+    by("a header", "ellipsoid.csv", "name,lat,lon,Ellipsoidal height\na.jpg,47.301,8.501,512.5\n", "above the ellipsoid", **HERE,
+       altitude=512.5),
     by(MAVLINK, "mavlogdump.csv",
        "timestamp,time_boot_ms,lat,lon,alt,relative_alt,vx,vy,vz,hdg\n1714564800.5,100,473010000,85010000,512500,45200,0,0,0,2820\n",
        **HERE, altitude=512.5, height_above_takeoff=45.2, heading=28.2, clock=1714564800.5),
-    by("ArduPilot's text log", "2024-05-10.log",
-       "FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\n"
-       "FMT, 130, 50, GPS, QBIHBcLLefffB, TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd,GCrs,VZ,U\n"
-       + "".join(f"GPS, {i}00000, 4, {468018000 + i}, 2313, 14, 0.8, 47.301, 8.501, 500.0, 2.0, 0.0, 0.0, 1\n" for i in range(8)),
-       **HERE, altitude=500.0, clock=1715335200.0),
+    by(ARDUPILOT, "2024-05-10.log", FMT + "ATT, 100000000, 0, 0, 0, 0, 0, 10\n" + FIXES,
+       **HERE, altitude=500.0, clock=1715335200.0, heading=10.0, heading_source="aircraft", pitch=-90.0),
+    by(ARDUPILOT, "nose.log", FMT + "ATT, 100000000, 0, 0, 0, 0, 0, 10\nMNT, 100000000, 0, -60, 20, nan\n" + FIXES,
+       heading=30.0, heading_source="gimbal", pitch=-60.0),
+    by(ARDUPILOT, "north.log", FMT + "ATT, 100000000, 0, 0, 0, 0, 0, 10\nMNT, 100000000, 0, -60, 20, 50\n" + FIXES,
+       heading=50.0, heading_source="gimbal", pitch=-60.0),
     # Units that headers say
     by("a header", "units.csv",
        "lat_degE7,lon [degE7],alt mm AMSL,relative_alt (mm),hdg [cdeg]\n473010000,85010000,1500000,60000,120\n",
@@ -129,7 +147,7 @@ CASES = (
     by("a header", "radians.csv", "file,lat (rad),longitude rad,gimbal yaw rad,gimbal pitch rad\n"
        "a.jpg,0.825558190,0.148370440,0.5235987756,-1.5707963268\n", **HERE, heading=30.0, pitch=-90.0),
     by("no header", "no_unit.csv", "file,lat,lon,yaw,gimbal_pitch\na.jpg,47.301,8.501,1.57,-1.5\n",
-       "All values of yaw, gimbal_pitch in no_unit.csv lie within 3.14", **HERE, heading=1.57, pitch=-1.5),
+       "All values of yaw, gimbal_pitch in no_unit.csv lie within 6.28", **HERE, heading=1.57, pitch=-1.5),
     by("no header", "no_unit_of_positions.csv",
        "file,lat,lon\na.jpg,0.8255,0.1483\n", "All values of lat, lon", **at(0.8255, 0.1483)),
     by("a unit in the cell", "cells.csv", "file,lat,lon,heading (rad)\na.jpg,47.301°,8.501 E,90°\n", **HERE, heading=90.0),
@@ -181,6 +199,9 @@ CASES = (
        **HERE, altitude=574.21, heading=110.4, pitch=-24.4),
     by("Autel's first EVO", "autel_signs.srt", "GPS(W: -70.-5005, S: -33.-4323, -37) ReH:12 \nISO:100", **at(-33.4323, -70.5005),
        height_above_takeoff=12.0, altitude=-37.0),
+    by("Autel EVO II RTK", "autel_rtk.srt", "RTK(FIXED) GPS(W: 70.5, S: 33.4, 812.5m) ReH:40.0m ",
+       **at(-33.4, -70.5), altitude=812.5,
+       height_above_takeoff=40.0),
     by("before the fix", "no_fix.srt", "[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 0.400 abs_alt: 269.099]",
        "1 of 1 entries of no_fix.srt have no position", latitude=None, longitude=None, height_above_takeoff=0.4),
     by("before the fix", "lost.srt", "HOME(-1.2218,42.4668) 2018.08.19 08:00:50\nGPS(N/A,N/A,3) BAROMETER:0.0\nISO:100",
@@ -234,10 +255,12 @@ BEGINS = "log.csv begins with {!r}; expected a line of column names with latitud
         ("lat,lon\n", "log.csv has column names and no row"),
         ("lat,lon\n1,2\nx,3\n", "Line 3 of log.csv has the latitude 'x'; expected a number"),
         ('sep=,\nlat,lon,name\n1,2,"a\nb"\n\nx,3,c\n', "Line 6 of log.csv has the latitude 'x'"),
+        ("timestamp,lat,lon\n1e999,47,8e+999\n", "Line 2 of log.csv has the longitude '8e+999'"),
         ("lat,lon\n1,inf\n", "Line 2 of log.csv has the longitude 'inf'"),
         ("lat,lon\n47.3 E,8.5 N\n", "has the latitude '47.3 E'; expected a number of degrees"),
         ('lat,lon,alt\n47.3,8.5,"1,234"\n', "has the altitude '1,234'; expected a number"),
         ("lat,lon\n100,3\n", "Line 2 of log.csv has the position 100, 3; expected degrees, latitude from -90 to 90."),
+        ("lat,lon\n120.35,23.12\n", "Check that latitude and longitude are not exchanged."),
         ("lat,lon\n473000000,85000000\n", "Another unit is named behind a column, as in lat (degE7)."),
         ("lat,lon\n465123.1,5242123.1\n", GRID),
         ("name,easting,northing\na.jpg,465123.1,5242123.1\n", GRID),

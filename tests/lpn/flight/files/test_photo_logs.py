@@ -75,3 +75,14 @@ def test_a_picture_listed_twice_is_said_and_never_silently_the_last(
     # The same values twice are no oddity.
     log.write_text("filename,lat,lon\na.jpg,47.4,8.5\na.jpg,47.4,8.5\n")
     assert not any("more than once" in note for note in make_flight([photo, log], tmp_path / "flight").notes)
+
+
+@pytest.mark.parametrize(("place", "doubted"), [("47.301,8.5", False), ("8.5,47.3", True)])
+def test_positions_far_from_the_photos_own_are_doubted(tmp_path: Path, place: str, doubted: bool) -> None:
+    photo = write_photo(tmp_path / "a.jpg", exif(47.3, 8.5))
+    (tmp_path / "log.csv").write_text(f"filename,lat,lon\na.jpg,{place}\n")
+    notes = make_flight([photo, tmp_path / "log.csv"], tmp_path / "flight").notes
+    assert (
+        any("km from the photos' own in the median; check that it is of this flight" in note for note in notes)
+        == doubted
+    )

@@ -171,6 +171,7 @@ def test_moments_are_chosen_by_the_distance_flown() -> None:
 @pytest.mark.parametrize(
     ("text", "line"),
     [
+        ("2018-02-19 08:04:51,265,847\n[iso : 100] [fnum : 280]", "[iso : 100] [fnum : 280]"),
         ("Signal:4 CH:8 FlightTime:0 SBat:4.7V GBat:7.2V", "Signal:4 CH:8 FlightTime:0 SBat:4.7V GBat:7.2V"),
         ("Altitude high\n[latitude: 47,301] [longitude: 8,501]", "[latitude: 47,301] [longitude: 8,501]"),
         ("GPS (8,501, 47,301, 16)", "GPS (8,501, 47,301, 16)"),

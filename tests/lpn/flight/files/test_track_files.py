@@ -111,36 +111,32 @@ def test_photos_take_their_positions_from_a_track(tmp_path: Path, hour: int, off
     assert said in flight.notes
 
 
-def test_a_video_takes_its_positions_from_a_track(tmp_path: Path) -> None:
-    (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
-    video = write_video(tmp_path / "a.mp4", 3)
-    flight = make_flight([video, tmp_path / "track.gpx"], tmp_path / "flight")
-    assert [frame.latitude for frame in flight.frames] == pytest.approx(
-        [47.3 + (frame.time or 0) / 1000 for frame in flight.frames]
-    )
-    assert any(
-        "track.gpx does not say when the video began; its first row counts as the beginning" in n for n in flight.notes
-    )
-
-
-def test_a_video_that_says_when_it_began_starts_there_in_the_track(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("second", "note"),
+    [
+        (None, "track.gpx does not say when the video began; its first row counts as the beginning"),
+        (10, "The time in the video's file says where in track.gpx it began"),
+    ],
+)
+def test_a_video_takes_its_positions_from_a_track(tmp_path: Path, second: int | None, note: str) -> None:
     av = pytest.importorskip("av")
     (tmp_path / "track.gpx").write_text(gpx(), "utf-8")
     with (
         av.open(str(write_video(tmp_path / "plain.mp4", 3))) as source,
         av.open(str(tmp_path / "a.mp4"), "w") as target,
     ):
-        target.metadata["creation_time"] = time(10)
+        target.metadata.update({} if second is None else {"creation_time": time(second)})
         pictures = target.add_stream_from_template(source.streams.video[0])
         for packet in source.demux(source.streams.video[0]):
             if packet.dts is not None:
                 packet.stream = pictures
                 target.mux(packet)
     flight = make_flight([tmp_path / "a.mp4", tmp_path / "track.gpx"], tmp_path / "flight")
+    start = 47.3 + (second or 0) / 1000
     assert [frame.latitude for frame in flight.frames] == pytest.approx(
-        [47.31 + (frame.time or 0) / 1000 for frame in flight.frames]
+        [start + (frame.time or 0) / 1000 for frame in flight.frames]
     )
-    assert any("The time in the video's file says where in track.gpx it began" in note for note in flight.notes)
+    assert any(note in one for one in flight.notes)
 
 
 @pytest.mark.parametrize(

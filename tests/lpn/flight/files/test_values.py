@@ -33,7 +33,7 @@ def test_a_letter_must_fit_and_a_decimal_comma_must_be_meant() -> None:
         ("45.2 m", 45.2, 45.2), ("100 ft", 30.48, 30.48), ("-8759/100", -87.59, -87.59), ("1/0", None, None),
         ("1,234.5", None, None), ("1,234", None, 1.234), ("12,5 m", None, 12.5), ("512.3 m Below Sea Level", -512.3, -512.3),
         ("+76.19", 76.19, 76.19), ("73.7 deg", 73.7, 73.7), ("4.7e2", 470.0, 470.0), ("12 fathoms", None, None),
-        ("1_0", None, None), ("inf", None, None),
+        ("1_0", None, None), ("1e999", None, None), ("1e+999", None, None), ("inf", None, None),
     ],
 )  # fmt: skip
 def test_a_number_is_read_whole_or_not_at_all(text: str, points: float | None, commas: float | None) -> None:
