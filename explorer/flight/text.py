@@ -12,8 +12,8 @@ from lpn.drawing.verdicts import compass
 from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.belief import SIGMAS, Belief, Disagreement, on_what
 from lpn.flight.locate.camera_pose import CameraPose
+from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, StageRecord
-from lpn.flight.locate.measures import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.summary import PLACED, FlightAccuracy, flight_accuracy, is_unchecked, other_map, share_within
 from lpn.flight.maps.named_window import describe_offset
 
@@ -247,7 +247,7 @@ def _on_map(seen: FlightSnapshot, known: FlightAccuracy) -> str:
 
 def _unconfirmed(flight: LocatedFlight) -> str:
     """Return that radii do not hold against the GPS tags; "" if they hold, or no tag tells."""
-    summary = flight.registration_summary
+    summary = flight.errors().get("registration")
     if summary is None or not summary.calibration or summary.calibration[3] >= CONFIRMED_SHARE:
         return ""
     return (
@@ -287,7 +287,7 @@ def notes(seen: FlightSnapshot) -> list[str]:
 
 def audit(flight: LocatedFlight) -> str:
     """Return what the audit of the tags found, and how many errors lie within the radii."""
-    summary = flight.registration_summary
+    summary = flight.errors().get("registration")
     proof = None if summary is None else summary.calibration_sentence("registration")
     return " ".join(filter(None, ("" if flight.audit is None else flight.audit.sentence, proof)))
 

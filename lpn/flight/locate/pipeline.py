@@ -13,7 +13,7 @@ from lpn.core.arrays import Float64Array
 from lpn.core.errors import DataError, InputError
 from lpn.core.numbers import error_figure
 from lpn.flight.files import Flight
-from lpn.flight.locate.audit import TagAudit, audit_tags, corrected_tags
+from lpn.flight.locate.audit import audit_tags, corrected_tags
 from lpn.flight.locate.beyond import places_beyond
 from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.index_windows import WindowIndex
@@ -85,7 +85,7 @@ def locate(
     if model is not None:
         if shipped is not None:
             answers = ShippedAnswers.open(shipped, FORMAT, model, basemap, flight)
-        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, options.centre, indexed, answers)
+        retrieval = retrieve(model, basemap, flight, options.sizes, options.overlap, True, indexed, answers)
         notes += retrieval.notes
         if retrieval.broken:
             notes.append(
@@ -155,13 +155,7 @@ def registered(
             f"Radii of registrations hold {error_figure(map_error)} m for the error of the map itself{source}."
         )
     moved = corrected_tags(located.flight.times, tags, audit.lag) if audit.has_lag and audit.lag is not None else None
-    if options.tags == "corrected":
-        notes.append(
-            _corrected_note(audit)
-            if audit.has_lag
-            else "GPS tags were left as they are, because the registration finds no constant lag of them."
-        )
-    found = replace(
+    return replace(
         located,
         frames=frames,
         audit=audit,
@@ -170,7 +164,6 @@ def registered(
         map_error=map_error,
         place_error=place_error,
     )
-    return found.without_lag() if options.tags == "corrected" else found
 
 
 def _beyond(retrieval: MapRetrieval, basemap: Map) -> Float64Array:
@@ -194,16 +187,6 @@ def _know_frames_on_map(located: LocatedFlight, frames: list[LocatedFrame], opti
     if refused and on_map:
         beyond = _beyond(located.retrieval, located.basemap)
         enter_sequence(located.retrieval, located.flight, frames, options, beyond, on_map)
-
-
-def _corrected_note(audit: TagAudit) -> str:
-    """Return a sentence about errors against tags without their lag."""
-    note = f"Errors are against the GPS tags without their lag of {audit.lag:.1f} s (--tags corrected)."
-    if audit.looks_ahead:
-        note += (
-            f" If {audit.looks_ahead} instead, these are the places of the pictures' middles, and not of the camera."
-        )
-    return note
 
 
 def _turn_notes(frames: list[LocatedFrame]) -> Iterator[str]:

@@ -95,7 +95,7 @@ def register_frames(
     features = [MapFeatures(basemap, matcher) for matcher in matchers]
     # The limit of frames is not part of the key, as a frame's answer depends on those before it only.
     names = [matcher.name for matcher in matchers]
-    searched = replace(options, top=TOP, map_error=None, tags="told")
+    searched = replace(options, top=TOP, map_error=None)
     side = None if retrieval is None else float(np.median(retrieval.sizes))
     heights = None if basemap.elevation is None else basemap.elevation.digest()
     key = [FORMAT, _POSES, basemap.digest(), heights, names, asdict(searched), model and model.fingerprint, side]

@@ -9,9 +9,8 @@ from statistics import median
 
 from lpn.core.numbers import upper_bound
 from lpn.flight.locate.belief import Belief
+from lpn.flight.locate.errors import Errors
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame
-from lpn.flight.locate.surveyed import SurveyedErrors
-from lpn.flight.locate.tag_errors import tag_errors
 from lpn.flight.maps.tag_placed import placing_sentence
 
 # The stages whose answers are accepted, in the words for everybody and in the field's.
@@ -70,17 +69,22 @@ def flight_accuracy(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Flight
     )
 
 
-def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> SurveyedErrors | None:
-    """Return the errors of a flight's placed photos against their tags; None if no placed photo has one.
+def placed_errors(flight: LocatedFlight, verdicts: Sequence[Belief]) -> Errors | None:
+    """Return the errors of a flight's placed photos against their tags, whatever a person corrected; None without any.
 
     Args:
         verdicts: of the frames, see `lpn.flight.locate.belief.beliefs`.
     """
-    pairs = zip(flight.frames, verdicts, strict=True)
-    return tag_errors(flight.frames, [one.stages[told.stage] if told.stage in PLACED else None for one, told in pairs])
+    answers = [
+        (one.stages[told.stage], one.tag)
+        for one, told in zip(flight.frames, verdicts, strict=True)
+        if told.stage in PLACED and one.tag is not None
+    ]
+    rows = [(a.x - tag[0], a.y - tag[1], a.radius) for a, tag in answers if a.x is not None and a.y is not None]
+    return Errors.of(len(rows), rows) if rows else None
 
 
-def share_within(errors: SurveyedErrors) -> str:
+def share_within(errors: Errors) -> str:
     """Return the metres within which 95 % of the distances lie, in words with a comma before; "" of few distances."""
     return f", 95 % of them within {upper_bound(errors.ce95)} m" if errors.photos >= _FEWEST else ""
 
