@@ -67,8 +67,23 @@ class FlightSnapshot:
         return [outline(located) for located in self.flight.frames]
 
     @cached_property
+    def measured(self) -> LocatedFlight:
+        """The flight with the tags that errors are told by: without their lag, where they have one."""
+        return self.flight.without_lag()
+
+    @property
+    def lag(self) -> float | None:
+        """Seconds by which the tags of the flight are late; None where they are not."""
+        return None if self.flight.tags_without_lag is None or self.flight.audit is None else self.flight.audit.lag
+
+    @cached_property
     def errors(self) -> Errors | None:
-        """The errors of the placed photos against their GPS tags; None if no placed photo has one."""
+        """The errors of the placed photos against the tags of `measured`; None if no placed photo has one."""
+        return placed_errors(self.measured, self.beliefs)
+
+    @cached_property
+    def errors_as_told(self) -> Errors | None:
+        """The same against the tags in the photos' files."""
         return placed_errors(self.flight, self.beliefs)
 
     def corrected(self, frame: int) -> tuple[float, float] | None:

@@ -274,7 +274,7 @@ def _truth_sentence(located: LocatedFlight, known: bool) -> str:
         return "No photo has a GPS tag on the map, or a correction by hand, so how far off the places are is not known."
     corrected = sum(frame.by_hand is not None for frame in located.frames)
     tags = "the GPS tags of the flight"
-    truth = f"corrections by hand ({corrected}), and {tags}" if corrected else tags
+    truth = f"corrections by hand ({corrected}), and the GPS tags of the other photos" if corrected else tags
     return (
         f"Errors are against {truth}; p90 and p95 are bounds, and so rounded up; shares in metres are of all photos with such a "
         f"truth. Right radii ({SIGMA}), against an exact truth, hold {percents(RIGHT_CALIBRATION)}."
