@@ -73,7 +73,9 @@ def _side(across: float, down: float) -> str:
     """Return where in a picture a place lies, given as shares of its width and height."""
     row = "upper" if down < 1 / 3 else "lower" if down > 2 / 3 else ""
     column = "left" if across < 1 / 3 else "right" if across > 2 / 3 else ""
-    return f"at the {row} {column}".strip() if row or column else "near the middle"
+    if row and not column:
+        return "at the top" if row == "upper" else "at the bottom"
+    return f"at the {row} {column}".replace("  ", " ") if column else "near the middle"
 
 
 def place(flight: LocatedFlight, point: tuple[float, float]) -> tuple[str, str]:
