@@ -126,10 +126,10 @@ export const open = (box, context) => {
       redraw();
     },
     photo: async (told) => {
-      // Shown when its pictures are there, so that no words stand beside the pictures of another photo.
+      // Shown when its pictures are there, so that no words stand beside the pictures of another photo; the first one at once.
       const number = ++newest;
       const sources = [told.square, told.ground, flight.over !== "off" && told.homography ? told.photo : ""].filter(Boolean);
-      await Promise.race([new Promise((done) => setTimeout(done, PICTURES)), Promise.all(sources.map(loaded))]);
+      if (flight.photo) await Promise.race([new Promise((done) => setTimeout(done, PICTURES)), Promise.all(sources.map(loaded))]);
       if (number < arrived) return;
       arrived = number;
       const before = flight.photo;

@@ -121,7 +121,7 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
     if flight.rendered:
         source = "The map is rendered, and shows no real place."
     elif known.map_source:
-        source = known.map_source
+        source = short_reason(known.map_source)[0]
     else:
         source = (
             "The error that lpn map --error keeps."
