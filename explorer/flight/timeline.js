@@ -18,6 +18,7 @@ export class Timeline {
     this.flight = flight;
     this.choose = choose;
     this.plot = null;
+    this.data = null; // the flight that is drawn
     this.drawn = "";
     const style = "screen/vendor/uplot.css";
     if (!find(`link[href="${style}"]`)) document.head.append(make("link", { rel: "stylesheet", href: style }));

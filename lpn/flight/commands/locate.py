@@ -292,7 +292,14 @@ def print_surveyed(
     sentences = ["No surveyed photo has an accepted answer, so there is nothing to compare."]
     if columns:
         names = (
-            *("mean east", "mean north", "standard deviation east", "standard deviation north", "RMSE east", "RMSE north"),
+            *(
+                "mean east",
+                "mean north",
+                "standard deviation east",
+                "standard deviation north",
+                "RMSE east",
+                "RMSE north",
+            ),
             *("RMSE in the plane", "median", "CE90", "CE95", "largest"),
         )
         figures = [
