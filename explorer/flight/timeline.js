@@ -57,7 +57,7 @@ export class Timeline {
   /** Errors, or radii where no photo has a tag, by state; a photo without a place lies on the ground line. */
   series(data) {
     const radii = data.stages.map((stage, i) => data.tracks[stage]?.radius[i] ?? null);
-    const values = (data.errors.some((error) => error !== null) ? data.errors : radii).map((value, i) => value ?? (data.states[i] === "unknown" ? 0 : null));
+    const values = (data.errors.some((error) => error !== null) ? data.errors : radii).map((value, i) => (data.marks[i] === "✗" ? 0 : value)); // a guess may lie far away
     return [data.times ?? data.names.map((_, i) => i), ...Object.keys(data.words).map((word) => values.map((value, i) => (data.states[i] === word ? value : null)))];
   }
   nearest(left) {
