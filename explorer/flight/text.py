@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from statistics import median
 
 from explorer.flight.service import FlightSnapshot
 from lpn.core.numbers import SIGMA, error_figure, upper_bound
@@ -11,8 +12,9 @@ from lpn.flight.locate.agreement import MapAgreement
 from lpn.flight.locate.belief import SIGMAS, Belief, on_what
 from lpn.flight.locate.errors import CONFIRMED_SHARE, RIGHT_CALIBRATION
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, short_reason
-from lpn.flight.locate.summary import flight_accuracy, is_unchecked, other_map, share_within
+from lpn.flight.locate.summary import is_unchecked, radii_on_map
 from lpn.flight.maps.named_window import describe_offset
+from lpn.flight.maps.tag_placed import placing_sentence
 
 # Each track: its name, and how it places a photo.
 TRACKS = {
@@ -22,6 +24,8 @@ TRACKS = {
     "registration": ("Registration", "Points of the photo matched on the map."),
     "corrected": ("By hand", "Places that a person has corrected."),
 }
+# Distances from which their 95th percentile is told, at least.
+_FEWEST = 5
 # The states of a photo's place, by their colours.
 STATES = {"right": "placed", "contradicted": "in doubt", "unknown": "not placed"}
 
@@ -40,7 +44,10 @@ def counts(seen: FlightSnapshot) -> str:
     """Say how many photos are placed, in doubt, and not placed."""
     states = [state(verdict) for verdict in seen.beliefs]
     pieces = [f"{states.count(name):,} {word}" for name, word in STATES.items() if name == "right" or name in states]
-    return f"{len(states):,} photos: {', '.join(pieces)}. {other_map(seen.flight)}".strip()
+    text = f"{len(states):,} photos: {', '.join(pieces)}."
+    if seen.flight.elsewhere:
+        text += f" {seen.flight.elsewhere}: give the map of the tags' place, unless the tags are wrong."
+    return text
 
 
 def headline(verdict: Belief, located: LocatedFrame) -> str:
@@ -111,17 +118,16 @@ def drone(flight: LocatedFlight, located: LocatedFrame) -> str:
 
 def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
     """Return three rows on the accuracy of the places: what, its figure, and its source; none without a placed photo."""
-    flight, known = seen.flight, flight_accuracy(seen.flight, seen.beliefs)
-    if known is None:
+    flight, radii = seen.flight, radii_on_map(seen.flight, seen.beliefs)
+    if not radii:
         return []
-    radius = math.sqrt(max(known.radius**2 - (known.place_error or 0.0) ** 2, 0.0))
-    text = f"{SIGMA[:1].upper()}{SIGMA[1:]}, the median of {known.photos} photos."
-    rows = [("On this map", f"± {radius:.1f} m", f"{text} {_unconfirmed(seen)}".strip())]
-    figure = "" if known.place_error is None else f"± {error_figure(known.place_error)} m"
+    text = f"{SIGMA[:1].upper()}{SIGMA[1:]}, the median of {len(radii)} photos."
+    rows = [("On this map", f"± {median(radii):.1f} m", f"{text} {_unconfirmed(seen)}".strip())]
+    figure = f"± {error_figure(flight.place_error)} m" if flight.place_error else ""
     if flight.rendered:
         source = "The map is rendered, and shows no real place."
-    elif known.map_source:
-        source = short_reason(known.map_source)[0]
+    elif told := placing_sentence(flight.basemap.notes):
+        source = short_reason(told)[0]
     else:
         source = (
             "The error that lpn map --error keeps."
@@ -130,12 +136,13 @@ def accuracy(seen: FlightSnapshot) -> list[tuple[str, str, str]]:
         )
     rows.append(("On Earth", figure, source))
     if (errors := seen.errors) is not None:
-        name, told = "GPS tags", ""
+        name, with_lag = "GPS tags", ""
         if (lag := seen.lag) is not None and seen.errors_as_told is not None:
             name = f"GPS tags without their lag of {lag:.1f} s"
-            told = f" With it {seen.errors_as_told.median:.1f} m."
-        bounds = f"{share_within(errors)}, at most {upper_bound(errors.largest)} m"
-        rows.append((name, f"{errors.median:.1f} m", f"Median of {errors.photos} photos{bounds}.{told}"))
+            with_lag = f" With it {seen.errors_as_told.median:.1f} m."
+        bounds = f", 95 % of them within {upper_bound(errors.ce95)} m" if errors.photos >= _FEWEST else ""
+        bounds += f", at most {upper_bound(errors.largest)} m"
+        rows.append((name, f"{errors.median:.1f} m", f"Median of {errors.photos} photos{bounds}.{with_lag}"))
     return rows
 
 

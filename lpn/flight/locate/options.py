@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from lpn.core.errors import InputError
 from lpn.flight.locate.matchers import MatcherName
 
+# Windows that are kept for each frame, of places apart.
 TOP = 5
 
 
@@ -23,7 +24,6 @@ class LocateOptions:
         sizes: sides of windows in metres; None chooses them from the flight.
         overlap: of neighbouring windows, 0 to below 1.
         speed: of the motion model, metres a second; None takes the one at which the flight's scores are most probable.
-        top: windows that are kept for each frame, of places apart.
     """
 
     sequence: bool = True
@@ -34,7 +34,6 @@ class LocateOptions:
     sizes: tuple[float, ...] | None = None
     overlap: float = 0.75
     speed: float | None = None
-    top: int = TOP
 
     def __post_init__(self) -> None:
         if self.prior is not None and not 0 < self.prior < math.inf:
@@ -43,5 +42,3 @@ class LocateOptions:
             raise InputError(f"The map's error is {self.map_error:g} m; expected 0 or more metres.")
         if self.speed is not None and not 0 < self.speed < math.inf:
             raise InputError(f"The speed is {self.speed:g} m/s; expected metres a second above 0.")
-        if self.top < 1:
-            raise InputError(f"{self.top} windows would be kept for each photo; expected 1 or more.")

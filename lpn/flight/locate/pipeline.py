@@ -19,7 +19,7 @@ from lpn.flight.locate.corrections import Correction
 from lpn.flight.locate.index_windows import WindowIndex
 from lpn.flight.locate.located import LocatedFlight, LocatedFrame, tag_positions
 from lpn.flight.locate.map_proof import refuse_unproven
-from lpn.flight.locate.options import LocateOptions
+from lpn.flight.locate.options import TOP, LocateOptions
 from lpn.flight.locate.ranked_stages import OVERLAP, confirm_sequence, enter_retrieval, enter_sequence
 from lpn.flight.locate.registered_stage import FORMAT, refuse_contradicted, register_frames
 from lpn.flight.locate.registration import is_turned_over
@@ -92,7 +92,7 @@ def locate(
                 f"{len(retrieval.broken)} of {len(frames)} photos cannot be read; the retrieval's measures count them as misses, "
                 "and Dis@K leaves them out."
             )
-        enter_retrieval(retrieval, frames, options.top)
+        enter_retrieval(retrieval, frames, TOP)
         if options.sequence and answers is not None and len(answers.sequence) == len(frames):
             for frame in frames:
                 frame.stages["sequence"] = answers.sequence[frame.frame.name]
