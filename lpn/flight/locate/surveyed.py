@@ -379,43 +379,28 @@ def survey_remarks(rows: Sequence[Residual], photos: int) -> list[str]:
         photos: of the flight.
     """
     sentences = []
-    if missing := _names_of(row for row in rows if not row.counts):
-        sentences.append(
-            f"No answer is accepted for {_photos(missing)}, which {'does' if len(missing) == 1 else 'do'} not count: "
-            f"{_listed(missing)}."
-        )
-    if doubted := _names_of(row for row in rows if row.counts and row.doubt):
+    if missing := [row.photo for row in rows if not row.counts]:
+        sentences.append(f"Photos without an accepted answer do not count: {_listed(missing)}.")
+    if doubted := [row.photo for row in rows if row.counts and row.doubt]:
         sentences.append(f"Contradicted by other answers, and counted all the same: {_listed(doubted)}.")
     for point, other in (("camera", "ground at the photo's middle"), ("ground", "camera")):
-        moved = sum(row.counts and row.point == point != row.answered for row in rows)
-        if moved:
+        if moved := sum(row.counts and row.point == point != row.answered for row in rows):
             sentences.append(
-                f"{moved} surveyed position{'s' * (moved > 1)} of the {point} {'are' if moved > 1 else 'is'} compared with the "
-                f"{other}, as the answer tells no more; a tilted camera keeps the two apart, so the shares within radii leave "
-                f"{'them' if moved > 1 else 'it'} out."
+                f"Surveyed positions of the {point} that are compared with the {other}, as the answer tells no more: {moved}. A "
+                "tilted camera keeps the two apart, so the shares within radii leave them out."
             )
-    if without := photos - len(_names_of(rows)):
-        has = "photos of the flight have" if without > 1 else "photo of the flight has"
-        sentences.append(f"{without} {has} no surveyed position.")
+    if without := photos - len({row.photo for row in rows}):
+        sentences.append(f"Photos of the flight without a surveyed position: {without}.")
     return sentences
 
 
 def strangers_sentence(matched: MatchedSurvey) -> str:
     """Name the surveyed photos that are not in the flight; "" if all are."""
-    names = list(dict.fromkeys(matched.strangers))
-    if not names:
+    if not matched.strangers:
         return ""
-    return f"{_photos(names)} {'is' if len(names) == 1 else 'are'} not in the flight, so check the names: {_listed(names)}."
+    return f"Surveyed photos that are not in the flight; check the names: {_listed(matched.strangers)}."
 
 
-def _names_of(rows: Iterable[Residual]) -> list[str]:
-    """Return the photos of rows, each once."""
-    return list(dict.fromkeys(row.photo for row in rows))
-
-
-def _photos(names: Sequence[str]) -> str:
-    return f"{len(names)} surveyed photo{'s' * (len(names) > 1)}"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return printable(first_few(list(names), _MOST_NAMES))
+def _listed(names: Iterable[str]) -> str:
+    """Name photos, each once."""
+    return printable(first_few(list(dict.fromkeys(names)), _MOST_NAMES))

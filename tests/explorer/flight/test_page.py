@@ -78,6 +78,11 @@ def test_the_script_gets_every_track_and_what_is_unknown_as_null(seen: FlightSna
     assert data["notes"][:2] == ["Said.", "A note."]
 
 
+def test_tags_far_off_the_map_are_told(flight: LocatedFlight) -> None:
+    away = page.data(seen_of(replace(flight, tags_away=5200.0)), ADDRESSES)["counts"]
+    assert "GPS tags lie 5,200 m from this map: give the map of the tags' place, unless the tags are wrong." in away
+
+
 def test_where_tags_lag_the_figures_are_those_without_the_lag(flight: LocatedFlight) -> None:
     moved = np.array([(-20.0, 0.5), (44.0, 0.0), (np.nan, np.nan)])
     late = replace(flight, audit=TagAudit(8, 4.0, 9.0, 1.9, 0.1, 0.5, 0.2, 3.0), tags_without_lag=moved)

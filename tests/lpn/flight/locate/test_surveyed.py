@@ -152,10 +152,10 @@ def test_errors_are_answer_minus_survey_and_refused_photos_do_not_count(tmp_path
     assert (errors.median, errors.largest) == pytest.approx((3.0, 5.0), rel=1e-3)
     assert errors.calibration == {1: 50.0, 2: 50.0, 3: 100.0}
     assert survey_remarks(rows, 4) == [
-        "No answer is accepted for 1 surveyed photo, which does not count: c.jpg.",
-        "1 photo of the flight has no surveyed position.",
+        "Photos without an accepted answer do not count: c.jpg.",
+        "Photos of the flight without a surveyed position: 1.",
     ]
-    stranger = "1 surveyed photo is not in the flight, so check the names: e.jpg."
+    stranger = "Surveyed photos that are not in the flight; check the names: e.jpg."
     assert strangers_sentence(matched(located, surveyed)) == stranger
     write_residuals(tmp_path / "residuals.csv", rows, ORIGIN)
     with (tmp_path / "residuals.csv").open(newline="") as file:
@@ -198,8 +198,8 @@ def test_a_camera_is_compared_with_the_pose_and_the_ground_with_the_middle() -> 
         "ground": (3, {1: 50.0, 2: 100.0, 3: 100.0}),
     }
     assert survey_remarks(rows, 4) == [
-        "1 surveyed position of the camera is compared with the ground at the photo's middle, as the answer tells no more; a "
-        "tilted camera keeps the two apart, so the shares within radii leave it out."
+        "Surveyed positions of the camera that are compared with the ground at the photo's middle, as the answer tells no more: "
+        "1. A tilted camera keeps the two apart, so the shares within radii leave them out."
     ]
 
 
@@ -221,7 +221,7 @@ def test_without_an_accepted_answer_no_table_is_printed() -> None:
     )
     assert written.getvalue().splitlines() == [
         "No surveyed photo has an accepted answer, so there is nothing to compare.",
-        "No answer is accepted for 1 surveyed photo, which does not count: a.jpg.",
+        "Photos without an accepted answer do not count: a.jpg.",
     ]
 
 
@@ -246,7 +246,7 @@ def test_state_and_doubt_are_those_of_the_best_track() -> None:
     assert [(row.stage, row.state, ", ".join(row.doubt)) for row in rows[::2]] == of_best
     remarks = survey_remarks(rows, 3)
     assert remarks[0] == "Contradicted by other answers, and counted all the same: a.jpg, c.jpg."
-    assert [remark[:23] for remark in remarks[1:]] == ["3 surveyed positions of"]
+    assert [remark[:26] for remark in remarks[1:]] == ["Surveyed positions of the "]
 
 
 def test_names_are_found_by_path_then_folders_then_name_then_stem() -> None:
