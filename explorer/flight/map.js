@@ -14,6 +14,7 @@ const DARK = { color: "#000", opacity: 0.55, interactive: false };
 const clamp = (value, low, high) => Math.min(Math.max(value, low), high);
 const place = (track, i) => (track.x[i] === null || track.y[i] === null ? null : [track.x[i], track.y[i]]);
 const at = ([x, y]) => [y, x];
+const said = (text) => () => make("span", { text }); // Leaflet takes a string for HTML
 
 export class FlightMap {
   /**
@@ -198,7 +199,7 @@ export class FlightMap {
     }
     this.marks.clearLayers();
     this.shown.clearLayers();
-    for (const { outline, colour, name } of data.sheets) this.line([...outline, outline[0]], colour, 2).bindTooltip(name, { sticky: true });
+    for (const { outline, colour, name } of data.sheets) this.line([...outline, outline[0]], colour, 2).bindTooltip(said(name), { permanent: true, direction: "center" });
     if (!own && !compares && over !== "correct") for (const [name, track] of this.flight.shown()) this.drawTrack(name, track);
     for (const i of spotted?.frames ?? []) this.line([...data.outlines[i].slice(0, 4), data.outlines[i][0]], "#fff", 1);
     if (spotted) this.dot(spotted.spot, 6, "#fff", true);
@@ -228,7 +229,7 @@ export class FlightMap {
       if (!point) return;
       const doubted = name === data.stages[i] && data.states[i] === "contradicted";
       const mark = this.dot(point, tag ? 2 : doubted ? 6 : 4, doubted ? data.colours.contradicted : data.colours[name], track.state[i] === 2, this.shown);
-      mark.bindTooltip(data.reasons[i] && !tag ? `${file}: ${data.words[data.states[i]]}. ${data.reasons[i]}` : file, { className: "reason" });
+      mark.bindTooltip(said(data.reasons[i] && !tag ? `${file}: ${data.words[data.states[i]]}. ${data.reasons[i]}` : file), { className: "reason" });
       mark.on("click", ({ originalEvent }) => !this.asking && !originalEvent.shiftKey && this.on.choose(i));
     });
     end();

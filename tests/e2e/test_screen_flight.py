@@ -75,7 +75,7 @@ def running(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         for i, (frame, place) in enumerate(zip(located.frames, PLACES, strict=True)):
             matrix = np.linalg.inv(ground_to_photo(place, 0.0, WIDTH, SIZE)).ravel().tolist()
             accepted = StageRecord("accepted", "Matches agree.", *place, True, 1.5, 0.0, 0.0, WIDTH, 50, matrix)
-            frame.stages["registration"] = StageRecord("refused", "Too few.", *GUESS) if i == REFUSED else accepted
+            frame.stages["registration"] = StageRecord("refused", "Too few <b>details</b>.", *GUESS) if i == REFUSED else accepted
         located.audit = TagAudit(5, 0.0, 0.0)
         task = flight_task(model, "a.onnx", located, folder)
         ranking = RankingJob(task)
@@ -146,9 +146,9 @@ def test_map_timeline_list_and_keys_choose_the_same_photo(panel: FlightPage) -> 
     panel.expect_frame(5)
     page.keyboard.press("ArrowLeft")
     panel.expect_frame(REFUSED)
-    expect(panel.root.locator(".lines")).to_contain_text("Too few.")
+    expect(panel.root.locator(".lines")).to_contain_text("Too few <b>details</b>.")
     page.mouse.move(*at(GUESS))
-    expect(panel.root.locator(".leaflet-tooltip")).to_have_text("photo4.png: not placed. Too few.")
+    expect(panel.root.locator(".leaflet-tooltip")).to_have_text("photo4.png: not placed. Too few <b>details</b>.")
     expect(panel.root.locator(".view .read")).to_contain_text("m E")
     page.mouse.move(*at((-10.0, 40.0)))
     expect(panel.root.locator(".leaflet-tooltip")).to_have_count(0)
@@ -160,7 +160,7 @@ def test_map_timeline_list_and_keys_choose_the_same_photo(panel: FlightPage) -> 
     line = box(panel.timeline)
     panel.timeline.click(position={"x": line["width"] - 10, "y": 30})
     panel.expect_frame(5)
-    panel.root.locator(".entry", has_text="Too few.").click()
+    panel.root.locator(".entry", has_text="Too few <b>").click()
     panel.expect_frame(REFUSED)
     page.keyboard.down("Shift")
     page.mouse.click(*at((-80.0, 10.0)))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lpn.flight.locate.measures import RIGHT_CALIBRATION
+from lpn.flight.locate.errors import RIGHT_CALIBRATION
 
 from lpn.flight.files import Frame
 from lpn.flight.locate.camera_place import height_of_width, told_tilt_error
