@@ -75,7 +75,9 @@ def running(model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Itera
         for i, (frame, place) in enumerate(zip(located.frames, PLACES, strict=True)):
             matrix = np.linalg.inv(ground_to_photo(place, 0.0, WIDTH, SIZE)).ravel().tolist()
             accepted = StageRecord("accepted", "Matches agree.", *place, True, 1.5, 0.0, 0.0, WIDTH, 50, matrix)
-            frame.stages["registration"] = StageRecord("refused", "Too few <b>details</b>.", *GUESS) if i == REFUSED else accepted
+            frame.stages["registration"] = (
+                StageRecord("refused", "Too few <b>details</b>.", *GUESS) if i == REFUSED else accepted
+            )
         located.audit = TagAudit(5, 0.0, 0.0)
         task = flight_task(model, "a.onnx", located, folder)
         ranking = RankingJob(task)
